@@ -29,17 +29,7 @@ _MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not t
 
 
 def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
-    """The arm with only those effects whose parameters are known.
-
-    Parameters
-    ----------
-    arm : Arm
-    known : collection of (name, joint)
-
-    Returns
-    -------
-    Arm
-    """
+    """The arm with only those effects whose parameters are known."""
     known = {(base_name(name), joint) for name, joint in known}
     joints = tuple(
         replace(
@@ -58,15 +48,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
 def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
     """The arm with simpler springs where the values know no more of them, and known effects.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        (name, joint) -> value.
-
-    Returns
-    -------
-    Arm
+    `values`: (name, joint) -> value.
     """
     joints = tuple(
         replace(joint, spring=known_instead(joint.law, joint.law.of_joint(values, number)).name)
@@ -78,14 +60,7 @@ def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
 def velocity_band(log: Log, arm: Arm) -> float:
     """Frequency up to which the liveliest motor's angle stands out of its noise [Hz].
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-
-    Returns
-    -------
-    float [Hz]
+    Returns: [Hz].
     """
     numbers = range(1, arm.n_joints + 1)
     return max(signal_band(log.channels[f"theta_m{i}"], log.sample_time) for i in numbers)
@@ -116,16 +91,10 @@ class Observed:
         An accelerometer's bias is unknown: its simulated mean is set to the measured one. Its delay
         and its scale are among the values where they are known.
 
-        Parameters
-        ----------
-        arm : Arm
-            With springs and effects that fit the values.
-        values : dict
-            (name, joint) -> value.
+        `arm`: With springs and effects that fit the values.
+        `values`: (name, joint) -> value.
 
-        Returns
-        -------
-        (n_rows, n_channels)
+        Returns: (n_rows, n_channels).
         """
         record: list[Quantity] = ["encoder"]
         if len(self.channels) > arm.n_joints:
@@ -154,21 +123,9 @@ class Observed:
 def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
     """Velocities and accelerations of a record, ready to be compared.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    cutoff_hz : float [Hz], optional
-        Of the low-pass; as far up as the encoders show motion if it is not given.
+    `cutoff_hz` [Hz]: Of the low-pass; as far up as the encoders show motion if it is not given.
 
-    Returns
-    -------
-    Observed
-
-    Raises
-    ------
-    InvalidInput
-        The log lacks something that simulating it needs.
+    Raises `InvalidInput`: the log lacks something that simulating it needs.
     """
     check_recorded_input(arm, log)
     cutoff = cutoff_hz or velocity_band(log, arm)
@@ -197,28 +154,15 @@ def predict_closed_loop(
 ) -> Prediction:
     """Simulate a record on an arm with elastic joints, and compare.
 
-    Parameters
-    ----------
-    values : dict
-        (name, joint) -> value; of a gear with a curve one `gear_stiffness` will do.
-    log : Log
-        Of any experiment whose references and open-loop voltages are there.
-    arm : Arm
-    cutoff_hz : float [Hz], optional
-        Of the low-pass for both sides; from the record if it is not given.
+    `values`: (name, joint) -> value; of a gear with a curve one `gear_stiffness` will do.
+    `log`: Of any experiment whose references and open-loop voltages are there.
+    `cutoff_hz` [Hz]: Of the low-pass for both sides; from the record if it is not given.
 
-    Returns
-    -------
-    Prediction
-        Channels `omega_m{i}` [rad/s] and, where there are accelerometers, `a{i}` [m/s^2]. The fit
-        of a channel that hardly stands out of its noise is NaN, and a warning says so.
+    Returns: Channels `omega_m{i}` [rad/s] and, where there are accelerometers, `a{i}` [m/s^2]. The
+    fit of a channel that hardly stands out of its noise is NaN, and a warning says so.
 
-    Raises
-    ------
-    InvalidInput
-        The log lacks something that simulating it needs, or a parameter is missing or impossible.
-    NumericalFailure
-        The motion left the finite numbers.
+    Raises `InvalidInput`: the log lacks something that simulating it needs, or a parameter is
+    missing or impossible; `NumericalFailure`: the motion left the finite numbers.
     """
     seen = observe(log, arm, cutoff_hz)
     return prediction_of(seen, seen.simulated(as_known(arm, values), values))
@@ -227,14 +171,7 @@ def predict_closed_loop(
 def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
     """The record of a comparison.
 
-    Parameters
-    ----------
-    seen : Observed
-    predicted : (n_rows, n_channels)
-
-    Returns
-    -------
-    Prediction
+    `predicted` (n_rows, n_channels).
     """
     fits = np.where(seen.moves, fit_percent(seen.measured, predicted), np.nan)
     return Prediction(
@@ -258,16 +195,7 @@ def _still(seen: Observed) -> Iterator[Diagnostic]:
 def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:
     """Whether a joint's accelerometer was logged, and it is known where it sits.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    bool
+    `joint`: From 1.
     """
     own = arm.joints[joint - 1]
     placed = own.motion == "prismatic" or own.accelerometer_distance is not None

@@ -56,23 +56,12 @@ def decouple(
 
     u_i = e_i v_i - f_i sgn(dtheta_Mi) - f_0i at the motor, tau_i from `interaction_torques`.
 
-    Parameters
-    ----------
-    signals : LinkSignals
-    model : RigidModel or None
-        None will do for a single joint without gravity; its friction then stays in u.
-    arm : Arm
-    options : DecouplingOptions, optional
+    `model`: None will do for a single joint without gravity; its friction then stays in u.
 
-    Returns
-    -------
-    tuple of Decoupled
-        One per joint, from the base. A single joint without gravity has the one input u.
+    Returns: One per joint, from the base. A single joint without gravity has the one input u.
 
-    Raises
-    ------
-    NotIdentifiable
-        The rigid model is missing, or lacks a parameter that the torques need.
+    Raises `NotIdentifiable`: the rigid model is missing, or lacks a parameter that the torques
+    need.
     """
     chosen = options or DecouplingOptions()
     base, tau = _interaction(signals, model, arm)
@@ -137,17 +126,8 @@ def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -
 
     u - f sgn(dtheta_M) - f_0, as `decouple` does with a rigid model: what linear models describe.
 
-    Parameters
-    ----------
-    signals : LinkSignals
-    part : Decoupled
-        Whose friction is still in u.
-    joint : JointModel
-        With `motor_coulomb_friction` and `friction_offset`, where it has them.
-
-    Returns
-    -------
-    Decoupled
+    `part`: Whose friction is still in u.
+    `joint`: With `motor_coulomb_friction` and `friction_offset`, where it has them.
     """
     i = part.joint - 1
     dry = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]

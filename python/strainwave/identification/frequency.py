@@ -39,23 +39,12 @@ def respond(
     Welch's method over all records. The difference between records beyond the noise, where there
     are more than needed, is distortion: another amplitude or posture, another response.
 
-    Parameters
-    ----------
-    records : sequence of Decoupled
-        Of one joint, all with one sample time.
-    options : FrequencyOptions, optional
+    `records`: Of one joint, all with one sample time.
 
-    Returns
-    -------
-    FrequencyResponse
-        Outputs: motor velocity, link velocity.
+    Returns: Outputs: motor velocity, link velocity.
 
-    Raises
-    ------
-    InvalidInput
-        There is no record, or they are of different joints, sample times or inputs.
-    NotIdentifiable
-        The inputs cannot be separated in the records.
+    Raises `InvalidInput`: there is no record, or they are of different joints, sample times or
+    inputs; `NotIdentifiable`: the inputs cannot be separated in the records.
     """
     chosen = options or FrequencyOptions()
     check_alike(records)
@@ -76,23 +65,12 @@ def by_periods(
 ) -> FrequencyResponse:
     """Response from whole periods of periodic records.
 
-    Parameters
-    ----------
-    pairs : sequence of ((n_samples, n_inputs), (n_samples, n_outputs))
-    sample_time : float [s]
-    period : int
-        Samples.
-    transient : int
-        Periods left out at the start, as far as two are left.
+    `pairs` (n_samples, n_inputs) (n_samples, n_outputs).
+    `sample_time` [s].
+    `period`: Samples.
+    `transient`: Periods left out at the start, as far as two are left.
 
-    Returns
-    -------
-    FrequencyResponse
-
-    Raises
-    ------
-    NotIdentifiable
-        Fewer records than inputs.
+    Raises `NotIdentifiable`: fewer records than inputs.
     """
     n_in = pairs[0][0].shape[1]
     if len(pairs) < n_in:
@@ -141,22 +119,13 @@ def by_welch(
 ) -> FrequencyResponse:
     """H1 = S_yu S_uu^-1 with overlapping Hann windows over all records.
 
-    Parameters
-    ----------
-    pairs : sequence of ((n_samples, n_inputs), (n_samples, n_outputs))
-    sample_time : float [s]
-    segment : int
-        Samples.
+    `pairs` (n_samples, n_inputs) (n_samples, n_outputs).
+    `sample_time` [s].
+    `segment`: Samples.
 
-    Returns
-    -------
-    FrequencyResponse
-        Coherence is the multiple one. Noise variance is the residual's over n_averages S_uu.
+    Returns: Coherence is the multiple one. Noise variance is the residual's over n_averages S_uu.
 
-    Raises
-    ------
-    NotIdentifiable
-        There are no more segments than inputs.
+    Raises `NotIdentifiable`: there are no more segments than inputs.
     """
     n_in = pairs[0][0].shape[1]
     blocks = [_segments(np.column_stack(pair), segment) for pair in pairs]
@@ -197,23 +166,13 @@ def resonance(
     by least squares on the numerator and denominator, reweighted with the last denominator
     (Sanathanan and Koerner) until it settles.
 
-    Parameters
-    ----------
-    frequencies_hz : (n_frequencies,) [Hz]
-    response : (n_frequencies,) complex
-    variance : (n_frequencies,), optional
-        Of the response; lines weigh by its inverse.
-    band_hz : (lowest, highest), optional
-        Where to look for dip and peak.
+    `frequencies_hz` (n_frequencies,) [Hz].
+    `response` (n_frequencies,).
+    `variance` (n_frequencies,): Of the response; lines weigh by its inverse.
+    `band_hz`: Where to look for dip and peak.
 
-    Returns
-    -------
-    Resonance
-
-    Raises
-    ------
-    NotIdentifiable
-        There is no dip below a peak, or the fit has no damped oscillating pair.
+    Raises `NotIdentifiable`: there is no dip below a peak, or the fit has no damped oscillating
+    pair.
     """
     low, high = band_hz or (frequencies_hz[0], frequencies_hz[-1])
     dip, peak = _dip_and_peak(frequencies_hz, response, low, high)

@@ -42,25 +42,11 @@ def motor_response(
 
     Cross-spectra S_uw / S_uu by Welch's method over windows of half the record.
 
-    Parameters
-    ----------
-    log : Log
-        Of an experiment that names its joint.
-    model : ArmModel
-    joints : sequence of JointModel
-        For the equivalent stiffness of curves.
-    arm : Arm
+    `log`: Of an experiment that names its joint.
+    `joints`: For the equivalent stiffness of curves.
 
-    Returns
-    -------
-    MotorResponse
-
-    Raises
-    ------
-    InvalidInput
-        The log lacks a motor's angle or voltage, or names no joint.
-    NumericalFailure
-        The motion left the finite numbers.
+    Raises `InvalidInput`: the log lacks a motor's angle or voltage, or names no joint;
+    `NumericalFailure`: the motion left the finite numbers.
     """
     driven, drive = driven_by_voltage(arm, log)
     runs = simulate_arms(
@@ -117,21 +103,13 @@ def modes_of_motor(
     Servos of other joints act on their motors as a damper e kp and a spring e ki; of an unknown
     servo it is assumed that it holds its motor.
 
-    Parameters
-    ----------
-    values : dict
-        (name, joint) -> value, with one `gear_stiffness` a joint.
-    arm : Arm
-    link_angle : (n_joints,) [rad]
-    joint : int
-        Whose motor is driven, from 1.
-    servoed : bool
-        Whether the other motors are under their servos, rather than free.
+    `values`: (name, joint) -> value, with one `gear_stiffness` a joint.
+    `link_angle` (n_joints,) [rad].
+    `joint`: Whose motor is driven, from 1.
+    `servoed`: Whether the other motors are under their servos, rather than free.
 
-    Returns
-    -------
-    anti_resonances, resonances : (n,) [Hz]
-        Moduli of the lightly damped pairs over 2 pi, ascending.
+    Returns: `anti_resonances, resonances` (n,) [Hz]: Moduli of the lightly damped pairs over 2 pi,
+    ascending.
     """
     n, others = arm.n_joints, [i for i in range(arm.n_joints) if i != joint - 1]
     base = np.array([values.get(key, 0.0) for key in arm.base_names])

@@ -12,15 +12,7 @@ from functools import lru_cache
 def chi_square_tail(value: float, degrees: int) -> float:
     """Probability that a chi-square variable exceeds a value (Abramowitz and Stegun 26.4.4, 5).
 
-    Parameters
-    ----------
-    value : float
-    degrees : int
-        At least 1.
-
-    Returns
-    -------
-    float
+    `degrees`: At least 1.
     """
     if not value > 0.0:
         return 1.0 if value <= 0.0 else math.nan
@@ -38,16 +30,8 @@ def chi_square_tail(value: float, degrees: int) -> float:
 def chi_square_limit(probability: float, degrees: int) -> float:
     """The value that a chi-square variable exceeds with a probability, by bisection.
 
-    Parameters
-    ----------
-    probability : float
-        Above zero, below one.
-    degrees : int
-        At least 1.
-
-    Returns
-    -------
-    float
+    `probability`: Above zero, below one.
+    `degrees`: At least 1.
     """
     low, high = 0.0, float(degrees)
     while chi_square_tail(high, degrees) > probability:
@@ -64,16 +48,8 @@ def chi_square_limit(probability: float, degrees: int) -> float:
 def student_quantile(probability: float, degrees: int) -> float:
     """The value below which Student's t lies with a probability, by bisection.
 
-    Parameters
-    ----------
-    probability : float
-        From one half up, below one.
-    degrees : int
-        At least 1.
-
-    Returns
-    -------
-    float
+    `probability`: From one half up, below one.
+    `degrees`: At least 1.
     """
     low, high = 0.0, 0.5 * math.pi
     for _ in range(60):

@@ -38,21 +38,13 @@ def low_pass(
     applied to the spectrum of the signal continued at both ends by its own point reflection.
     Long signals pass piece by piece, with so much of its neighbours that only rounding differs.
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    cutoff_hz : float [Hz]
-        At or above 0.45 of the sampling rate the signal is returned as it is.
-    sample_time : float [s]
-    decimated : int
-        The signal is every k-th sample of those; it gets the very gain that they would.
-    kept : slice
-        The samples wanted, from the first wanted one on in equal steps.
+    `signal` (n_samples, ...).
+    `cutoff_hz` [Hz]: At or above 0.45 of the sampling rate the signal is returned as it is.
+    `sample_time` [s].
+    `decimated`: The signal is every k-th sample of those; it gets the very gain that they would.
+    `kept`: The samples wanted, from the first wanted one on in equal steps.
 
-    Returns
-    -------
-    (n_kept, ...)
-        The first and last 1/cutoff_hz seconds hold the filter's transients.
+    Returns: (n_kept, ...): The first and last 1/cutoff_hz seconds hold the filter's transients.
     """
     relative = cutoff_hz * sample_time
     if relative >= 0.45:
@@ -113,14 +105,10 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     The relative error at the frequency w is (w T)^4 / 30; two samples at either end are of second
     order.
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    sample_time : float [s]
+    `signal` (n_samples, ...).
+    `sample_time` [s].
 
-    Returns
-    -------
-    (n_samples, ...)
+    Returns: (n_samples, ...).
     """
     slope = np.empty_like(signal)
     ends = min(len(signal), 4)  # of as many samples are the two at an end
@@ -141,13 +129,7 @@ def noise_deviation(signal: FloatArray) -> float:
     is left of the motion there. White noise of variance s^2 has sixth differences of variance
     924 s^2 (the sum of the squared binomials).
 
-    Parameters
-    ----------
-    signal : (n_samples,)
-
-    Returns
-    -------
-    float
+    `signal` (n_samples,).
     """
     sixth = np.diff(signal, 6)
     return float(np.sqrt(np.mean(sixth**2) / 924.0)) if sixth.size else 0.0
@@ -160,15 +142,10 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     spectrum falls steeply: the band ends where the power density meets the floor that the highest
     octave shows.
 
-    Parameters
-    ----------
-    angle : (n_samples,)
-    sample_time : float [s]
+    `angle` (n_samples,).
+    `sample_time` [s].
 
-    Returns
-    -------
-    float [Hz]
-        At most a fifth of the sampling rate; a filter above this adds noise, not signal.
+    Returns: [Hz]: At most a fifth of the sampling rate; a filter above this adds noise, not signal.
     """
     rate = 1.0 / sample_time
     if len(angle) < _LEAST_SAMPLES:
@@ -200,19 +177,13 @@ def lagged(
     First order: 1 / (1 + s/w); second order, Butterworth: 1 / (1 + sqrt(2) s/w + (s/w)^2), with
     w = 2 pi cutoff_hz. The whole cascade is solved exactly between the samples.
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    lags : sequence of Lag
-        Without any, the signal is returned as it is.
-    sample_time : float [s]
-    held : bool
-        The signal is constant until the next sample; otherwise it runs straight to it.
+    `signal` (n_samples, ...).
+    `lags`: Without any, the signal is returned as it is.
+    `sample_time` [s].
+    `held`: The signal is constant until the next sample; otherwise it runs straight to it.
 
-    Returns
-    -------
-    (n_samples, ...)
-        Steady at the first sample: what comes before is taken as equal to it.
+    Returns: (n_samples, ...): Steady at the first sample: what comes before is taken as equal to
+    it.
     """
     if not lags:
         return signal
@@ -253,18 +224,13 @@ def unaliased(
 
         H(jw) R(jw),   R = 1 (smooth), sinc(w T / 2) exp(-jwT/2) (held), sinc(w T / 2)^2 (straight)
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    lags : sequence of Lag
-    sample_time : float [s]
-    between : "smooth", "held" or "straight"
-        How the signal runs from sample to sample: as its spectrum says, constant, or straight.
+    `signal` (n_samples, ...).
+    `sample_time` [s].
+    `between`: How the signal runs from sample to sample: as its spectrum says, constant, or
+        straight.
 
-    Returns
-    -------
-    (n_samples, ...)
-        Steady at the first sample: what comes before is taken as equal to it.
+    Returns: (n_samples, ...): Steady at the first sample: what comes before is taken as equal to
+    it.
     """
     if not lags and between == "smooth":
         return signal
@@ -350,18 +316,12 @@ def band_pass(
     H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) times (2 pi j f)^-integrals, without phase, applied
     to the spectrum of the signal continued at both ends by its own point reflection.
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    low_hz, high_hz : float [Hz]
-    sample_time : float [s]
-    integrals : int
-        How often the signal is integrated over time.
+    `signal` (n_samples, ...).
+    `low_hz, high_hz` [Hz].
+    `sample_time` [s].
+    `integrals`: How often the signal is integrated over time.
 
-    Returns
-    -------
-    (n_samples, ...)
-        Within about 1.5 / low_hz seconds of either end it holds transients.
+    Returns: (n_samples, ...): Within about 1.5 / low_hz seconds of either end it holds transients.
     """
 
     def response(f: FloatArray) -> ComplexArray:
@@ -382,17 +342,13 @@ def band_passes(
 ) -> FloatArray:
     """Several signals, integrals and derivatives of them, through one `band_pass`.
 
-    Parameters
-    ----------
-    signals : (n_samples, n_signals)
-    wanted : sequence of (signal, integrals)
-        What is to come back: how often which signal is integrated; differentiated, if negative.
-    low_hz, high_hz : float [Hz]
-    sample_time : float [s]
+    `signals` (n_samples, n_signals).
+    `wanted`: What is to come back: how often which signal is integrated; differentiated, if
+        negative.
+    `low_hz, high_hz` [Hz].
+    `sample_time` [s].
 
-    Returns
-    -------
-    (n_samples, n_wanted)
+    Returns: (n_samples, n_wanted).
     """
     f, spectrum, inner = _spectrum_of(signals, sample_time, 3.0 / low_hz)
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
@@ -415,19 +371,13 @@ def by_spectrum(
 ) -> FloatArray:
     """A filter given by its frequency response, on the signal continued by point reflection.
 
-    Parameters
-    ----------
-    signal : (n_samples, ...)
-    response : callable
-        (n_frequencies,) [Hz], all positive -> (n_frequencies,), the same for every column, or
-        (n_frequencies, n_out, n_in) from columns to columns. The mean does not pass.
-    sample_time : float [s]
-    reach : float [s]
-        How far the signal is continued at either end.
+    `signal` (n_samples, ...).
+    `response`: (n_frequencies,) [Hz], all positive -> (n_frequencies,), the same for every column,
+        or (n_frequencies, n_out, n_in) from columns to columns. The mean does not pass.
+    `sample_time` [s].
+    `reach` [s]: How far the signal is continued at either end.
 
-    Returns
-    -------
-    (n_samples, ...)
+    Returns: (n_samples, ...).
     """
     f, spectrum, inner = _spectrum_of(signal, sample_time, reach)
     gain = response(f)

@@ -86,15 +86,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     part of R shows which directions the data see: those whose singular value exceeds what the
     regressor's own noise would make of it.
 
-    Parameters
-    ----------
-    equations : Equations
-    root : (n_rows,)
-        Square roots of the weights.
-
-    Returns
-    -------
-    Factor
+    `root` (n_rows,): Square roots of the weights.
     """
     reduced = _reduced(equations, root, equations.target[:, None])
     scale, own, right = reduced.scale, reduced.own, reduced.right[:, 0]
@@ -119,15 +111,9 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
 def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArray:
     """How far changes of the target move the shared unknowns.
 
-    Parameters
-    ----------
-    equations : Equations
-    factor : Factor
-    changes : (n_rows, n_changes)
+    `changes` (n_rows, n_changes).
 
-    Returns
-    -------
-    (n_parameters, n_changes)
+    Returns: (n_parameters, n_changes).
     """
     reduced = _reduced(equations, factor.root, changes, leverage=False)
     basis = factor.directions[factor.seen].T
@@ -236,14 +222,7 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
 
     w = min(1, HUBER / |r / s|) / s^2,  s = 1.4826 median |r / sqrt(1 - h)|, h the leverage
 
-    Parameters
-    ----------
-    equations : Equations
-    factor : Factor
-
-    Returns
-    -------
-    (n_rows,)
+    Returns: (n_rows,).
     """
     residual = residual_of(equations, factor)
     free = 1.0 - factor.leverage
@@ -277,17 +256,8 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     for errors of any colour within the blocks, and counts model error as far as that differs from
     block to block. What the estimate leans towards the nuisance unknowns' priors comes on top.
 
-    Parameters
-    ----------
-    equations : Equations
-    factor : Factor
-
-    Returns
-    -------
-    (n_parameters, n_parameters)
-        Covariance within the directions that the data see.
-    (n_common,)
-        Variances of the common nuisance unknowns.
+    Returns: (n_parameters, n_parameters): Covariance within the directions that the data see.
+    (n_common,): Variances of the common nuisance unknowns.
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
     back = basis / factor.singular[factor.seen]
@@ -378,15 +348,9 @@ def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> 
     Not those that take part in a direction lost in noise, nor those whose uncertainty, times how
     much they were exercised, is a good part of all the torque there was.
 
-    Parameters
-    ----------
-    equations : Equations
-    factor : Factor
-    covariance : (n_parameters, n_parameters)
+    `covariance` (n_parameters, n_parameters).
 
-    Returns
-    -------
-    (n_parameters,)
+    Returns: (n_parameters,).
     """
     blind = np.abs(factor.directions[~factor.seen])
     visible = (blind < _TAKES_PART).all(axis=0)

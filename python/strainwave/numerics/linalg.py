@@ -13,13 +13,9 @@ _TERMS = 18  # 0.5^19 / 19! is below rounding
 def exponential(matrix: FloatArray) -> FloatArray:
     """e^M by its series, scaled down by a power of two and squared up again.
 
-    Parameters
-    ----------
-    matrix : (n, n)
+    `matrix` (n, n).
 
-    Returns
-    -------
-    (n, n)
+    Returns: (n, n).
     """
     size = float(np.abs(matrix).sum(axis=0).max())
     halvings = max(0, int(np.ceil(np.log2(size))) + 1) if size > 0.0 else 0
@@ -38,13 +34,9 @@ def triangular_factor(table: FloatArray) -> FloatArray:
     Which is backward stable like the whole decomposition (Demmel, Grigori, Hoemmen and Langou,
     2012), and takes less than half as long where the table does not fit the cache.
 
-    Parameters
-    ----------
-    table : (n_rows, n)
+    `table` (n_rows, n).
 
-    Returns
-    -------
-    (min(n_rows, n), n)
+    Returns: (n_rows, n).
     """
     n_rows, n = table.shape
     n_blocks = n_rows // max(_BLOCK, 2 * n)

@@ -24,12 +24,7 @@ _THREAD_TURN = 1e-3  # [s] after which a thread gives way to one that returns fr
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread for a while: threads that meet after each small product cost more.
-
-    Returns
-    -------
-    context manager
-    """
+    """Limit BLAS to one thread: in small products, synchronisation costs more than it saves."""
     from threadpoolctl import threadpool_limits
 
     limit: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
@@ -107,22 +102,11 @@ def limited(
 ) -> Iterator[None]:
     """Limit the threads of all `side_by_side` in this block, and let somebody else end it.
 
-    Parameters
-    ----------
-    threads : int, optional
-        At most so many work at a time, those of jobs within jobs included. None: a thread per core
-        in each `side_by_side`.
-    cancelled : callable, optional
-        Asked at every `stop_if_asked` whether the work is still wanted.
+    `threads`: At most so many work at a time, those of jobs within jobs included. None: a thread
+        per core in each `side_by_side`.
+    `cancelled`: Asked at every `stop_if_asked` whether the work is still wanted.
 
-    Yields
-    ------
-    None
-
-    Raises
-    ------
-    Stopped
-        It is not wanted any more.
+    Raises `Stopped`: it is not wanted any more.
     """
     before = _group()
     _thread.group = _Group(before, threads, cancelled)
@@ -135,11 +119,8 @@ def limited(
 def stop_if_asked() -> None:
     """End here where nobody waits for this job's result any more; long loops call it every round.
 
-    Raises
-    ------
-    Stopped
-        A job of the same `side_by_side` failed, its caller was interrupted, or the work is
-        cancelled.
+    Raises `Stopped`: A job of the same `side_by_side` failed, its caller was interrupted, or the
+    work is cancelled.
     """
     group = _group()
     if group is not None and group.is_stopped():
@@ -153,14 +134,7 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     outlives the call: where a job fails or the caller is interrupted, those that wait never begin,
     and those that run end at their next `stop_if_asked`.
 
-    Parameters
-    ----------
-    jobs : sequence of callable
-
-    Returns
-    -------
-    list
-        Their results, in order. The first exception among them is raised.
+    Returns: Their results, in order. The first exception among them is raised.
     """
     parent = _group()
     allowed = None if parent is None else parent.threads

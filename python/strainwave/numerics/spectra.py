@@ -16,16 +16,7 @@ Trend = Literal["mean", "line"]
 
 
 def periodic_hann(samples: int) -> FloatArray:
-    """The Hann window whose shifts by half of it add up to one.
-
-    Parameters
-    ----------
-    samples : int
-
-    Returns
-    -------
-    (samples,)
-    """
+    """The Hann window whose shifts by half of it add up to one."""
     return np.asarray(0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(samples) / samples))
 
 
@@ -34,19 +25,12 @@ def window_spectra(
 ) -> ComplexArray:
     """Fourier transforms of windows that begin every few samples.
 
-    Parameters
-    ----------
-    columns : (n_samples, n_columns)
-    window : (n_window,)
-        Weights; no longer than the columns.
-    step : int
-        Samples from one beginning to the next.
-    trend : "mean" or "line"
+    `columns` (n_samples, n_columns).
+    `window` (n_window,): Weights; no longer than the columns.
+    `step`: Samples from one beginning to the next.
 
-    Returns
-    -------
-    (n_windows, n_frequencies, n_columns)
-        By frequencies from zero to the Nyquist frequency.
+    Returns: (n_windows, n_frequencies, n_columns): By frequencies from zero to the Nyquist
+    frequency.
     """
     size = len(window)
     windows = np.lib.stride_tricks.sliding_window_view(columns, size, axis=0)[::step]
@@ -66,19 +50,12 @@ def cross_spectral_densities(
 ) -> tuple[FloatArray, ComplexArray]:
     """Cross-spectral densities by Welch's method: Hann windows that half overlap.
 
-    Parameters
-    ----------
-    columns : (n_samples, n_columns)
-    sample_time : float [s]
-    segment : int
-        Samples in a window.
-    trend : "mean" or "line"
+    `columns` (n_samples, n_columns).
+    `sample_time` [s].
+    `segment`: Samples in a window.
 
-    Returns
-    -------
-    frequencies : (n_frequencies,) [Hz]
-    densities : (n_frequencies, n_columns, n_columns) [1/Hz]
-        One-sided; conj(x_i) x_j in place (i, j).
+    Returns: `frequencies` (n_frequencies,) [Hz]; `densities` (n_frequencies, n_columns, n_columns)
+    [1/Hz]: One-sided; conj(x_i) x_j in place (i, j).
     """
     weight = periodic_hann(segment)
     lines = window_spectra(columns, weight, segment - segment // 2, trend=trend)

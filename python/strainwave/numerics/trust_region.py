@@ -88,28 +88,18 @@ def minimise(
 ) -> Found | None:
     """Levenberg and Marquardt's method in scaled coordinates, with limits to each step.
 
-    Parameters
-    ----------
-    linearise : callable
-        (n,) -> the cost and its least squares problem, or None where there is none.
-    start : (n,)
-    space : Space
-    tolerance : float
-        The search has converged when the predicted gain is below this, in units of the cost: where
-        residuals are in deviations, a hundredth is a tenth of a parameter's standard deviation.
-    relative : float
-        The same as a share of the cost, to be added.
-    damping : float
-        To begin with, beside squared singular values of columns of unit length: small where the
-        start is near.
-    max_evaluations : int
-        Of the least squares problem.
+    `linearise`: (n,) -> the cost and its least squares problem, or None where there is none.
+    `start` (n,).
+    `tolerance`: The search has converged when the predicted gain is below this, in units of the
+        cost: where residuals are in deviations, a hundredth is a tenth of a parameter's standard
+        deviation.
+    `relative`: The same as a share of the cost, to be added.
+    `damping`: To begin with, beside squared singular values of columns of unit length: small where
+        the start is near.
+    `max_evaluations`: Of the least squares problem.
 
-    Returns
-    -------
-    Found
-        Not converged if the evaluations ran out, or no step helps although much is predicted. None
-        if there is no problem at the start.
+    Returns: Not converged if the evaluations ran out, or no step helps although much is predicted.
+    None if there is no problem at the start.
     """
     x, first = start, linearise(start)
     if first is None:

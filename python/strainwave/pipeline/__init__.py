@@ -69,18 +69,7 @@ STAGES = ("rigid", "decoupled", "tuned")
 def check_stages(names: str | Sequence[str]) -> tuple[str, ...]:
     """The stages to run, checked to be a prefix of all.
 
-    Parameters
-    ----------
-    names : sequence of str
-
-    Returns
-    -------
-    tuple of str
-
-    Raises
-    ------
-    InvalidInput
-        A stage that does not exist, or one whose predecessors are missing.
+    Raises `InvalidInput`: A stage that does not exist, or one whose predecessors are missing.
     """
     listed = names.split(",") if isinstance(names, str) else names
     stages = tuple(name.strip() for name in listed)
@@ -106,31 +95,18 @@ def identify(
 ) -> Identification:
     """Logs to models: every stage on one study.
 
-    Parameters
-    ----------
-    study : Study or Path
-        Checked, or the study file.
-    data : mapping, optional
-        Experiment's name -> its log, a table in memory or a path, in place of the study's file.
-    stages : sequence of str
-        A prefix of `STAGES`.
-    options : Options, mapping or sequence of str, optional
-        In place of the study's [options]: all of them, those that change (stage -> key -> value),
-        or "stage.key=value" as on the command line.
-    progress : callable
-        Gets a `ProgressEvent` at the start of each part and at each evaluation of the last fit.
-    threads : int, optional
-        That may work at a time; one per core without.
+    `study`: Checked, or the study file.
+    `data`: Experiment's name -> its log, a table in memory or a path, in place of the study's file.
+    `stages`: A prefix of `STAGES`.
+    `options`: In place of the study's [options]: all of them, those that change (stage -> key ->
+        value), or "stage.key=value" as on the command line.
+    `progress`: Gets a `ProgressEvent` at the start of each part and at each evaluation of the last
+        fit.
+    `threads`: That may work at a time; one per core without.
 
-    Returns
-    -------
-    Identification
-        Its `verdict` says what the data answered and what not.
+    Returns: Its `verdict` says what the data answered and what not.
 
-    Raises
-    ------
-    InvalidInput
-        The study, a log or an argument is at fault.
+    Raises `InvalidInput`: the study, a log or an argument is at fault.
     """
     with one_blas_thread(), limited(threads):  # once for all: threads must not set it for others
         run = Run(check_stages(stages), progress)
@@ -432,20 +408,12 @@ def write(
 ) -> None:
     """Result and report, and if wanted every figure as SVG and PNG: all whole or none.
 
-    Parameters
-    ----------
-    identification : Identification
-    folder : Path
-        Made where it does not exist; an earlier result in it is replaced.
-    figures : bool
-        Whether the report's figures go to `figures/` in the folder, too.
-    progress : callable
-        Gets a `ProgressEvent`.
+    `folder`: Made where it does not exist; an earlier result in it is replaced.
+    `figures`: Whether the report's figures go to `figures/` in the folder, too.
+    `progress`: Gets a `ProgressEvent`.
 
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to, or there is no Matplotlib to draw the figures.
+    Raises `InvalidInput`: the folder cannot be written to, or there is no Matplotlib to draw the
+    figures.
     """
     from strainwave.presentation.report import figures_of, render
 

@@ -96,18 +96,9 @@ def from_catalogue(
 ) -> tuple[JointModel, ...]:
     """Gears to start from where no record excites them on purpose, but steps may show them.
 
-    Parameters
-    ----------
-    run : Run
-        Warnings and further starts are added to it.
-    the_study : Study
-    all_logs : sequence of Log
-    model : RigidModel, optional
+    `run`: Warnings and further starts are added to it.
 
-    Returns
-    -------
-    tuple of JointModel
-        None, where there is no such record or the rigid model does not suffice.
+    Returns: None, where there is no such record or the rigid model does not suffice.
     """
     if not any(log.experiment.use == "tuning" for log in all_logs):
         return ()

@@ -39,12 +39,7 @@ class Run:
         return found
 
     def forget(self, since: Run) -> None:
-        """Be as at a copy made earlier, but for the time taken and how far the run is.
-
-        Parameters
-        ----------
-        since : Run
-        """
+        """Be as at a copy made earlier, but for the time taken and how far the run is."""
         for each in fields(self):
             if each.name not in ("parts", "timing_s", "fraction"):
                 setattr(self, each.name, getattr(since, each.name))
@@ -53,12 +48,8 @@ class Run:
     def timed(self, part: str, said: str) -> Iterator[None]:
         """Say that a part begins, and add the time that it takes.
 
-        Parameters
-        ----------
-        part : str
-            One of those that are planned.
-        said : str
-            What is done in it.
+        `part`: One of those that are planned.
+        `said`: What is done in it.
         """
         self.report(part, said)
         with self.clocked(part):
@@ -74,12 +65,7 @@ class Run:
     def report(self, part: str, said: str, within: float = 0.0) -> None:
         """Say what is being done, and how far that is: parts that cannot run are passed over.
 
-        Parameters
-        ----------
-        part : str
-        said : str
-        within : float
-            How much of the part is done, from 0 to 1.
+        `within`: How much of the part is done, from 0 to 1.
         """
         planned = planned_parts(self.stages)
         begun = len(self.parts)
@@ -92,16 +78,7 @@ class Run:
 
 
 def planned_parts(stages: Sequence[str]) -> list[str]:
-    """The timed parts of a run, in order; a part may come twice.
-
-    Parameters
-    ----------
-    stages : sequence of str
-
-    Returns
-    -------
-    list of str
-    """
+    """The timed parts of a run, in order; a part may come twice."""
     planned = ["read", "consistency", "rigid", "checks"]
     if "decoupled" in stages:
         planned.append("decoupled")

@@ -22,19 +22,10 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
     Row k of Z is [z[k], ..., z[k + depth - 1]] with z = [u, y]. Z'Z comes from its displacement
     structure and R from Cholesky; where that would lose digits, from a blocked QR of Z.
 
-    Parameters
-    ----------
-    data : Stack
-    depth : int
-        Samples side by side in a row of Z.
-    order : (depth * (n_inputs + n_outputs),) int
-        Columns of Z as they are to stand in R.
+    `depth`: Samples side by side in a row of Z.
+    `order` (n_inputs + n_outputs): Columns of Z as they are to stand in R.
 
-    Returns
-    -------
-    R : square, upper triangular
-    rows : int
-        Rows of Z.
+    Returns: `rows`: Rows of Z.
     """
     z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
     gram, rows = _core.hankel_gram(z, list(data.lengths), depth)

@@ -37,18 +37,10 @@ _HALVINGS = 5
 def restricted(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray | None) -> Matrices:
     """The model where cost and (1/2) log det I_m are least together.
 
-    Parameters
-    ----------
-    evaluator : Evaluator
-    matrices : Matrices
-        At the minimum of the cost, scaled.
-    covariance : (n_entries, n_entries), optional
-        Of their packed entries.
+    `matrices`: At the minimum of the cost, scaled.
+    `covariance` (n_entries, n_entries): Of their packed entries.
 
-    Returns
-    -------
-    Matrices
-        As they came without a covariance, or where no step lowers the sum.
+    Returns: As they came without a covariance, or where no step lowers the sum.
     """
     if covariance is None:
         return matrices

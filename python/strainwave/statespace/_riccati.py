@@ -16,19 +16,11 @@ def innovations_gain(
     doubling algorithm (Anderson, Int. J. Control 28, 1978): quadratic convergence, and A - K C is
     stable where the noise moves every state on or outside the unit circle.
 
-    Parameters
-    ----------
-    A : (n, n)
-    C : (p, n)
-    Q : (n, n)
-    S : (n, p)
-    R : (p, p), positive definite
+    `A` (n, n).
+    `Q` (n, n).
+    `S` (n, p).
 
-    Returns
-    -------
-    K : (n, p)
-    covariance : (p, p)
-        C P C' + R, of the innovations.
+    Returns: `K` (n, p); `covariance`: C P C' + R, of the innovations.
     """
     n = len(A)
     weighted = np.linalg.solve(R, np.hstack([C, S.T]))

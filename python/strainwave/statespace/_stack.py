@@ -53,10 +53,7 @@ def records_of(data: Data) -> tuple[InputOutput, ...]:
 def stack(data: Data) -> Stack:
     """Check and stack records.
 
-    Raises
-    ------
-    InvalidInput
-        No record, shapes that do not fit together, entries that are not finite.
+    Raises `InvalidInput`: no record, shapes that do not fit together, entries that are not finite.
     """
     records = records_of(data)
     if not records:

@@ -31,21 +31,11 @@ def to_continuous(model: StateSpace) -> ContinuousStateSpace:
     exp(A (T - s)) s / T: an input that is held enters as B = P1^-1 B_d; one that is joined by
     straight lines, as B = (A_d P2 + P1 - P2)^-1 B_d and D = D_d - C P2 B.
 
-    Parameters
-    ----------
-    model : StateSpace
+    Returns: With a covariance if the model has one. A warning names poles so near the Nyquist
+    frequency that they may be aliases.
 
-    Returns
-    -------
-    ContinuousStateSpace
-        With a covariance if the model has one. A warning names poles so near the Nyquist
-        frequency that they may be aliases.
-
-    Raises
-    ------
-    NotIdentifiable
-        A pole at zero or on the negative real axis, which no continuous-time model of this order
-        has.
+    Raises `NotIdentifiable`: A pole at zero or on the negative real axis, which no continuous-time
+    model of this order has.
     """
     found = _convert(model)
     if model.covariance is None:

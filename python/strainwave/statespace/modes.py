@@ -26,26 +26,14 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
 
     Zeros are the s for which [[A - s I, b], [c, d]] is singular.
 
-    Parameters
-    ----------
-    model : StateSpace or ContinuousStateSpace
-        A sampled one is converted by `to_continuous`.
-    input, output : int
-        Columns, from 0.
+    `model`: A sampled one is converted by `to_continuous`.
+    `input, output`: Columns, from 0.
 
-    Returns
-    -------
-    Modes
-        Standard deviations by the delta method, if the model has a covariance. Zeros that are far
-        above the poles, and for a sampled model those beyond the Nyquist frequency, are left out:
-        the data say nothing about them.
+    Returns: Standard deviations by the delta method, if the model has a covariance. Zeros that are
+    far above the poles, and for a sampled model those beyond the Nyquist frequency, are left out:
+    the data say nothing about them.
 
-    Raises
-    ------
-    InvalidInput
-        No such input or output.
-    NotIdentifiable
-        As `to_continuous`.
+    Raises `InvalidInput`: no such input or output; `NotIdentifiable`: as `to_continuous`.
     """
     for name, index, count in (
         ("input", input, model.B.shape[1]),
@@ -116,17 +104,9 @@ def poles_and_zeros(
 ) -> tuple[ComplexArray, ComplexArray]:
     """Poles, and zeros from one input to one output, of a model or of a stack of them.
 
-    Parameters
-    ----------
-    model : ContinuousStateSpace
-    input, output : int
-        Columns, from 0.
+    `input, output`: Columns, from 0.
 
-    Returns
-    -------
-    poles : (..., order)
-    zeros : (..., order + 1)
-        Those at infinity are infinite.
+    Returns: `zeros`: Those at infinity are infinite.
     """
     return _poles(model), _zeros(model, input, output)
 
@@ -142,14 +122,7 @@ def _upper_half(values: ComplexArray) -> ComplexArray:
 def nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
     """For each value, the one that is nearest to it of others, or of each row of others.
 
-    Parameters
-    ----------
-    values : (n_values,)
-    others : (..., n_others)
-
-    Returns
-    -------
-    (..., n_values)
+    `values` (n_values,).
     """
     distances = np.abs(values[:, None] - others[..., None, :])
     place = np.argmin(distances, axis=-1)

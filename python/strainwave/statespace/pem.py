@@ -57,31 +57,19 @@ def pem(
 ) -> StateSpace:
     """Estimate a state-space model by prediction-error minimisation.
 
-    Parameters
-    ----------
-    data : InputOutput or sequence of InputOutput
-        Several records, or windows of one, are fitted at once, each from its own initial state.
-    order : int, optional
-        None: that of `start`. Where it is not known, `select_order` compares several.
-    start : StateSpace, optional
-        None: the better of two subspace estimates. One of another rate is brought to the data's.
-    options : PemOptions, optional
+    `data`: Several records, or windows of one, are fitted at once, each from its own initial state.
+    `order`: None: that of `start`. Where it is not known, `select_order` compares several.
+    `start`: None: the better of two subspace estimates. One of another rate is brought to the
+        data's.
 
-    Returns
-    -------
-    StateSpace
-        `status` says how the search ended: "converged"; "iteration-limit" and "stalled" carry a
-        warning with advice; "not-determined" means that the data leave a direction open. A model
-        whose simulation misses an output by more than that output moves carries a warning, however
-        well it predicts one step ahead.
+    Returns: `status` says how the search ended: "converged"; "iteration-limit" and "stalled" carry
+    a warning with advice; "not-determined" means that the data leave a direction open. A model
+    whose simulation misses an output by more than that output moves carries a warning, however well
+    it predicts one step ahead.
 
-    Raises
-    ------
-    InvalidInput
-        Shapes, entries that are not finite, an order below one, neither order nor start, a start
-        that does not fit the data.
-    NumericalFailure
-        No start has a stable predictor.
+    Raises `InvalidInput`: shapes, entries that are not finite, an order below one, neither order
+    nor start, a start that does not fit the data; `NumericalFailure`: no start has a stable
+    predictor.
     """
     options = options or PemOptions()
     _check(order, start, options)

@@ -29,19 +29,12 @@ def propagate(
     principal directions of the estimate's scatter, so that changes of coordinates, which the
     covariance does not hold, are never tried.
 
-    Parameters
-    ----------
-    model : StateSpace or ContinuousStateSpace
-    function : model -> (n_values,)
-        It must be smooth near the model, and the same in any coordinates of the state.
-    stacked : bool
-        The function takes many models at once, as one whose matrices have their number in front,
-        and gives (n_models, n_values).
+    `function` (n_values,): It must be smooth near the model, and the same in any coordinates of the
+        state.
+    `stacked`: The function takes many models at once, as one whose matrices have their number in
+        front, and gives (n_models, n_values).
 
-    Returns
-    -------
-    values : (n_values,)
-    covariance : (n_values, n_values), or None where the model has none
+    Returns: `values` (n_values,); `covariance` (n_values, n_values)
     """
 
     def each(near: Model) -> FloatArray:

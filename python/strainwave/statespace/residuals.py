@@ -28,23 +28,12 @@ def check_model(model: StateSpace, data: Data, *, lags: int = LAGS) -> ModelChec
     Initial states are fitted to the data, as they say nothing about the model. The tests take the
     model as given: on data it was fitted to they are a little too kind.
 
-    Parameters
-    ----------
-    model : StateSpace
-    data : InputOutput or sequence of InputOutput
-    lags : int
-        Correlations tested.
+    `lags`: Correlations tested.
 
-    Returns
-    -------
-    ModelCheck
-        Fits, simulated and one step ahead, and three tests, each with its verdict. An output-error
-        model may fail "white" without fault: it has no model of the noise.
+    Returns: Fits, simulated and one step ahead, and three tests, each with its verdict. An
+    output-error model may fail "white" without fault: it has no model of the noise.
 
-    Raises
-    ------
-    InvalidInput
-        As `pem`.
+    Raises `InvalidInput`: as `pem`.
     """
     stacked = stack(data)
     evaluator, matrices = on_data(model, stacked)

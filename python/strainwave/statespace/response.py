@@ -18,21 +18,13 @@ def frequency_response(
 
     A sampled model's response is that from sampled inputs, their hold included.
 
-    Parameters
-    ----------
-    model : StateSpace or ContinuousStateSpace
-    frequencies_hz : (n_frequencies,)
-        For a sampled model, up to the Nyquist frequency.
+    `frequencies_hz` (n_frequencies,): For a sampled model, up to the Nyquist frequency.
 
-    Returns
-    -------
-    FrequencyResponse
-        With the covariance of real and imaginary parts, by the delta method, if the model has one.
+    Returns: With the covariance of real and imaginary parts, by the delta method, if the model has
+    one.
 
-    Raises
-    ------
-    InvalidInput
-        Frequencies of the wrong shape, negative, not finite or beyond the Nyquist frequency.
+    Raises `InvalidInput`: frequencies of the wrong shape, negative, not finite or beyond the
+    Nyquist frequency.
     """
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     _check(frequencies, model)

@@ -63,34 +63,20 @@ def subspace(
 ) -> StateSpace:
     """Estimate a state-space model by a subspace method.
 
-    Parameters
-    ----------
-    data : InputOutput or sequence of InputOutput
-        Records are never joined: no row of the Hankel matrix spans two of them.
-    order : int, optional
-        None: the largest ratio between successive singular values decides.
-    method : "auto", "moesp", "n4sid" or "predictor"
-        "auto" runs MOESP and the predictor and keeps the one that predicts better.
-    horizon : int, optional
-        Past samples of a row, and future ones. None: as many as Akaike's criterion gives an
+    `data`: Records are never joined: no row of the Hankel matrix spans two of them.
+    `order`: None: the largest ratio between successive singular values decides.
+    `method`: "auto" runs MOESP and the predictor and keeps the one that predicts better.
+    `horizon`: Past samples of a row, and future ones. None: as many as Akaike's criterion gives an
         autoregression of the data.
-    feedthrough : one bool an input, optional
-        Whether the input acts on the outputs at once. None: inputs of hold "first" do, for their
-        slope towards the next sample is not known yet.
+    `feedthrough`: Whether the input acts on the outputs at once. None: inputs of hold "first" do,
+        for their slope towards the next sample is not known yet.
 
-    Returns
-    -------
-    StateSpace
-        `status` is "estimated", or "not-determined" where the model does not predict the data at
-        all; then a warning says so.
+    Returns: `status` is "estimated", or "not-determined" where the model does not predict the data
+    at all; then a warning says so.
 
-    Raises
-    ------
-    InvalidInput
-        Shapes, entries that are not finite, an order or horizon below one, a horizon too short for
-        the order.
-    NotIdentifiable
-        Too few samples for the order or the horizon.
+    Raises `InvalidInput`: shapes, entries that are not finite, an order or horizon below one, a
+    horizon too short for the order; `NotIdentifiable`: too few samples for the order or the
+    horizon.
     """
     _check(order, horizon, method)
     stacked = stack(data)

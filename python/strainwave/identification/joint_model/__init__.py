@@ -106,14 +106,7 @@ class JointFit:
     def of_record(self, name: str) -> JointModel:
         """The model from one of the records alone.
 
-        Parameters
-        ----------
-        name : str
-            Of the experiment.
-
-        Returns
-        -------
-        JointModel
+        `name`: Of the experiment.
         """
         if self.model.experiments == (name,):
             return self.model
@@ -131,21 +124,11 @@ def identify_joint(
 ) -> JointModel:
     """Physical parameters of one joint from its equations of motion, (S6) and (S7).
 
-    Parameters
-    ----------
-    records : sequence of (LinkSignals, Decoupled)
-        Of one joint, all fitted at once.
-    model : RigidModel or None
-    arm : Arm
-    options : PhysicalOptions, optional
-    search_from_hz : (float, float)
-        The band where the data are first asked for the equations' filter.
+    `records`: Of one joint, all fitted at once.
+    `search_from_hz`: The band where the data are first asked for the equations' filter.
 
-    Returns
-    -------
-    JointModel
-        A parameter that the records hardly identify has the value None, and a warning says so; an
-        impossible one is reported as it came, with a warning.
+    Returns: A parameter that the records hardly identify has the value None, and a warning says so;
+    an impossible one is reported as it came, with a warning.
     """
     return fit_joint(records, model, arm, options, search_from_hz=search_from_hz).model
 
@@ -158,12 +141,7 @@ def fit_joint(
     *,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> JointFit:
-    """The fit behind `identify_joint`, for those who want its records' own; arguments are the same.
-
-    Returns
-    -------
-    JointFit
-    """
+    """Fit one joint as `identify_joint` does, and keep the solution of its equations."""
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
     known = rigid_knowledge(model, arm, number, [signals for signals, _ in records])
@@ -296,24 +274,10 @@ def joint_by_transfer(
 ) -> JointModel:
     """Physical parameters of one joint by the paper's route, (15) to (18).
 
-    Parameters
-    ----------
-    records : sequence of Decoupled
-        Of one joint; one state-space model is fitted to all of them.
-    model : RigidModel or None
-    arm : Arm
-    options : RecordOptions, optional
+    `records`: Of one joint; one state-space model is fitted to all of them.
 
-    Returns
-    -------
-    JointModel
-
-    Raises
-    ------
-    InvalidInput
-        Records of different joints or rates.
-    NotIdentifiable
-        No stretch of a record is long enough, or the state-space model does not ring.
+    Raises `InvalidInput`: records of different joints or rates; `NotIdentifiable`: no stretch of a
+    record is long enough, or the state-space model does not ring.
     """
     chosen = options or RecordOptions()
     with one_blas_thread():

@@ -31,13 +31,7 @@ _MANY = 0.2  # of the lines; fewer may be leakage or a harmonic
 def vector_of(joint: JointModel) -> FloatArray:
     """A joint's parameters in the order of `TwoInertia`.
 
-    Parameters
-    ----------
-    joint : JointModel
-
-    Returns
-    -------
-    (6,)
+    Returns: (6,).
     """
     return np.array(list(joint.values.values())[:6])
 
@@ -45,16 +39,10 @@ def vector_of(joint: JointModel) -> FloatArray:
 def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
     """G11 of (17): motor torque to motor velocity.
 
-    Parameters
-    ----------
-    vector : (6,)
-        A joint's parameters in the order of `TwoInertia`.
-    gear_ratio : float
-    f : (n_frequencies,) [Hz]
+    `vector` (6,): A joint's parameters in the order of `TwoInertia`.
+    `f` (n_frequencies,) [Hz].
 
-    Returns
-    -------
-    (n_frequencies,) [rad/s/(N m)]
+    Returns: (n_frequencies,) [rad/s/(N m)].
     """
     A, B, C = state_space(joint_of(vector, gear_ratio))
     s = 2j * np.pi * f[:, None, None]
@@ -64,14 +52,9 @@ def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> Comp
 def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
     """Derivatives of `motor_response` by the parameters.
 
-    Parameters
-    ----------
-    vector, gear_ratio, f
-        As for `motor_response`.
+    `vector, gear_ratio, f`: As for `motor_response`.
 
-    Returns
-    -------
-    (n_frequencies, 6)
+    Returns: (n_frequencies, 6).
     """
 
     def parts(at: FloatArray) -> FloatArray:
@@ -85,13 +68,7 @@ def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> C
 def trusted(measured: FrequencyResponse) -> BoolArray:
     """Where the output follows the input, and neither noise nor distortion blurs by how much.
 
-    Parameters
-    ----------
-    measured : FrequencyResponse
-
-    Returns
-    -------
-    (n_frequencies,)
+    Returns: (n_frequencies,).
     """
     variance = np.zeros(len(measured.frequencies_hz))
     for part in (measured.noise_variance, measured.distortion_variance):
@@ -109,16 +86,6 @@ def compared(
     """The joint, with the warning `response-apart` where model and measured response differ.
 
     They do where more than a fifth of the lines lie beyond both 95 % bands and 2 dB.
-
-    Parameters
-    ----------
-    joint : JointModel
-    gear_ratio : float
-    measured : FrequencyResponse or None
-
-    Returns
-    -------
-    JointModel
     """
     text = None if measured is None else _difference(joint, gear_ratio, measured)
     if text is None:

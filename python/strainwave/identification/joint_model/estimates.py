@@ -24,19 +24,9 @@ def parameters_of(
 ) -> Iterator[Parameter]:
     """Each value as a parameter, None if hardly identified, then the total viscous friction.
 
-    Parameters
-    ----------
-    values : mapping from name to value
-    covariance : (n_values, n_values)
-        NaN where it is not known: then no deviation is given.
-    determined : (n_values,)
-    joint : Joint
-    number : int
-        The joint's, from 1.
-
-    Yields
-    ------
-    Parameter
+    `covariance` (n_values, n_values): NaN where it is not known: then no deviation is given.
+    `determined` (n_values,).
+    `number`: The joint's, from 1.
     """
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
@@ -63,16 +53,8 @@ def warnings_of(
 ) -> Iterator[Diagnostic]:
     """What is hardly identified, what is impossible, and what is an average.
 
-    Parameters
-    ----------
-    values, covariance, determined, joint, number
-        As for `parameters_of`.
-    source : str
-        Where the values come from: the records' names.
-
-    Yields
-    ------
-    Diagnostic
+    `values, covariance, determined, joint, number`: As for `parameters_of`.
+    `source`: Where the values come from: the records' names.
     """
     deviation = _deviations(covariance)
     for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
@@ -96,16 +78,7 @@ def warnings_of(
 def status_of(
     warnings: Iterable[Diagnostic],
 ) -> Literal["determined", "partly-determined", "implausible"]:
-    """The verdict on a joint's parameters that their warnings make.
-
-    Parameters
-    ----------
-    warnings : iterable of Diagnostic
-
-    Returns
-    -------
-    str
-    """
+    """The verdict on a joint's parameters that their warnings make."""
     codes = {warning.code for warning in warnings}
     if "implausible" in codes:
         return "implausible"

@@ -137,12 +137,7 @@ class Solved:
     beside: tuple[_Weighted, ...]  # in a narrower band and a wider one; none where it was given
 
     def fit(self) -> GreyBoxFit:
-        """What the solutions say.
-
-        Returns
-        -------
-        GreyBoxFit
-        """
+        """What the solutions say."""
         found = _result(self.own, self.known, self.band)
         doubt = _physical(self.as_it_shows.x) - _physical(self.own.x)
         found = replace(found, covariance=found.covariance + np.outer(doubt, doubt))
@@ -154,14 +149,7 @@ class Solved:
     def of_record(self, k: int) -> Solved:
         """One of the records alone, which starts from what all say in the same bands.
 
-        Parameters
-        ----------
-        k : int
-
-        Returns
-        -------
-        Solved
-            In bands of its own where its resonance is elsewhere.
+        Returns: In bands of its own where its resonance is elsewhere.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
         own = _settled(self.own.of_record(k, known), known, _SETTLED)
@@ -182,25 +170,11 @@ def solve(
 ) -> Solved:
     """Solve one joint's equations for its physical parameters, from one or several records.
 
-    Parameters
-    ----------
-    records : sequence of (LinkSignals, Decoupled)
-        Of one joint.
-    arm : Arm
-    known : RigidKnowledge
-    band_hz : (float, float), optional
-        Of the equations' filter; None: from the resonances found.
-    search_from_hz : (float, float)
-        Band in which they are first looked for.
+    `records`: Of one joint.
+    `band_hz`: Of the equations' filter; None: from the resonances found.
+    `search_from_hz`: Band in which they are first looked for.
 
-    Returns
-    -------
-    Solved
-
-    Raises
-    ------
-    NotIdentifiable
-        The link has no sensor.
+    Raises `NotIdentifiable`: the link has no sensor.
     """
     for signals, joint in records:
         if signals.sources[joint.joint - 1] == "motor":

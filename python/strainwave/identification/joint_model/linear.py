@@ -152,14 +152,7 @@ def _fit_in(
 def physical_order(options: LinearOptions) -> LinearOptions:
     """The same options with the order of (11), (12): what the closed forms (17), (18) presume.
 
-    Parameters
-    ----------
-    options : LinearOptions
-
-    Returns
-    -------
-    LinearOptions
-        With the order that was chosen by hand, where one was.
+    Returns: With the order that was chosen by hand, where one was.
     """
     return options if options.order else replace(options, order=PHYSICAL_ORDER)
 
@@ -169,14 +162,9 @@ def other_bands(
 ) -> tuple[tuple[float, float], ...]:
     """A narrower and a wider band: what the model lacks shows in how its answer changes.
 
-    Parameters
-    ----------
-    band_hz : (float, float) [Hz]
-    records : sequence of Decoupled
+    `band_hz` [Hz].
 
-    Returns
-    -------
-    two of (float, float) [Hz]
+    Returns: [Hz].
     """
     low, high = band_hz
     return tuple(
@@ -203,14 +191,7 @@ def judge(fit: LinearFit) -> ModelCheck:
 def modes_of(model: StateSpace) -> Modes:
     """Poles, and zeros from motor torque to motor velocity, of what lies in the band.
 
-    Parameters
-    ----------
-    model : StateSpace
-        From `state_space_of`.
-
-    Returns
-    -------
-    Modes
+    `model`: From `state_space_of`.
     """
     return modes(without_alternating(model), 0, 0)
 
@@ -221,15 +202,8 @@ def without_alternating(model: StateSpace) -> StateSpace:
     Such a pole answers every sample with the opposite sign: it shapes the edge of the band, at
     Nyquist. In the band it is a mere gain, which goes into D.
 
-    Parameters
-    ----------
-    model : StateSpace
-
-    Returns
-    -------
-    StateSpace
-        The model itself where there is none; else one with its covariance carried over, if it
-        has one.
+    Returns: The model itself where there is none; else one with its covariance carried over, if it
+    has one.
     """
     values, vectors = np.linalg.eig(model.A)
     bad = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
@@ -275,14 +249,9 @@ def band_around(
 ) -> tuple[float, float]:
     """The band of the filter for a joint with its resonance there, cut to what the records hold.
 
-    Parameters
-    ----------
-    anti_resonance_hz, resonance_hz : float [Hz]
-    records : sequence of Decoupled
+    `anti_resonance_hz, resonance_hz` [Hz].
 
-    Returns
-    -------
-    (float, float) [Hz]
+    Returns: [Hz].
     """
     low, high = anti_resonance_hz / BELOW, resonance_hz * ABOVE
     for record in records:
@@ -297,16 +266,9 @@ def band_for(
 ) -> tuple[float, float]:
     """The band of the filter that the options give, else that around a joint's resonances.
 
-    Parameters
-    ----------
-    rings_hz : (float, float) [Hz]
-        Anti-resonance and resonance.
-    records : sequence of Decoupled
-    options : LinearOptions
+    `rings_hz` [Hz]: Anti-resonance and resonance.
 
-    Returns
-    -------
-    (float, float) [Hz]
+    Returns: [Hz].
     """
     return options.band_hz or _at_rate(band_around(*rings_hz, records), records, options)
 
@@ -324,14 +286,7 @@ def _at_rate(
 def same_band(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
     """Whether both edges of two bands are the same, within a share of theirs.
 
-    Parameters
-    ----------
-    band, other : (float, float) [Hz]
-    within : float
-
-    Returns
-    -------
-    bool
+    `band, other` [Hz].
     """
     return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
 
@@ -339,14 +294,10 @@ def same_band(band: tuple[float, float], other: tuple[float, float], within: flo
 def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
     """Gain of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6)).
 
-    Parameters
-    ----------
-    f : (n_frequencies,) [Hz]
-    band_hz : (float, float) [Hz]
+    `f` (n_frequencies,) [Hz].
+    `band_hz` [Hz].
 
-    Returns
-    -------
-    (n_frequencies,)
+    Returns: (n_frequencies,).
     """
     low, high = band_hz
     gain = (1.0 + (low / f) ** _HIGH_PASS) * (1.0 + (f / high) ** _LOW_PASS)
@@ -356,14 +307,9 @@ def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
 def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
     """From the outputs to the velocities of motor and link themselves, (10) undone.
 
-    Parameters
-    ----------
-    f : (n_frequencies,) [Hz]
-    record : Decoupled
+    `f` (n_frequencies,) [Hz].
 
-    Returns
-    -------
-    (n_frequencies, 2, 2)
+    Returns: (n_frequencies, 2, 2).
     """
     undo = np.zeros((len(f), 2, 2), dtype=complex)
     undo[:, 0, 0] = undo[:, 1, 1] = 1.0

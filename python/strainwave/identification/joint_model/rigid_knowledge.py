@@ -19,19 +19,10 @@ def rigid_knowledge(
 ) -> RigidKnowledge:
     """c_1, c_0 and f of one joint, each with its deviation, as the rigid model gives them.
 
-    Parameters
-    ----------
-    model : RigidModel or None
-    arm : Arm
-    joint : int
-        From 1.
-    records : sequence of LinkSignals
-        In which the interaction torques come from the model.
+    `joint`: From 1.
+    `records`: In which the interaction torques come from the model.
 
-    Returns
-    -------
-    RigidKnowledge
-        None for what it does not give.
+    Returns: None for what it does not give.
     """
     if model is None:
         return RigidKnowledge(None, None, None)

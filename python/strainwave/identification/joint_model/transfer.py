@@ -74,30 +74,17 @@ def from_state_space(
 ) -> JointModel:
     """Physical parameters from G11 of a state-space model, (17), (18).
 
-    Parameters
-    ----------
-    model : StateSpace
-        From `state_space_of`; of more than three states, the least damped pairs are taken.
-    records : Decoupled or sequence of Decoupled
-        What it was estimated from.
-    arm : Arm
-    known : RigidKnowledge
-        c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
-    others : sequence of StateSpace
-        Of the same records in other bands. A joint as in (1), (2) would give the same in each; how
-        far they lie apart is counted as model error.
+    `model`: From `state_space_of`; of more than three states, the least damped pairs are taken.
+    `records`: What it was estimated from.
+    `known`: c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
+    `others`: Of the same records in other bands. A joint as in (1), (2) would give the same in
+        each; how far they lie apart is counted as model error.
 
-    Returns
-    -------
-    JointModel
-        Without deviations where the model has none. Impossible values are reported as they came,
-        with status "implausible". `fit_percent` is how well these parameters explain the
-        velocities in the band, and how well G12 = G21.
+    Returns: Without deviations where the model has none. Impossible values are reported as they
+    came, with status "implausible". `fit_percent` is how well these parameters explain the
+    velocities in the band, and how well G12 = G21.
 
-    Raises
-    ------
-    NotIdentifiable
-        The model has no oscillating pole and zero pair.
+    Raises `NotIdentifiable`: the model has no oscillating pole and zero pair.
     """
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio

@@ -104,22 +104,11 @@ class _Trial:
 def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
-    Parameters
-    ----------
-    signals : sequence of Signals
-        One per record, from `signals.motor_side`.
-    arm : Arm
-    options : RigidOptions, optional
+    `signals`: One per record, from `signals.motor_side`.
 
-    Returns
-    -------
-    RigidModel
-        Parameters that the data do not identify have the value None, and a warning says why.
+    Returns: Parameters that the data do not identify have the value None, and a warning says why.
 
-    Raises
-    ------
-    NotIdentifiable
-        There is no record, or no sample of any that may be used.
+    Raises `NotIdentifiable`: there is no record, or no sample of any that may be used.
     """
     if not signals:
         raise NotIdentifiable(
@@ -377,9 +366,7 @@ def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
     about a standard deviation away; and the next order in (w / w_a)^2 is taken to move the
     parameters by what the first order did, times (bandwidth / anti-resonance)^2.
 
-    Returns
-    -------
-    (n_parameters,)
+    Returns: (n_parameters,).
     """
     ratio = best.bandwidth_hz / float(np.min(anti_resonances(arm, best.estimate)))
     if ratio == 0.0:
@@ -425,9 +412,7 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
     the neighbours, within a factor of about two, differ by beyond those is what it lacks. The
     median, because a trial at a low bandwidth may see too little to be any guide.
 
-    Returns
-    -------
-    (n_parameters,)
+    Returns: (n_parameters,).
     """
     excess = [
         np.clip(

@@ -120,17 +120,8 @@ def _reach(sample_time: float, bandwidth_hz: float) -> int:
 def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
     """Filter and decimate one record's torque, friction columns and free friction.
 
-    Parameters
-    ----------
-    arm : Arm
-    signals : Signals
-    bandwidth_hz : float [Hz]
-    period : float [samples]
-        After which the motion repeats; all where it does not.
-
-    Returns
-    -------
-    Stretch
+    `bandwidth_hz` [Hz].
+    `period` [samples]: After which the motion repeats; all where it does not.
     """
     T = signals.sample_time
     n_samples, n_joints = signals.motor_torque.shape
@@ -195,16 +186,9 @@ def carried_over(
 ) -> Estimate:
     """An estimate at one bandwidth as the point to start from at another.
 
-    Parameters
-    ----------
-    estimate : Estimate
-    before, after : sequence of Stretch
-        The same records at the two bandwidths.
+    `before, after`: The same records at the two bandwidths.
 
-    Returns
-    -------
-    Estimate
-        Its free friction interpolated to the motion's samples at the other bandwidth.
+    Returns: Its free friction interpolated to the motion's samples at the other bandwidth.
     """
     standing = []
     for friction, old, new in zip(estimate.standing, before, after, strict=True):
@@ -225,15 +209,7 @@ class Loads:
     def of(joints: Sequence[int], stretches: Sequence[Stretch]) -> Loads:
         """Some joints', in the records of a fit.
 
-        Parameters
-        ----------
-        joints : sequence of int
-            From 0.
-        stretches : sequence of Stretch
-
-        Returns
-        -------
-        Loads
+        `joints`: From 0.
         """
         directions = []
         for one in stretches:
@@ -270,18 +246,9 @@ def assemble(
     friction of each record and joint. Blocks are equal lengths of time, about `_BLOCKS` in all, and
     of a motion that repeats equal parts of its period; both joints share them.
 
-    Parameters
-    ----------
-    arm : Arm
-    stretches : sequence of Stretch
-    around : Estimate or None
-        None: rigid, free friction as large as the torque, and independent of the load.
-    loads : Loads, optional
-        Joints whose friction grows with the load: by a share of it, common to all rows as well.
-
-    Returns
-    -------
-    Equations
+    `around`: None: rigid, free friction as large as the torque, and independent of the load.
+    `loads`: Joints whose friction grows with the load: by a share of it, common to all rows as
+        well.
     """
     elastic = np.array([joint.elastic for joint in arm.joints])
     n_elastic = n_compliances(arm) if around is not None else 0
@@ -349,18 +316,6 @@ def estimate_of(
 
     Compliances are kept between zero and three deviations of their prior, beyond which an arm is
     not nearly rigid and the first order says nothing.
-
-    Parameters
-    ----------
-    arm : Arm
-    stretches : sequence of Stretch
-    equations : Equations
-    factor : Factor
-    motor_share : float
-
-    Returns
-    -------
-    Estimate
     """
     compliance = np.zeros(arm.n_joints)
     n = n_compliances(arm)
@@ -381,14 +336,7 @@ def estimate_of(
 def halfway(one: Estimate, other: Estimate) -> Estimate:
     """The mean of two estimates of the same records.
 
-    Parameters
-    ----------
-    one, other : Estimate
-
-    Returns
-    -------
-    Estimate
-        With the other's share of the motor.
+    Returns: With the other's share of the motor.
     """
     return Estimate(
         0.5 * (one.solution + other.solution),
@@ -401,15 +349,7 @@ def halfway(one: Estimate, other: Estimate) -> Estimate:
 def anti_resonances(arm: Arm, estimate: Estimate) -> FloatArray:
     """Lowest resonance of each link on its gear, sqrt(1 / (c M_ii)) / 2 pi.
 
-    Parameters
-    ----------
-    arm : Arm
-    estimate : Estimate
-
-    Returns
-    -------
-    (n_joints,) [Hz]
-        Infinite where the gear is rigid.
+    Returns: (n_joints,) [Hz]: Infinite where the gear is rigid.
     """
     inertia = np.maximum(arm.link_inertias(_base(arm, estimate)), 1e-300)
     with np.errstate(divide="ignore"):

@@ -20,14 +20,7 @@ _UNLIKE = 0.5  # below which it must have been before, or it is only slow
 def period_of(signals: Signals) -> float:
     """Samples after which the joints' motion is the same again; all where it never is.
 
-    Parameters
-    ----------
-    signals : Signals
-
-    Returns
-    -------
-    float
-        At most two thirds of the samples, or all.
+    Returns: At most two thirds of the samples, or all.
     """
     n = len(signals.time)
     velocity = signals.motor_velocity[:_LOOKED_AT]
@@ -54,13 +47,9 @@ def _correlation(motion: FloatArray) -> FloatArray:
 
     2 x(t) x(t + l) / (x(t)^2 + x(t + l)^2), sums over t and the joints, each of unit variance.
 
-    Parameters
-    ----------
-    motion : (n_samples, n_joints)
+    `motion` (n_samples, n_joints).
 
-    Returns
-    -------
-    (2 n_samples // 3,)
+    Returns: (2 n_samples // 3,).
     """
     n, size = len(motion), motion.std(axis=0)
     x = motion / np.where(size > 0.0, size, 1.0)

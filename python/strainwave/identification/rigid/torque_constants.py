@@ -40,20 +40,12 @@ def torque_ratio(
     by both joints. Gauss-Newton about (theta, r): the column of r is the model's torque B_2 theta,
     not the measured one, whose noise would draw r towards nothing.
 
-    Parameters
-    ----------
-    arm : Arm
-    equations : Equations
-        Of a rigid fit that has settled.
-    root : (n_rows,)
-        Square roots of its weights.
-    compliance : (n_elastic,)
-        Of elastic joints, which the equations were built around.
+    `equations`: Of a rigid fit that has settled.
+    `root` (n_rows,): Square roots of its weights.
+    `compliance` (n_elastic,): Of elastic joints, which the equations were built around.
 
-    Returns
-    -------
-    TorqueRatio or None
-        None of a single joint, and where the rounds do not settle: the motion does not show it.
+    Returns: None of a single joint, and where the rounds do not settle: the motion does not show
+    it.
     """
     if arm.n_joints != 2:
         return None

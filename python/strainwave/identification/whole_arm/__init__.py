@@ -54,36 +54,20 @@ def tune(
     The effects that the study names are left out at first, then fitted with the rest; those stay
     that the records show, and a warning names the others.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        Those of other uses are left out.
-    model : RigidModel or None
-        None will do for a single joint without gravity.
-    joints : sequence of JointModel
-        One per joint, to start from.
-    arm : Arm
-    options : TuningOptions, optional
-    start : dict, optional
-        (name, joint) -> value, in place of those of the stages before; delays and scales of link
-        sensors among them are fitted from the beginning.
-    others : sequence of sequence of JointModel
-        More sets of joints to start from: the records decide.
-    progress : callable, optional
-        Called with the number of each evaluation, and the most there may be.
+    `logs`: Those of other uses are left out.
+    `model`: None will do for a single joint without gravity.
+    `joints`: One per joint, to start from.
+    `start`: (name, joint) -> value, in place of those of the stages before; delays and scales of
+        link sensors among them are fitted from the beginning.
+    `others`: More sets of joints to start from: the records decide.
+    `progress`: Called with the number of each evaluation, and the most there may be.
 
-    Returns
-    -------
-    ArmModel
-        `values` has every parameter; in `parameters` what the data hardly identify has the value
-        None, and a warning says why. A parameter at the end of its range gives status "at-bounds".
+    Returns: `values` has every parameter; in `parameters` what the data hardly identify has the
+    value None, and a warning says why. A parameter at the end of its range gives status
+    "at-bounds".
 
-    Raises
-    ------
-    NotIdentifiable
-        There is no record to fit, or a start is missing or impossible.
-    InvalidInput
-        A record lacks something that going through it again needs.
+    Raises `NotIdentifiable`: there is no record to fit, or a start is missing or impossible;
+    `InvalidInput`: A record lacks something that going through it again needs.
     """
     chosen = as_published(options or TuningOptions())
     with one_blas_thread(), reported(progress):  # thousands of small factorisations
@@ -101,12 +85,7 @@ def fitted(
     *,
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
-    """The fit behind `tune`, for those who want its rows; arguments and errors are the same.
-
-    Returns
-    -------
-    Fit
-    """
+    """The fit behind `tune`, for those who want its rows; arguments and errors are the same."""
     chosen = as_published(options or TuningOptions())
     with one_blas_thread():
         begin = start_of(logs, model, (joints,), arm, chosen, start)

@@ -44,22 +44,11 @@ def best_candidate(
 
     Where a search drives a stiffness to the limit of its range, the range is laid about that.
 
-    Parameters
-    ----------
-    candidates : sequence of sequence of JointModel
-        Each with one model per joint.
-    objective_of : callable
-        What the records say against arms near such a set, whose start is at zero coordinates.
-    options : TuningOptions
+    `candidates`: Each with one model per joint.
+    `objective_of`: What the records say against arms near such a set, whose start is at zero
+        coordinates.
 
-    Returns
-    -------
-    Chosen
-
-    Raises
-    ------
-    NotIdentifiable
-        There is no arm that can be simulated near any of them.
+    Raises `NotIdentifiable`: there is no arm that can be simulated near any of them.
     """
     if len(candidates) == 1:
         return Chosen(candidates[0], None)

@@ -74,18 +74,9 @@ def evidence_of(share: float, parameters: int, cost: float) -> float:
     that are not noise leave to chance grows with them: an effect of many sizes must explain more
     of them than one of a single size.
 
-    Parameters
-    ----------
-    share : float
-        Of the cost that it explains.
-    parameters : int
-        That it has, p.
-    cost : float
-        Without it.
-
-    Returns
-    -------
-    float
+    `share`: Of the cost that it explains.
+    `parameters`: That it has, p.
+    `cost`: Without it.
     """
     n = max(cost, 1.0)
     return -n * math.log(max(1.0 - share, _ALL)) - parameters * math.log(n)
@@ -274,17 +265,7 @@ def _own_parameters(refit: Refit) -> set[Key]:
 
 
 def causes_of(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
-    """What the fitted effects mean to a reader.
-
-    Parameters
-    ----------
-    refits : sequence of Refit
-    arm : Arm
-
-    Yields
-    ------
-    Cause
-    """
+    """What the fitted effects mean to a reader."""
     for refit in refits:
         joint, effect = refit.one
         values = refit.fit.objective.space.values(refit.fit.z)
@@ -305,15 +286,6 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
 
     One after the other, the likeliest of those that are evident, until none is: with noise for
     residuals the odds of taking up any are `FALSE_ALARMS`.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
     """
     arm = selection.arm
     if not any(joint.selects_effects for joint in arm.joints):
@@ -346,15 +318,9 @@ def budget_warnings(refits: Refits) -> Iterator[Diagnostic]:
 def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
     """The most likely cause: what it explains and moves, and the experiment that confirms it.
 
-    Parameters
-    ----------
-    causes : sequence of Cause
-        The most likely first.
+    `causes`: The most likely first.
 
-    Yields
-    ------
-    Diagnostic
-        One at a time: what the others would explain is known only with this one in the model.
+    Yields: One at a time: what the others would explain is known only with this one in the model.
     """
     for cause in causes[:1]:
         effect = effect_named(cause.effect)
@@ -389,15 +355,7 @@ def _moves(moves: Sequence[ParameterShift]) -> str:
 def taken_up(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
     """The effects that a fit took up by itself.
 
-    Parameters
-    ----------
-    fit : Fit
-    arm : Arm
-        As in the study.
-
-    Yields
-    ------
-    Diagnostic
+    `arm`: As in the study.
     """
     for number, name in effects_in(fit.objective.space, arm):
         if arm.joints[number - 1].selects_effects:

@@ -152,9 +152,7 @@ class Dataset:
         Derivatives are those with respect to parameters, sensor constants among them, and then to
         initial states.
 
-        Returns
-        -------
-        (n_rows, n_channels), (n_rows, n_channels, n_directions + n_local)
+        Returns: (n_rows, n_channels) (n_rows, n_channels, n_directions + n_local).
         """
         inputs = self._inputs(values)
         simulated = [key for key in directions if not is_sensor_constant(key)]
@@ -231,18 +229,11 @@ class Dataset:
         s x(t) + r (t - t_m) - y(t + D) has the derivatives x by s, t - t_m by r, and -y', for which
         -s x' stands, by D.
 
-        Parameters
-        ----------
-        seen : (n_rows, n_channels)
-            x, without scales.
-        values : dict
-        local : (n_local,)
-        keys : sequence of (name, joint)
-            Sensor constants.
+        `seen` (n_rows, n_channels): x, without scales.
+        `local` (n_local,).
+        `keys`: Sensor constants.
 
-        Returns
-        -------
-        (n_rows, n_channels, n_keys)
+        Returns: (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
         if any(is_mounting(key) or is_of_mount(key) for key in keys):
@@ -450,17 +441,10 @@ class Dataset:
     ) -> FloatArray:
         """What sensors that sit firmly would read more, each on some mounts, one at a time.
 
-        Parameters
-        ----------
-        values : dict
-        local : (n_local,)
-        mounts : dict
-            Names and joints of the frequency and the damping of a sensor's mount -> mounts.
+        `local` (n_local,).
+        `mounts`: Names and joints of the frequency and the damping of a sensor's mount -> mounts.
 
-        Returns
-        -------
-        (n_rows, n_channels, n_mounts)
-            Of all sensors, one after the other.
+        Returns: (n_rows, n_channels, n_mounts): Of all sensors, one after the other.
         """
         runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
         tested = [(names, mount) for names, own in mounts.items() for mount in own]
@@ -528,18 +512,10 @@ def noise_behind(
 ) -> FloatArray:
     """Standard deviation behind the low-pass of the noise at the top of the samples' spectra.
 
-    Parameters
-    ----------
-    channels : sequence of Channel
-    samples : sequence of (n_samples,)
-        Of each channel.
-    kernels : Kernels
-    counts : sequence of float
-        By which each channel's samples are rounded: the noise is no less than rounding's.
+    `samples` (n_samples,): Of each channel.
+    `counts`: By which each channel's samples are rounded: the noise is no less than rounding's.
 
-    Returns
-    -------
-    (n_channels,)
+    Returns: (n_channels,).
     """
     own = [noise_deviation(x) for x in samples]
     norm = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
@@ -549,15 +525,7 @@ def noise_behind(
 def with_bandwidths(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
     """An arm, as it is simulated, with some sensors' bandwidths.
 
-    Parameters
-    ----------
-    arm : Arm
-    values : dict
-        Bandwidths [Hz] among others.
-
-    Returns
-    -------
-    Arm
+    `values`: Bandwidths [Hz] among others.
     """
     joints = []
     for i, joint in enumerate(arm.joints, start=1):

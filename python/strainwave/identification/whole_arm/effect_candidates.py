@@ -28,15 +28,7 @@ _TRIAL = 30  # evaluations in which the effects must show, with several paramete
 def with_named_effects(fit: Fit, selection: Selection) -> Fit:
     """A rough fit with the effects that the study names, or the one without if they gain little.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-        Its study has the effects that the joints may have.
-
-    Returns
-    -------
-    Fit
+    `selection`: Its study has the effects that the joints may have.
     """
     arm = selection.arm
     if not named_effects(arm):
@@ -72,15 +64,7 @@ def _eased(fit: Fit, space: ParameterSpace) -> float:
 def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
     """Again without the effects that the records do not show, until all others are identified.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-        Its study has the effects that the joints may have.
-
-    Returns
-    -------
-    Fit
+    `selection`: Its study has the effects that the joints may have.
     """
     arm = selection.arm
     if not named_effects(arm):

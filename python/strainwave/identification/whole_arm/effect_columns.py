@@ -94,21 +94,10 @@ class EffectColumns:
         All effects at the first of their shapes take one simulation, those of each further number
         another.
 
-        Parameters
-        ----------
-        fit : Fit
-        arm : Arm
-        tested : dict
-            Hypothesis -> shapes.
+        `tested`: Hypothesis -> shapes.
 
-        Returns
-        -------
-        EffectColumns
-
-        Raises
-        ------
-        InvalidInput, NumericalFailure
-            The arm with effects cannot be simulated, or not with finite derivatives.
+        Raises `InvalidInput`, `NumericalFailure`: the arm with effects cannot be simulated, or not
+        with finite derivatives.
         """
         objective, n = fit.objective, len(fit.objective.space.unknowns)
         each = [
@@ -157,16 +146,10 @@ class EffectColumns:
     def answer(self, one: Hypothesis, size: FloatArray, shift: FloatArray) -> FloatArray:
         """How the unknowns make room for an effect and for shifts of what the rigid step says.
 
-        Parameters
-        ----------
-        one : Hypothesis
-        size : (n_sizes,)
-        shift : (n_shifts,)
+        `size` (n_sizes,).
+        `shift` (n_shifts,).
 
-        Returns
-        -------
-        (n_unknowns,)
-            In coordinates.
+        Returns: (n_unknowns,): In coordinates.
         """
         n = self.n_unknowns
         by_effect = self.factor[:n, self._place(one)] @ size

@@ -34,46 +34,17 @@ _FAR = float(np.log(30.0))  # how far a parameter may go from its start
 
 
 def named_effects(arm: Arm) -> list[NamedEffect]:
-    """The effects that a study names.
-
-    Parameters
-    ----------
-    arm : Arm
-
-    Returns
-    -------
-    list of (joint, effect)
-    """
+    """The effects that a study names."""
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
 
 
 def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
-    """The effects that are among the unknowns.
-
-    Parameters
-    ----------
-    space : ParameterSpace
-    arm : Arm
-
-    Returns
-    -------
-    list of (joint, effect)
-    """
+    """The effects that are among the unknowns."""
     return effects_among(space.keys, arm.n_joints)
 
 
 def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
-    """The effects whose parameters are among some.
-
-    Parameters
-    ----------
-    keys : iterable of (name, joint)
-    n_joints : int
-
-    Returns
-    -------
-    list of (joint, effect)
-    """
+    """The effects whose parameters are among some."""
     known = {(base_name(name), joint) for name, joint in keys}
     return [
         (number, effect.name)
@@ -86,15 +57,7 @@ def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
 def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
     """The parameters that are zero where an effect is not there.
 
-    Parameters
-    ----------
-    one : (joint, effect)
-    records : sequence of str
-        Names of those that are fitted, some effects have sizes of each.
-
-    Returns
-    -------
-    list of (name, joint)
+    `records`: Names of those that are fitted, some effects have sizes of each.
     """
     joint, effect = one
     return [(name, joint) for name in effect_named(effect).sizes_in(records)]
@@ -110,23 +73,12 @@ def with_effects(
 ) -> tuple[ParameterSpace, FloatArray]:
     """The unknowns of further effects beside those there are.
 
-    Parameters
-    ----------
-    space : ParameterSpace
-    effects : sequence of (joint, effect)
-    arm : Arm
-    values : dict
-        Where the fit without them ended, and values to start effects from in place of the usual.
-    loads : Loads
-        Of the records.
-    records : sequence of str
-        Their names.
+    `values`: Where the fit without them ended, and values to start effects from in place of the
+        usual.
+    `loads`: Of the records.
+    `records`: Their names.
 
-    Returns
-    -------
-    ParameterSpace
-    (n_unknowns,)
-        Where to start.
+    Returns: (n_unknowns,): Where to start.
     """
     more: dict[Key, Unknown] = {}
     for one in effects:
@@ -154,19 +106,9 @@ def _trusting(space: ParameterSpace, arm: Arm) -> ParameterSpace:
 def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoint:
     """What effects are given of a joint.
 
-    Parameters
-    ----------
-    arm : Arm
-    joint : int
-        From 1.
-    values : dict
-        Of the arm without effects.
-    loads : Loads
-        Of the records.
-
-    Returns
-    -------
-    KnownJoint
+    `joint`: From 1.
+    `values`: Of the arm without effects.
+    `loads`: Of the records.
     """
     own = arm.joints[joint - 1]
     stiffness = own.law.stiffness(own.law.of_joint(values, joint), np.zeros(1))
@@ -180,48 +122,21 @@ def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoin
 
 
 def misled_by(one: NamedEffect, arm: Arm) -> set[Key]:
-    """What the rigid step, which knows no effects, says wrongly where there is one.
-
-    Parameters
-    ----------
-    one : (joint, effect)
-    arm : Arm
-
-    Returns
-    -------
-    set of (name, joint)
-    """
+    """What the rigid step, which knows no effects, says wrongly where there is one."""
     joint, effect = one
     friction = rigid_friction(arm, joint)
     return friction | rigid_body(arm) if effect_named(effect).misleads_inertias else friction
 
 
 def rigid_body(arm: Arm) -> set[Key]:
-    """The rigid model's parameters that are not friction.
-
-    Parameters
-    ----------
-    arm : Arm
-
-    Returns
-    -------
-    set of (name, joint)
-    """
+    """The rigid model's parameters that are not friction."""
     return {column.key for column in arm.rigid_columns[: arm.n_body]}
 
 
 def rigid_friction(arm: Arm, joint: int) -> set[Key]:
     """The rigid model's friction of a joint.
 
-    Parameters
-    ----------
-    arm : Arm
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    set of (name, joint)
+    `joint`: From 1.
     """
     return {column.key for column in arm.rigid_columns[arm.n_body :] if column.key[1] == joint}
 
@@ -266,18 +181,7 @@ def _of_rigid_records(
 
 
 def without(space: ParameterSpace, effects: Collection[NamedEffect], arm: Arm) -> ParameterSpace:
-    """The unknowns less those of some effects.
-
-    Parameters
-    ----------
-    search : ParameterSpace
-    effects : collection of (joint, effect)
-    arm : Arm
-
-    Returns
-    -------
-    ParameterSpace
-    """
+    """The unknowns less those of some effects."""
     gone = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in gone]
     prior = replace(space.prior, rows=space.prior.rows[:, kept])
@@ -288,16 +192,8 @@ def without(space: ParameterSpace, effects: Collection[NamedEffect], arm: Arm) -
 def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterator[NamedEffect]:
     """The effects whose size is nothing as far as the records show.
 
-    Parameters
-    ----------
-    search : ParameterSpace
-    z : (n_unknowns,)
-    covariance : (n_unknowns, n_unknowns)
-        Of the parameters.
-
-    Yields
-    ------
-    (joint, effect)
+    `z` (n_unknowns,).
+    `covariance` (n_unknowns, n_unknowns): Of the parameters.
     """
     values = space.parameters(z)
     for effect in all_effects():
@@ -315,15 +211,7 @@ def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterat
 def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
     """What a reader must know of the effects that a study names and a fit does without.
 
-    Parameters
-    ----------
-    search : ParameterSpace
-        Of the fit.
-    arm : Arm
-
-    Yields
-    ------
-    Diagnostic
+    `search`: Of the fit.
     """
     known = set(named_effects(with_known_effects(arm, space.keys)))
     for joint, effect in named_effects(arm):
@@ -336,18 +224,7 @@ def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
 def records_with(
     records: Sequence[Dataset], arm: Arm, known: Collection[Key]
 ) -> tuple[Dataset, ...]:
-    """The records on an arm with those of an arm's effects whose parameters are known.
-
-    Parameters
-    ----------
-    records : sequence of Dataset
-    arm : Arm
-    known : collection of (name, joint)
-
-    Returns
-    -------
-    tuple of `Dataset`
-    """
+    """The records on an arm with those of an arm's effects whose parameters are known."""
     effects = [joint.named_effects for joint in with_known_effects(arm, known).joints]
 
     def given(record: Dataset) -> Dataset:

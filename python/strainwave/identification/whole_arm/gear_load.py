@@ -19,15 +19,9 @@ def gear_torques(
 ) -> FloatArray:
     """The largest torque that each gear carries, but for one sample in a thousand.
 
-    Parameters
-    ----------
-    records : sequence of Dataset
-    values : dict
-        (name, joint) -> value.
+    `values`: (name, joint) -> value.
 
-    Returns
-    -------
-    (n_joints,) [N m]
+    Returns: (n_joints,) [N m].
     """
     return largest_of(gear_torque_samples(records, values))
 
@@ -37,16 +31,9 @@ def gear_torque_samples(
 ) -> list[FloatArray]:
     """What each gear carries in each record.
 
-    Parameters
-    ----------
-    records : sequence of Dataset
-    values : dict
-        (name, joint) -> value.
+    `values`: (name, joint) -> value.
 
-    Returns
-    -------
-    list of (n_samples, n_joints) [N m]
-        Moduli.
+    Returns: (n_samples, n_joints) [N m]: Moduli.
     """
 
     def of_record(record: Dataset) -> FloatArray:
@@ -63,13 +50,7 @@ def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
 def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
     """How often each gear carries which torque, over all records.
 
-    Parameters
-    ----------
-    gear_loads : sequence of (n_samples, n_joints) [N m]
-
-    Returns
-    -------
-    tuple of TorqueHistogram
+    `gear_loads` (n_samples, n_joints) [N m].
     """
     together = np.concatenate(gear_loads)
     found = []

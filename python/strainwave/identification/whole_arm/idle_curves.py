@@ -11,17 +11,7 @@ from strainwave.identification.whole_arm.solver import fine_search
 
 
 def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
-    """Again without what a law adds to its simpler one, in the gears that do not show it.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-    """
+    """Again without what a law adds to its simpler one, in the gears that do not show it."""
     idle = _idle(fit, selection)
     if not idle:
         return fit

@@ -25,15 +25,7 @@ _SHARE = 0.5  # of the record's cost that they must take: model errors go on aft
 def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
     """A rough fit in which those records begin in motion that speak for it.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-        Its objective's records say which begin in motion.
+    Returns: Its objective's records say which begin in motion.
     """
     if fit.iterations >= selection.most:
         return fit
@@ -46,16 +38,9 @@ def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
 def in_motion(objective: Objective, z: FloatArray) -> Objective:
     """The same with those records in motion at first that an arm from standstill fits far worse.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        Near the minimum.
+    `z` (n_unknowns,): Near the minimum.
 
-    Returns
-    -------
-    Objective
-        The very same where there is none.
+    Returns: The very same where there is none.
     """
     at_standstill = [k for k, record in enumerate(objective.records) if not record.moving]
     rows = objective.rows(z)

@@ -23,15 +23,7 @@ class Loads:
 def loads_of(records: Sequence[Dataset], values: Mapping[tuple[str, int | None], float]) -> Loads:
     """The largest of all records.
 
-    Parameters
-    ----------
-    records : sequence of Dataset
-    values : dict
-        (name, joint) -> value, by which gear torques are simulated.
-
-    Returns
-    -------
-    Loads
+    `values`: (name, joint) -> value, by which gear torques are simulated.
     """
     voltages = [np.abs(driving_voltages(one.arm, one.log)).max(axis=0) for one in records]
     return Loads(gear_torques(records, dict(values)).tolist(), np.max(voltages, axis=0).tolist())

@@ -55,17 +55,11 @@ class Kernels:
 def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -> Kernels:
     """A windowed-sinc low-pass and its slope, for rows as far apart as the cut-off allows.
 
-    Parameters
-    ----------
-    cutoff_hz : float [Hz]
-    sample_time : float [s]
-    ahead : float [samples], between -1 and 1
-        By which the rows look ahead of their time.
+    `cutoff_hz` [Hz].
+    `sample_time` [s].
+    `ahead` [samples]: By which the rows look ahead of their time.
 
-    Returns
-    -------
-    Kernels
-        Its number of taps is a multiple of `step`.
+    Returns: Its number of taps is a multiple of `step`.
     """
     step = max(1, int(1.0 / (_PER_PERIOD * cutoff_hz * sample_time)))
     n_parts = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))

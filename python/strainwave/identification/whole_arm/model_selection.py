@@ -63,16 +63,7 @@ FINE: tuple[Candidate, ...] = (
 def selected(fit: Fit, candidates: Sequence[Candidate], selection: Selection) -> Fit:
     """The fit of the model that the records speak for.
 
-    Parameters
-    ----------
-    fit : Fit
-    candidates : sequence of Candidate
-        Tried in turn, each on what those before it left.
-    selection : Selection
-
-    Returns
-    -------
-    Fit
+    `candidates`: Tried in turn, each on what those before it left.
     """
     for candidate in candidates:
         fit = candidate(fit, selection)

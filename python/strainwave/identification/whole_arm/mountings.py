@@ -47,18 +47,9 @@ def best_placed(
     same on the other side of its link. One with two accelerometers lies flat, unless it explains
     much more if it does not.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-    arm : Arm
-    options : TuningOptions
+    `z` (n_unknowns,).
 
-    Returns
-    -------
-    Objective
-        Attitudes that turns start from are among what its search holds.
-    (n_unknowns,)
+    Returns: Attitudes that turns start from are among what its search holds. (n_unknowns,)
     """
     for joint in range(1, arm.n_joints + 1):
         axes = _axes_on(objective, joint)
@@ -106,14 +97,7 @@ def _placed(
 def cost_of(objective: Objective, z: FloatArray) -> float:
     """The cost at a start, infinite where no arm can be simulated.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-
-    Returns
-    -------
-    float
+    `z` (n_unknowns,).
     """
     found = objective.linearise(z)
     return np.inf if found is None else found.cost
@@ -126,15 +110,7 @@ def _is_flat(space: ParameterSpace, joint: int) -> bool:
 def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
     """A rough fit with each IMU where the arm that it found has it best, and on from there.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-        As it is where a short search from no other mounting ends lower.
+    Returns: As it is where a short search from no other mounting ends lower.
     """
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
@@ -166,15 +142,6 @@ def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
     """A fit with those tilts of IMUs that were taken to lie flat that its residuals speak for.
 
     Lying flat, a sensor's readings do not change by a tilt at first: a search starts from some.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
     """
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):

@@ -177,17 +177,7 @@ class Objective:
 
     @classmethod
     def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
-        """Before anything is known of the errors: a tenth of what each channel shows.
-
-        Parameters
-        ----------
-        search : ParameterSpace
-        records : sequence of Dataset
-
-        Returns
-        -------
-        Objective
-        """
+        """Before anything is known of the errors: a tenth of what each channel shows."""
         weights = []
         for record in records:
             spread = _FIRST * np.std(record.measured, axis=0)
@@ -433,22 +423,14 @@ class Objective:
     ) -> FloatArray:
         """R of [unknowns more residual], the records' own unknowns at their best.
 
-        Parameters
-        ----------
-        z : (n_unknowns,)
-            Where a search ended.
-        n_more : int
-            Columns of parameters that are no unknowns.
-        more : callable
-            Of a record's number and its evaluation, those columns: (n_rows, n_channels, n_more).
-        beforehand : (n_prior, n_more), optional
-            The same of what the rigid step knows; zero without.
+        `z` (n_unknowns,): Where a search ended.
+        `n_more`: Columns of parameters that are no unknowns.
+        `more`: Of a record's number and its evaluation, those columns: (n_rows, n_channels,
+            n_more).
+        `beforehand` (n_prior, n_more): The same of what the rigid step knows; zero without.
 
-        Returns
-        -------
-        (n_unknowns + n_more + 1,) squared
-            From row n_unknowns on it is that of [more residual] in what the unknowns cannot
-            imitate.
+        Returns: (n_unknowns + n_more + 1,): From row n_unknowns on it is that of [more residual] in
+        what the unknowns cannot imitate.
         """
         evaluated = self.evaluate(z)
 
@@ -513,13 +495,7 @@ def _size(errors: FloatArray) -> FloatArray:
 def repeats_of(column: FloatArray) -> float:
     """How many errors in succession say the same thing.
 
-    Parameters
-    ----------
-    column : (n_rows,)
-
-    Returns
-    -------
-    float
+    `column` (n_rows,).
     """
     return repetitions(lagged_products(column)[1][: len(column) // 2])
 
@@ -527,16 +503,10 @@ def repeats_of(column: FloatArray) -> float:
 def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
     """The spectrum of a series with as many zeros behind it, and its autocovariances.
 
-    Parameters
-    ----------
-    column : (n,)
+    `column` (n,).
 
-    Returns
-    -------
-    spectrum : (n + 1,)
-        Without the mean.
-    autocovariance : (n,)
-        Times n, from lag zero on.
+    Returns: `spectrum` (n + 1,): Without the mean. `autocovariance` (n,): Times n, from lag zero
+    on.
     """
     n = len(column)
     spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
@@ -546,16 +516,10 @@ def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
 def lagged(taps: FloatArray, step: int) -> FloatArray:
     """Autocovariances, row by row, of white noise of deviation one behind a filter.
 
-    Parameters
-    ----------
-    taps : (n_taps,)
-    step : int
-        Samples from row to row.
+    `taps` (n_taps,).
+    `step`: Samples from row to row.
 
-    Returns
-    -------
-    (n_lags,)
-        From lag zero on.
+    Returns: (n_lags,): From lag zero on.
     """
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
 
@@ -563,13 +527,7 @@ def lagged(taps: FloatArray, step: int) -> FloatArray:
 def repetitions_of(record: Dataset) -> FloatArray:
     """How many rows in succession say the same thing of white noise behind each channel's low-pass.
 
-    Parameters
-    ----------
-    record : Dataset
-
-    Returns
-    -------
-    (n_channels,)
+    Returns: (n_channels,).
     """
     kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
     return np.array([repetitions(lagged(k, record.kernels.step)) for k in kernels])
@@ -578,14 +536,7 @@ def repetitions_of(record: Dataset) -> FloatArray:
 def repetitions(covariance: FloatArray) -> float:
     """1 + 2 sum of the autocorrelations up to the first negative one.
 
-    Parameters
-    ----------
-    covariance : (n_lags,)
-        From lag zero on.
-
-    Returns
-    -------
-    float
+    `covariance` (n_lags,): From lag zero on.
     """
     if covariance[0] <= 0.0:
         return 1.0

@@ -95,30 +95,14 @@ class Prior:
     def by_shifts(self, names: Collection[Key]) -> FloatArray:
         """Derivatives of the whitened rows by errors of some of the rigid model's parameters.
 
-        Parameters
-        ----------
-        names : collection of (name, joint)
-
-        Returns
-        -------
-        (n_rows, n_shifts)
-            Each per deviation that lack of an effect may make.
+        Returns: (n_rows, n_shifts): Each per deviation that lack of an effect may make.
         """
         own = [k for k, name in enumerate(self.names) if name in names]
         units = np.eye(len(self.names))[:, own] * self._misled[own]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def loosened(self, names: Collection[Key]) -> Prior:
-        """The same, knowing less of some of the rigid model's parameters, for lack of an effect.
-
-        Parameters
-        ----------
-        names : collection of (name, joint)
-
-        Returns
-        -------
-        Prior
-        """
+        """The same, knowing less of some of the rigid model's parameters, for lack of an effect."""
         own = [k for k, name in enumerate(self.names) if name in names]
         if not own:
             return self
@@ -185,14 +169,9 @@ class ParameterSpace:
     def beforehand(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """What is known beforehand, all of it, as rows of least squares at a point.
 
-        Parameters
-        ----------
-        z : (n_unknowns,)
+        `z` (n_unknowns,).
 
-        Returns
-        -------
-        slope : (n_rows, n_unknowns)
-        residual : (n_rows,)
+        Returns: `slope` (n_rows, n_unknowns); `residual` (n_rows,)
         """
         rows, target = self.own_prior
         rows = np.concatenate([self.prior.rows, rows])
@@ -299,15 +278,9 @@ class ParameterSpace:
 def combination(names: Sequence[Key], parts: Row) -> FloatArray:
     """A weighted sum of the unknowns as a row: (n_unknowns,).
 
-    Parameters
-    ----------
-    names : sequence of (name, joint)
-    parts : Row
-        Weights; those of what is no unknown are left out.
+    `parts`: Weights; those of what is no unknown are left out.
 
-    Returns
-    -------
-    (n_unknowns,)
+    Returns: (n_unknowns,).
     """
     return np.array([parts.get(name, 0.0) for name in names])
 
@@ -324,26 +297,12 @@ def space_of(
 
     A gear with a curve starts as a linear one: see `with_curves`.
 
-    Parameters
-    ----------
-    model : RigidModel or None
-        Dispensable for a single joint without gravity.
-    joints : sequence of JointModel
-        One per joint.
-    arm : Arm
-    largest_voltage : sequence of float [V]
-        Applied to each joint, for the scale of its friction.
-    floor : float
-        Least deviation of what the rigid model knows, as a share of its value.
+    `model`: Dispensable for a single joint without gravity.
+    `joints`: One per joint.
+    `largest_voltage` [V]: Applied to each joint, for the scale of its friction.
+    `floor`: Least deviation of what the rigid model knows, as a share of its value.
 
-    Returns
-    -------
-    ParameterSpace
-
-    Raises
-    ------
-    NotIdentifiable
-        A start is missing or impossible.
+    Raises `NotIdentifiable`: A start is missing or impossible.
     """
     start = starts_of(model, joints, arm).values
     unknowns = []
@@ -368,16 +327,7 @@ def space_of(
 def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]) -> ParameterSpace:
     """The parameters of its law in place of the one stiffness of each gear with a curve.
 
-    Parameters
-    ----------
-    search : ParameterSpace
-    arm : Arm
-    largest_torque : sequence of float [N m]
-        That each gear carries in the records.
-
-    Returns
-    -------
-    ParameterSpace
+    `largest_torque` [N m]: That each gear carries in the records.
     """
     unknowns: list[Unknown] = []
     columns: list[FloatArray] = []
@@ -412,16 +362,7 @@ def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unkn
 
 
 def with_settling(space: ParameterSpace) -> ParameterSpace:
-    """With a settling time of each joint's friction.
-
-    Parameters
-    ----------
-    search : ParameterSpace
-
-    Returns
-    -------
-    ParameterSpace
-    """
+    """With a settling time of each joint's friction."""
     joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
     more = [
         Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints

@@ -49,19 +49,11 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
     whose channels are there, behind one low-pass. Errors are the sensors' noise alone, the
     records' own unknowns are free, and the rigid step's values are known to 0.2 %.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        As they would be recorded, with the noise of the sensors; those of other uses than
+    `logs`: As they would be recorded, with the noise of the sensors; those of other uses than
         "frequency", "sweep" and "tuning" are left out.
-    arm : Arm
-    values : dict
-        (name, joint) -> value of the guessed arm.
+    `values`: (name, joint) -> value of the guessed arm.
 
-    Returns
-    -------
-    tuple of Parameter
-        With the guess's values; empty where no record excites a gear.
+    Returns: With the guess's values; empty where no record excites a gear.
     """
     used = usable(logs, arm)
     if not used:

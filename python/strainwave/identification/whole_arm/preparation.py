@@ -33,17 +33,7 @@ _TURN = 0.002  # [s] over which accelerations are seen
 
 
 def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
-    """The records of the whole-arm fit: all that excite gears and can be gone through again.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-
-    Returns
-    -------
-    list of Log
-    """
+    """The records of the whole-arm fit: all that excite gears and can be gone through again."""
     uses = ("frequency", "sweep", "tuning")
     return [
         log for log in logs if log.experiment.use in uses and not missing_motor_signal(arm, log)
@@ -53,24 +43,12 @@ def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
 def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
     """A record ready to be compared with simulated arms.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    cutoff_hz : float [Hz]
-        Of the low-pass.
-    closed_loop : bool
-        Servoed joints follow their references under the study's servo, where the log has enough
-        for that; otherwise the recorded voltages drive them.
+    `cutoff_hz` [Hz]: Of the low-pass.
+    `closed_loop`: Servoed joints follow their references under the study's servo, where the log has
+        enough for that; otherwise the recorded voltages drive them.
 
-    Returns
-    -------
-    Dataset
-
-    Raises
-    ------
-    InvalidInput
-        The log lacks something that going through it again needs, or is too short.
+    Raises `InvalidInput`: the log lacks something that going through it again needs, or is too
+    short.
     """
     missing = missing_motor_signal(arm, log)
     if missing:
@@ -113,16 +91,10 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
 def coarsened(record: Dataset, longest_step: float) -> Dataset:
     """The same record in longer steps, for a search that is still far off.
 
-    Parameters
-    ----------
-    record : Dataset
-    longest_step : float [s]
-        Of the integrator; samples that lie closer are thinned, and voltages become their means.
+    `longest_step` [s]: Of the integrator; samples that lie closer are thinned, and voltages become
+        their means.
 
-    Returns
-    -------
-    Dataset
-        Its rows lie as far apart, about.
+    Returns: Its rows lie as far apart, about.
     """
     coarse = _thinned(record, max(1, int(longest_step / record.log.sample_time)))
     return replace(coarse, longest_step=max(longest_step, _STEP))

@@ -26,16 +26,7 @@ from strainwave.signals.recorded_input import missing_recorded_input
 
 
 def as_published(options: TuningOptions) -> TuningOptions:
-    """The options with all that `as_published` stands for; others as they are.
-
-    Parameters
-    ----------
-    options : TuningOptions
-
-    Returns
-    -------
-    TuningOptions
-    """
+    """The options with all that `as_published` stands for; others as they are."""
     if not options.as_published:
         return options
     return replace(
@@ -49,22 +40,10 @@ def as_published(options: TuningOptions) -> TuningOptions:
 def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     """The records that tuning as published rests on: steps under servo.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        That can be gone through again with recorded voltages.
-    arm : Arm
+    `logs`: That can be gone through again with recorded voltages.
 
-    Returns
-    -------
-    list of Log
-
-    Raises
-    ------
-    NotIdentifiable
-        There is none.
-    InvalidInput
-        One lacks something that a simulation in closed loop needs.
+    Raises `NotIdentifiable`: there is none; `InvalidInput`: one lacks something that a simulation
+    in closed loop needs.
     """
     chosen = [log for log in logs if log.experiment.use == "tuning"]
     if not chosen:
@@ -85,21 +64,9 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
 def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
     """Without the parameters that are held, the others within their ranges.
 
-    Parameters
-    ----------
-    search : ParameterSpace
-    options : TuningOptions
-    z : (n_unknowns,)
-        Where the fit starts: ranges lie around it, and held parameters stay there.
+    `z` (n_unknowns,): Where the fit starts: ranges lie around it, and held parameters stay there.
 
-    Returns
-    -------
-    ParameterSpace
-
-    Raises
-    ------
-    InvalidInput
-        Nothing is left to be fitted.
+    Raises `InvalidInput`: nothing is left to be fitted.
     """
     if options.as_published:  # the records alone speak
         empty = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
@@ -120,17 +87,7 @@ def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> 
 
 
 def is_held(key: Key, options: TuningOptions) -> bool:
-    """Whether a parameter is not to be fitted.
-
-    Parameters
-    ----------
-    key : (name, joint)
-    options : TuningOptions
-
-    Returns
-    -------
-    bool
-    """
+    """Whether a parameter is not to be fitted."""
     return bool(set(_names(key)) & set(options.hold))
 
 

@@ -74,16 +74,8 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     Where residuals exceed the sensors' noise, an effect is tested at each of its sets of shapes,
     and the one that gains most alone is kept; else at the first of them.
 
-    Parameters
-    ----------
-    fit : Fit
-    arm : Arm
-
-    Returns
-    -------
-    list of Tested
-        Each one's gain is beyond that of those before; empty where the arm with effects
-        cannot be simulated.
+    Returns: Each one's gain is beyond that of those before; empty where the arm with effects cannot
+    be simulated.
     """
     candidates = _missing(fit, arm)
     if not candidates:
@@ -237,15 +229,7 @@ def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
 def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
     """Whether an effect explains much, or something while a parameter leaves its 95 % interval.
 
-    Parameters
-    ----------
-    share : float
-        Of the cost.
-    moves : sequence of ParameterShift
-
-    Returns
-    -------
-    bool
+    `share`: Of the cost.
     """
     moved = any(abs(move.deviations) > _INTERVAL for move in moves)
     return share > MATTERS or (share > LEAST and moved)
@@ -254,17 +238,10 @@ def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     """By how much the arm's parameters differ from a fit's, the most significant first.
 
-    Parameters
-    ----------
-    fit : Fit
-    values : dict
-        (name, joint) -> value, in a model with one more effect.
+    `values`: (name, joint) -> value, in a model with one more effect.
 
-    Yields
-    ------
-    ParameterShift
-        Of inertias, gravity, gears and Coulomb friction: what sensors do is no parameter of the
-        arm, and of viscous friction only sums are known.
+    Yields: Of inertias, gravity, gears and Coulomb friction: what sensors do is no parameter of the
+    arm, and of viscous friction only sums are known.
     """
     before = fit.objective.space.values(fit.z)
     std = np.sqrt(np.diag(fit.confidence.combined))
@@ -311,15 +288,11 @@ def _beside(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
 def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
     """Sizes that take most off the target; those without sign that come out negative are zero.
 
-    Parameters
-    ----------
-    columns : (n_rows, n_sizes)
-    target : (n_rows,)
-    signed : (n_sizes,)
+    `columns` (n_rows, n_sizes).
+    `target` (n_rows,).
+    `signed` (n_sizes,).
 
-    Returns
-    -------
-    (n_sizes,)
+    Returns: (n_sizes,).
     """
     free, size = np.ones(len(signed), dtype=bool), np.zeros(len(signed))
     while free.any():

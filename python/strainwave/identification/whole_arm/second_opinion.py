@@ -13,16 +13,9 @@ _CLEARLY = 1.2  # times what a wrong torque constant would take off the cost
 def blames_another(model: ArmModel, arm: Arm) -> bool:
     """Whether an effect explains the records clearly better than a wrong torque constant.
 
-    Parameters
-    ----------
-    model : ArmModel
-        Of a study whose rigid fit suspects a torque constant.
-    arm : Arm
+    `model`: Of a study whose rigid fit suspects a torque constant.
 
-    Returns
-    -------
-    bool
-        False where nothing is named, where a gain is, and where the fit has not converged.
+    Returns: False where nothing is named, where a gain is, and where the fit has not converged.
     """
     if model.criticism is None or model.status == "iteration-limit":
         return False

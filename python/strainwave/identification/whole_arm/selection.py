@@ -55,24 +55,11 @@ def trial(
 ) -> Fit:
     """A coarse search of another model, in a few evaluations.
 
-    Parameters
-    ----------
-    fit : Fit
-        Whose evaluations count on.
-    objective : Objective
-    z : (n_unknowns,)
-    selection : Selection
-    most : int or None
-        Evaluations; None for all that are left.
+    `fit`: Whose evaluations count on.
+    `z` (n_unknowns,).
+    `most`: Evaluations; None for all that are left.
 
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    NotIdentifiable
-        The arm cannot be simulated there.
+    Raises `NotIdentifiable`: the arm cannot be simulated there.
     """
     return search_from(
         objective,
@@ -86,15 +73,6 @@ def trial(
 
 
 def better(fit: Fit, other: Fit) -> Fit:
-    """The other one where its gain is evident; its evaluations count in any case.
-
-    Parameters
-    ----------
-    fit, other : Fit
-
-    Returns
-    -------
-    Fit
-    """
+    """The other one where its gain is evident; its evaluations count in any case."""
     evident = fit.cost - other.cost > EVIDENT**2
     return other if evident else replace(fit, iterations=other.iterations)

@@ -55,19 +55,11 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     Robust weights, repetitions and unknowns of the records are the fit's own, and each sensor has
     an unknown constant. It errs by no less than a thousandth of what it shows: no model is better.
 
-    Parameters
-    ----------
-    fit : Fit
-        At its minimum.
-    arm : Arm
-    parameters : sequence of Parameter
-        As published, with their standard deviations.
+    `fit`: At its minimum.
+    `parameters`: As published, with their standard deviations.
 
-    Returns
-    -------
-    list of SensorGain
-        Of gears and inertias, for each sensor that an elastic joint's link lacks in all records;
-        empty where none lacks any, or the arm cannot be simulated with them.
+    Returns: Of gears and inertias, for each sensor that an elastic joint's link lacks in all
+    records; empty where none lacks any, or the arm cannot be simulated with them.
     """
     candidates = list(_candidates(fit.objective.records, arm))
     asked = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]

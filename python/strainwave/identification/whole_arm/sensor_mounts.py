@@ -46,15 +46,7 @@ Mounts = dict[Names, list[MountResonance]]
 def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
     """A fit with the mounts of sensors that ring, one after the other.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-        As it is where no sensor's residuals are more than its noise.
+    Returns: As it is where no sensor's residuals are more than its noise.
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
@@ -161,16 +153,7 @@ def _cost(fit: Fit, names: Names) -> tuple[float, float]:
 
 
 def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """The sensors that ring on their mounts.
-
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """The sensors that ring on their mounts."""
     for found in parameters:
         key = found.name, found.joint
         if not (is_of_mount(key) and found.name.endswith("_frequency")) or found.value is None:

@@ -70,16 +70,7 @@ def with_sensors(
 ) -> ParameterSpace:
     """The unknowns of some sensors' constants beside those there are.
 
-    Parameters
-    ----------
-    search : ParameterSpace
-    keys : sequence of (name, joint)
-    starts : dict, optional
-        Of a mounting and of bandwidths, which have no nominal value.
-
-    Returns
-    -------
-    ParameterSpace
+    `starts`: Of a mounting and of bandwidths, which have no nominal value.
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in START}
@@ -113,16 +104,7 @@ def _unknown(key: Key, starts: Values) -> Unknown:
 def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """A fit with the bandwidths of late sensors beside their delays, where none is given.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-    coarse : bool
-        Whether the fit is only near the minimum, and may stay so.
-
-    Returns
-    -------
-    Fit
+    `coarse`: Whether the fit is only near the minimum, and may stay so.
     """
     arm, options = selection.arm, selection.options
     space = fit.objective.space
@@ -161,16 +143,7 @@ def _late(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
 def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """A fit with those sensor constants besides that its residuals speak for.
 
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-    coarse : bool
-        Whether the fit is only near the minimum, and may stay so.
-
-    Returns
-    -------
-    Fit
+    `coarse`: Whether the fit is only near the minimum, and may stay so.
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
@@ -196,17 +169,7 @@ def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: Tuning
 
 
 def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
-    """Again without the sensor constants that are nothing as far as the records say.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-    """
+    """Again without the sensor constants that are nothing as far as the records say."""
     while idle := _idle(fit):
         values = fit.objective.space.values(fit.z)
         space = fit.objective.space.holding(idle)
@@ -343,16 +306,7 @@ def _left(columns: FloatArray, target: FloatArray) -> float:
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """What a reader must know of a rig whose link sensors are late or out of scale.
-
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """What a reader must know of a rig whose link sensors are late or out of scale."""
     for found in parameters:
         key = found.name, found.joint
         if is_drift(key) and found.value is not None:

@@ -17,17 +17,7 @@ _NOTHING = 0.99  # share of its reach from which a settling time's logarithm cou
 
 
 def with_settling_times(fit: Fit, selection: Selection) -> Fit:
-    """A rough fit with settling times, or the one without where they explain nothing.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-    """
+    """A rough fit with settling times, or the one without where they explain nothing."""
     asked = selection.options.settling
     if asked is False or fit.iterations >= selection.most:
         return fit
@@ -41,17 +31,7 @@ def with_settling_times(fit: Fit, selection: Selection) -> Fit:
 
 
 def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
-    """Again with friction that acts at once in the joints where nothing speaks for a delay.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-    """
+    """Again with friction that acts at once in the joints where nothing speaks for a delay."""
     if selection.options.settling or all(name != SETTLING for name, _ in fit.objective.space.keys):
         return fit
     values = fit.objective.space.values(fit.z)

@@ -53,15 +53,7 @@ def coarse_search(objective: Objective, start: FloatArray, options: TuningOption
     A search from far ends early by weights that its own errors made too lenient: new ones follow
     for as long as the errors become much smaller.
 
-    Parameters
-    ----------
-    objective : Objective
-    start : (n_unknowns,)
-    options : TuningOptions
-
-    Returns
-    -------
-    Fit
+    `start` (n_unknowns,).
     """
     first = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
     if not first.converged or first.iterations >= options.max_iterations:
@@ -74,17 +66,8 @@ def resumed_coarse_search(
 ) -> Fit:
     """On from a rough fit whose records or unknowns have become others.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-    spent : int
-        Evaluations so far.
-    options : TuningOptions
-
-    Returns
-    -------
-    Fit
+    `z` (n_unknowns,).
+    `spent`: Evaluations so far.
     """
     return _reweighted(search_from(objective, z, spent, options, tolerance=COARSE_GAIN), options)
 
@@ -164,27 +147,12 @@ def search_from(
 ) -> Fit:
     """The minimum by given weights.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        To start from.
-    spent : int
-        Evaluations so far.
-    options : TuningOptions
-    tolerance, relative, damping : float
-        See `minimise`.
-    most : int, optional
-        Evaluations, if fewer than are left.
+    `z` (n_unknowns,): To start from.
+    `spent`: Evaluations so far.
+    `tolerance, relative, damping`: See `minimise`.
+    `most`: Evaluations, if fewer than are left.
 
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    NotIdentifiable
-        The arm cannot be simulated there.
+    Raises `NotIdentifiable`: the arm cannot be simulated there.
     """
     left = options.max_iterations - spent
     evaluation = count(spent + 1)

@@ -79,28 +79,12 @@ def start_of(
 ) -> Start:
     """Records, objective and point that a fit starts from.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-        Those of other uses are left out.
-    model : RigidModel or None
-    candidates : sequence of sequence of JointModel
-        Sets of joints to start from: the records decide.
-    arm : Arm
-    chosen : TuningOptions
-    given : dict, optional
-        (name, joint) -> value, in place of those of the stages before.
+    `logs`: Those of other uses are left out.
+    `candidates`: Sets of joints to start from: the records decide.
+    `given`: (name, joint) -> value, in place of those of the stages before.
 
-    Returns
-    -------
-    Start
-
-    Raises
-    ------
-    NotIdentifiable
-        There is no record to fit, or a start is missing or impossible.
-    InvalidInput
-        A record lacks something that going through it again needs.
+    Raises `NotIdentifiable`: there is no record to fit, or a start is missing or impossible;
+    `InvalidInput`: A record lacks something that going through it again needs.
     """
     used = usable(logs, arm)
     if chosen.as_published:

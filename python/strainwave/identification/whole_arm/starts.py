@@ -43,22 +43,11 @@ class Starts:
 def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) -> Starts:
     """A start for every parameter but the curves'.
 
-    Parameters
-    ----------
-    model : RigidModel or None
-        Dispensable for a single joint without gravity.
-    joints : sequence of JointModel
-        One per joint.
-    arm : Arm
+    `model`: Dispensable for a single joint without gravity.
+    `joints`: One per joint.
 
-    Returns
-    -------
-    Starts
-
-    Raises
-    ------
-    NotIdentifiable
-        A joint has no model, or the rigid model lacks something that nothing can stand for.
+    Raises `NotIdentifiable`: A joint has no model, or the rigid model lacks something that nothing
+    can stand for.
     """
     models = _by_joint(joints, arm)
     found = StageInertias(
@@ -90,17 +79,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
 
 
 def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
-    """What a reader must know of starts that were impossible.
-
-    Parameters
-    ----------
-    starts : Starts
-    arm : Arm
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """What a reader must know of starts that were impossible."""
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])

@@ -15,17 +15,7 @@ from strainwave.identification.whole_arm.solver import fine_search
 
 
 def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
-    """The best of a fit and those from other curves, for each gear whose curve lost a bend.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
-    """
+    """The best of a fit and those from other curves, for each gear whose curve lost a bend."""
     for number, joint in enumerate(selection.arm.joints, start=1):
         law = joint.law
         if not law.is_curved or (law.names[0], number) not in fit.objective.space.keys:
@@ -51,15 +41,6 @@ def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
     """A fit again from other curves, where one lost a bend that does not show in long steps.
 
     These have evaluations of their own, as many as the fit without them.
-
-    Parameters
-    ----------
-    fit : Fit
-    selection : Selection
-
-    Returns
-    -------
-    Fit
     """
     before = selection.options
     selection.renew(fit)
@@ -78,20 +59,11 @@ def other_starts(
 ) -> Iterator[Values]:
     """The whole arm with other curves of one gear.
 
-    Parameters
-    ----------
-    law : GearLaw
-    values : dict
-        Of the whole arm, where a search ended.
-    joint : int
-        From 1.
-    largest_torque : float [N m]
-        That its gear carries in the records.
+    `values`: Of the whole arm, where a search ended.
+    `joint`: From 1.
+    `largest_torque` [N m]: That its gear carries in the records.
 
-    Yields
-    ------
-    dict
-        Nothing if the curve has all its bends.
+    Yields: Nothing if the curve has all its bends.
     """
     for start in law.restarts(law.of_joint(values, joint), largest_torque):
         yield {**values, **{(name, joint): value for name, value in start.items()}}

@@ -38,24 +38,13 @@ def models_from_motors(
 
     Every joint's motor must be driven in some record, wide in frequency as by a PRBS.
 
-    Parameters
-    ----------
-    records : sequence of LinkSignals
-        Their link signals are not used.
-    model : RigidModel or None
-        None will do for a single joint without gravity.
-    arm : Arm
+    `records`: Their link signals are not used.
+    `model`: None will do for a single joint without gravity.
 
-    Returns
-    -------
-    list of tuple of JointModel
-        One model per joint from the base; first the set that explains the motors best, then other
-        minima, from which a search may start as well.
+    Returns: One model per joint from the base; first the set that explains the motors best, then
+    other minima, from which a search may start as well.
 
-    Raises
-    ------
-    NotIdentifiable
-        A joint is not driven, or nothing explains the motors' motion.
+    Raises `NotIdentifiable`: A joint is not driven, or nothing explains the motors' motion.
     """
     ratio = arm.gear_ratios
     seen = [piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows]

@@ -40,15 +40,7 @@ class Posture:
 def posture_of(arm: Arm, angle: FloatArray) -> Posture:
     """The arm's inertia and gravity in a posture, by base parameter.
 
-    Parameters
-    ----------
-    arm : Arm
-    angle : (n_joints,) [rad]
-        Of the links.
-
-    Returns
-    -------
-    Posture
+    `angle` (n_joints,) [rad]: Of the links.
     """
     unit = np.eye(len(arm.base_names))
     inertia = np.stack([arm.inertia_matrix(one, angle) for one in unit])
@@ -83,16 +75,10 @@ class Family:
     ) -> FloatArray:
         """Coordinates of an arm by its anti-resonances: (n_coordinates,).
 
-        Parameters
-        ----------
-        ring : (n_joints,) [rad/s]
-            sqrt(k / m_L) of each joint.
-        share : (n_joints,)
-            The motor's, of each c_1.
-        damping : float
-            Ratio of the anti-resonances.
-        total : (n_joints,) [kg m^2], optional
-            c_1, where the rigid model does not know it.
+        `ring` (n_joints,) [rad/s]: sqrt(k / m_L) of each joint.
+        `share` (n_joints,): The motor's, of each c_1.
+        `damping`: Ratio of the anti-resonances.
+        `total` (n_joints,) [kg m^2]: c_1, where the rigid model does not know it.
         """
         c1 = np.asarray(self.total_inertia if total is None else total)
         link = (1.0 - share) * c1 / self.ratio**2
@@ -105,14 +91,7 @@ class Family:
     def parts(self, points: FloatArray) -> dict[str, FloatArray]:
         """Physical parameters of the joints at points.
 
-        Parameters
-        ----------
-        points : (..., n_coordinates)
-
-        Returns
-        -------
-        dict
-            Of (..., n_joints) each, by the names of `TwoInertia`.
+        Returns: Of (..., n_joints) each, by the names of `TwoInertia`.
         """
         n = self.n_joints
         own = points[..., : PER_JOINT * n].reshape(*points.shape[:-1], n, PER_JOINT)
@@ -152,17 +131,7 @@ class Family:
         return np.asarray(fine)
 
     def linear(self, points: FloatArray, posture: Posture) -> LinearArm:
-        """The arms about a posture.
-
-        Parameters
-        ----------
-        points : (..., n_coordinates)
-        posture : Posture
-
-        Returns
-        -------
-        LinearArm
-        """
+        """The arms about a posture."""
         parts = self.parts(points)
         base = self._base(parts.pop("link_inertia"))
         inertia = np.asarray(np.tensordot(base, posture.inertia, axes=1))
@@ -184,20 +153,9 @@ class Family:
 def family_of(model: RigidModel | None, arm: Arm) -> Family:
     """All arms that agree with a rigid model; without one, all single joints.
 
-    Parameters
-    ----------
-    model : RigidModel or None
-        None will do for a single joint without gravity.
-    arm : Arm
+    `model`: None will do for a single joint without gravity.
 
-    Returns
-    -------
-    Family
-
-    Raises
-    ------
-    NotIdentifiable
-        The rigid model lacks an inertia.
+    Raises `NotIdentifiable`: the rigid model lacks an inertia.
     """
     n = arm.n_joints
     ratio, nothing = arm.gear_ratios, np.full(n, np.nan)

@@ -24,21 +24,12 @@ _DAMPING = 0.05  # ratio of the anti-resonance
 def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[JointModel, ...]]:
     """Models of all joints with ordinary gears, for records to choose from.
 
-    Parameters
-    ----------
-    model : RigidModel or None
-        From which the inertias are.
-    arm : Arm
+    `model`: From which the inertias are.
 
-    Returns
-    -------
-    list of tuple of JointModel
-        Each with one model per joint from the base, without parameters: nothing of them is known.
+    Returns: Each with one model per joint from the base, without parameters: nothing of them is
+    known.
 
-    Raises
-    ------
-    NotIdentifiable
-        The rigid model is missing, or lacks an inertia.
+    Raises `NotIdentifiable`: the rigid model is missing, or lacks an inertia.
     """
     if model is None:
         raise NotIdentifiable(

@@ -32,14 +32,9 @@ class LinearArm:
     def impedance(self, s: ComplexArray) -> ComplexArray:
         """Z(s), motor torques over motor velocities.
 
-        Parameters
-        ----------
-        s : (n_lines,) [rad/s]
-            Not zero.
+        `s` (n_lines,) [rad/s]: Not zero.
 
-        Returns
-        -------
-        (..., n_lines, n, n) [N m s/rad]
+        Returns: [N m s/rad].
         """
         n = len(self.gear_ratio)
         one = np.eye(n)
@@ -74,19 +69,9 @@ def velocities(
     w_i = (u_i - sum over j of Z_ij w_j) / Z_ii, j not i: right whether the others are free, held
     or servoed, because only their motion counts.
 
-    Parameters
-    ----------
-    impedance : (..., n_lines, n, n)
-    torque : (n_lines,)
-        Of that motor, less its dry friction.
-    velocity : (n_lines, n)
-        Of all motors.
-    row : int
-        i, from 0.
-
-    Returns
-    -------
-    (..., n_lines)
+    `torque` (n_lines,): Of that motor, less its dry friction.
+    `velocity` (n_lines, n): Of all motors.
+    `row`: i, from 0.
     """
     Z = impedance[..., row, :]
     others = (Z * velocity).sum(axis=-1) - Z[..., row] * velocity[:, row]

@@ -52,21 +52,9 @@ _Seen = tuple[Piece, Posture]
 def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) -> list[Found]:
     """Where motor velocities are explained best, the best first, and what is still in question.
 
-    Parameters
-    ----------
-    family : Family
-    pieces : sequence of Piece
-    few_lines : sequence of Piece
-        The same with fewer lines, for the grid.
+    `few_lines`: The same with fewer lines, for the grid.
 
-    Returns
-    -------
-    list of Found
-
-    Raises
-    ------
-    NotIdentifiable
-        No arm of the family explains anything.
+    Raises `NotIdentifiable`: no arm of the family explains anything.
     """
     postures = [posture_of(family.arm, piece.link_angle) for piece in pieces]
     records = list(zip(pieces, postures, strict=True))

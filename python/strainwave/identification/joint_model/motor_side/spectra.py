@@ -35,18 +35,11 @@ class Piece:
 def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Iterator[Piece]:
     """Spectra of one record, in pieces of a few seconds.
 
-    Parameters
-    ----------
-    signals : LinkSignals
-    ratio : (n_joints,)
-        Gear ratios.
-    most_lines : int
-        Of a piece; of more those with most torque are taken, band by band on a logarithmic scale.
+    `ratio` (n_joints,): Gear ratios.
+    `most_lines`: Of a piece; of more those with most torque are taken, band by band on a
+        logarithmic scale.
 
-    Yields
-    ------
-    Piece
-        Of the joint that the experiment names, or of all where it names none.
+    Yields: Of the joint that the experiment names, or of all where it names none.
     """
     T, n = signals.sample_time, len(signals.time)
     length = min(n, round(LONGEST_PIECE / T))
@@ -76,17 +69,7 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Itera
 
 
 def thinned(piece: Piece, most_lines: int) -> Piece:
-    """A piece with fewer lines: of each of so many bands the line with most torque.
-
-    Parameters
-    ----------
-    piece : Piece
-    most_lines : int
-
-    Returns
-    -------
-    Piece
-    """
+    """A piece with fewer lines: of each of so many bands the line with most torque."""
     size, n = np.abs(piece.torque[:, list(piece.rows)]).sum(axis=1), len(piece.s)
     edges = np.geomspace(piece.s[0].imag, 1.001 * piece.s[-1].imag, most_lines + 1)
     band = np.searchsorted(edges, piece.s.imag, side="right")
