@@ -9,10 +9,12 @@ import pytest
 
 from elastic_results import JOINT, SPREAD, joint_model, sampled
 from figure_parts import marks
+from strainwave.domain import Modes
 from strainwave.dynamics.two_inertia import coefficients
 from strainwave.presentation.figures import Figure, Line, Markers
 from strainwave.presentation.report.bode import TunedJoint
 from strainwave.presentation.report.pole_zero import pole_zero_map
+from strainwave.statespace import modes
 
 RATIO = JOINT.gear_ratio
 
@@ -31,10 +33,24 @@ def test_the_roots_are_those_of_the_transfer_function() -> None:
     assert symbols == {"poles, joint model": "x", "zeros, joint model": "circle-open"}
 
 
-def test_a_sampled_model_has_the_poles_of_the_joint() -> None:
-    figure = pole_zero_map(joint_model(), RATIO, {"prbs": sampled()})
-    poles = roots(figure, "poles, joint model")
-    assert roots(figure, "poles, state space, prbs") == pytest.approx(poles, rel=1e-6)
+def test_a_state_space_model_has_the_poles_of_the_joint_and_their_ellipses() -> None:
+    model = joint_model()
+    known = modes(sampled(), 0, 0)
+    assert known.resonance is not None
+    assert model.resonance is not None
+    std = {"frequency_std_hz": 0.3, "damping_std": 0.004}
+    known = Modes((replace(known.resonance, **std),), (), known.resonance, None)
+    figure = pole_zero_map(model, RATIO, {"prbs": known})
+    poles = roots(figure, "poles, state space, prbs")
+    expected = [m for m in roots(figure, "poles, joint model") if abs(m.imag) > 1.0]
+    assert poles == pytest.approx(np.array(expected), rel=1e-6)
+    # far from damping one, real and imaginary part move with damping and frequency alone
+    upper = max(
+        (m for m in marks(figure, Line) if "state space" in m.name), key=lambda m: m.y.mean()
+    )
+    w = abs(poles[0])
+    assert np.ptp(upper.x) == pytest.approx(2.0 * 2.448 * 0.004 * w, rel=0.02)
+    assert np.ptp(upper.y) == pytest.approx(2.0 * 2.448 * 2.0 * np.pi * 0.3, rel=0.02)
 
 
 def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:

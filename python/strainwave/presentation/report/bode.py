@@ -47,7 +47,7 @@ from strainwave.presentation.figures import (
 )
 from strainwave.statespace import frequency_response
 
-MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
+_MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
 _CURVE_POINTS = 300
 _MAX_MEASURED_POINTS = 500
 _STATE_SPACE_DASHES = DASHES[1:4]
@@ -169,7 +169,7 @@ def relative_std(measured: FrequencyResponse) -> FloatArray | None:
 def _add_state_space(
     panels: _Panels, model: StateSpace, band_hz: tuple[float, float], name: str, k: int
 ) -> None:
-    top = min(band_hz[1], MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
+    top = min(band_hz[1], _MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
     f: FloatArray = np.geomspace(band_hz[0], top, _CURVE_POINTS)
     response = frequency_response(model, f)
     G, label = response.response[:, 0, 0], f"state space, {name}"

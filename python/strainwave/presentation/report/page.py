@@ -13,7 +13,7 @@ from strainwave.domain import (
     Identification,
     JointModel,
     Prediction,
-    StateSpace,
+    RecordModel,
 )
 from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
@@ -147,7 +147,11 @@ def _bode(result: Identification, joint: JointModel) -> Plot:
         joint,
         description.gear_ratio,
         measured,
-        _state_space_models(result, joint),
+        {
+            record.signals.experiment.name: record.state_space
+            for record in _full_amplitude(result, joint)
+            if record.state_space is not None
+        },
         tuned=_tuned_joint(result, joint),
         is_prismatic=description.motion == "prismatic",
     )
@@ -158,8 +162,12 @@ def _bode(result: Identification, joint: JointModel) -> Plot:
 def _poles(result: Identification) -> Iterator[Block]:
     for joint in result.joints:
         ratio = result.study.arm.joints[joint.joint - 1].gear_ratio
-        models = _state_space_models(result, joint)
-        figure = pole_zero_map(joint, ratio, models, tuned=_tuned_joint(result, joint))
+        modes = {
+            record.signals.experiment.name: record.modes
+            for record in _full_amplitude(result, joint)
+            if record.modes is not None
+        }
+        figure = pole_zero_map(joint, ratio, modes, tuned=_tuned_joint(result, joint))
         label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
         words = (
             "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
@@ -167,15 +175,13 @@ def _poles(result: Identification) -> Iterator[Block]:
         yield Plot(f"poles joint {joint.joint}", label, figure, words)
 
 
-def _state_space_models(result: Identification, joint: JointModel) -> dict[str, StateSpace]:
-    """State-space models of a joint at full amplitude, by record."""
-    return {
-        record.signals.experiment.name: record.state_space
+def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordModel]:
+    """Records of a joint at full amplitude."""
+    return [
+        record
         for record in result.records
-        if record.signals.joint == joint.joint
-        and record.state_space is not None
-        and record.signals.experiment.use == "frequency"
-    }
+        if record.signals.joint == joint.joint and record.signals.experiment.use == "frequency"
+    ]
 
 
 def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint | None:

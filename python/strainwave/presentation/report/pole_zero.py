@@ -6,18 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from strainwave.domain import (
-    BoolArray,
-    ComplexArray,
-    ContinuousStateSpace,
-    FloatArray,
-    JointModel,
-    StateSpace,
-)
+from strainwave.domain import ComplexArray, FloatArray, JointModel, Mode, Modes
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
-from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.identification.joint_model.linear import without_alternating
 from strainwave.presentation.figures import (
     DASHES,
     LINEAR,
@@ -32,9 +23,7 @@ from strainwave.presentation.figures import (
     Symbol,
 )
 from strainwave.presentation.report.bode import TunedJoint
-from strainwave.statespace import to_continuous
-from strainwave.statespace.modes import nearest, poles_and_zeros
-from strainwave.statespace.propagation import propagate
+from strainwave.statespace import nearest
 
 _CHI_SQUARE_95 = 5.991  # two degrees of freedom: real and imaginary part
 _ELLIPSE_POINTS = 40
@@ -47,7 +36,7 @@ _WIDEST_ELLIPSE = 1.0  # largest standard deviation over the modulus: a wider el
 def pole_zero_map(
     joint: JointModel,
     gear_ratio: float,
-    state_space: Mapping[str, StateSpace] | None = None,
+    state_space: Mapping[str, Modes] | None = None,
     *,
     tuned: TunedJoint | None = None,
 ) -> Figure:
@@ -57,10 +46,9 @@ def pole_zero_map(
     are shown.
     """
     marks: list[Mark] = []
-    for k, (name, model) in enumerate((state_space or {}).items()):
-        roots = _state_space_roots(model, joint.band_hz)
-        if roots is not None:
-            marks += _marks(*roots, f"state space, {name}", LINEAR, k)
+    for k, (name, modes) in enumerate((state_space or {}).items()):
+        roots = _state_space_roots(modes, joint.band_hz)
+        marks += _marks(*roots, f"state space, {name}", LINEAR, k)
     covariance = joint.covariance[:6, :6]
     marks += _marks(*_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", MODEL)
     if tuned is not None:
@@ -95,29 +83,41 @@ def _joint_roots(vector: FloatArray, covariance: FloatArray | None, gear_ratio: 
     return poles, zeros, J @ covariance @ J.T
 
 
-def _state_space_roots(model: StateSpace, band_hz: tuple[float, float]) -> Roots | None:
-    """The roots that are shown; None if there is no continuous-time model."""
-    try:
-        continuous = to_continuous(without_alternating(model))
-    except NotIdentifiable:
-        return None
-    poles, zeros = poles_and_zeros(continuous, 0, 0)
-    poles, zeros = (roots[_is_shown(roots, band_hz)] for roots in (poles, zeros))
+def _state_space_roots(modes: Modes, band_hz: tuple[float, float]) -> Roots:
+    """The roots that are shown, with both conjugates.
 
-    def parts(near: ContinuousStateSpace) -> FloatArray:
-        new_poles, new_zeros = poles_and_zeros(near, 0, 0)
-        moved = np.concatenate([nearest(poles, new_poles), nearest(zeros, new_zeros)], axis=-1)
-        return np.concatenate([moved.real, moved.imag], axis=-1)
+    Frequency and damping are taken as uncorrelated: s = w (-d + i sqrt(1 - d^2)).
+    """
+    groups = [[m for m in group if _is_shown(m, band_hz)] for group in (modes.poles, modes.zeros)]
+    pairs = [[(m, side) for m in group for side in _sides(m)] for group in groups]
+    roots = [np.array([_root(*pair) for pair in group], dtype=complex) for group in pairs]
+    every = [*pairs[0], *pairs[1]]
+    covariance = np.zeros((2 * len(every), 2 * len(every)))
+    for i, (mode, side) in enumerate(every):
+        if mode.frequency_std_hz is None or mode.damping_std is None:
+            return roots[0], roots[1], None
+        w, d = abs(mode.value), mode.damping
+        by_frequency = _root(mode, side) / w
+        by_damping = complex(-w, -side * w * d / np.sqrt(1.0 - d**2)) if mode.oscillates else 0.0
+        std = 2.0 * np.pi * mode.frequency_std_hz, mode.damping_std
+        J = np.array([by_frequency * std[0], by_damping * std[1]])
+        parts = np.stack([J.real, J.imag])
+        covariance[np.ix_([i, len(every) + i], [i, len(every) + i])] = parts @ parts.T
+    return roots[0], roots[1], covariance
 
-    _, covariance = propagate(continuous, parts, stacked=True)
-    return poles, zeros, covariance
+
+def _sides(mode: Mode) -> tuple[float, ...]:
+    return (1.0, -1.0) if mode.oscillates else (1.0,)
 
 
-def _is_shown(roots: ComplexArray, band_hz: tuple[float, float]) -> BoolArray:
-    low, high = (2.0 * np.pi * edge for edge in band_hz)
-    modulus = np.abs(roots)
-    oscillates = (np.abs(roots.imag) > 0.0) & (np.abs(roots.real) < _MAX_DAMPING * modulus)
-    return np.asarray(np.where(oscillates, modulus < high, modulus < low))
+def _root(mode: Mode, side: float) -> complex:
+    return complex(mode.value.real, side * mode.value.imag)
+
+
+def _is_shown(mode: Mode, band_hz: tuple[float, float]) -> bool:
+    if mode.oscillates:
+        return mode.frequency_hz < band_hz[1] and abs(mode.damping) < _MAX_DAMPING
+    return mode.frequency_hz < band_hz[0]
 
 
 def _marks(
