@@ -1,4 +1,4 @@
-"""Sweeps of the amplitude: the verdict follows the slope and its deviation."""
+"""Amplitude sweeps: the verdict follows from the slope and its standard error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EMPTY: FloatArray = np.zeros((0, 2))
 def record(
     amplitude: float, hz: float, std: float, *, servoed: bool = False, use: Use = "sweep"
 ) -> RecordModel:
-    """A record whose joint 1 was found to ring at `hz`."""
+    """A record whose joint 1 has its anti-resonance at `hz`."""
     experiment = Experiment(
         f"{amplitude:g} V",
         "x.csv",
@@ -68,7 +68,7 @@ def record(
     return RecordModel(signals, model, None, None, None)
 
 
-def test_a_spring_that_hardens() -> None:
+def test_a_hardening_spring() -> None:
     (found,) = sweep.sweeps([record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)])
     assert found.joint == 1
     assert [point.amplitude for point in found.points] == [2.0, 4.0, 6.0, 8.0]
@@ -81,33 +81,57 @@ def test_a_spring_that_hardens() -> None:
         assert point.gear_stiffness_std == pytest.approx(2.0 * point.squared_anti_resonance_std)
 
 
-def test_a_line_comes_back_with_its_deviation() -> None:
-    """Squared anti-resonance 4000 + 100 a: the slope, and the deviation of a weighted line."""
+def test_the_slope_of_a_line_and_its_standard_error() -> None:
+    """Squared anti-resonance 4000 + 100 a: the slope and the standard error of a weighted line."""
     amplitudes = np.array([2.0, 4.0, 6.0, 8.0])
     squared = 4000.0 + 100.0 * amplitudes
     hz = np.sqrt(squared) / (2.0 * np.pi)
-    # deviations such that that of the square is 10 everywhere
+    # the standard deviation of the squared anti-resonance is 10 at every amplitude
     std = 10.0 / (2.0 * np.sqrt(squared) * 2.0 * np.pi)
     (found,) = sweep.sweeps([record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)])
     assert found.slope == pytest.approx(100.0)
     assert found.slope_std == pytest.approx(10.0 / np.sqrt(np.sum((amplitudes - 5.0) ** 2)))
 
 
-def test_a_linear_spring_shows_no_trend() -> None:
+def test_a_linear_spring_has_no_trend() -> None:
     rng = np.random.default_rng(0)
     points = [record(a, 12.0 + 0.05 * rng.normal(), 0.05) for a in (2.0, 3.0, 4.0, 6.0, 8.0)]
     assert sweep.sweeps(points)[0].verdict == "no-trend"
 
 
-def test_a_spring_that_softens() -> None:
+def test_a_softening_spring() -> None:
     points = [record(a, 14.0 - 0.3 * a, 0.05) for a in (2.0, 4.0, 6.0)]
     assert sweep.sweeps(points)[0].verdict == "softening"
 
 
-def test_two_amplitudes_are_no_trend_and_servoed_records_stay_out() -> None:
+def test_two_amplitudes_are_no_sweep_and_servoed_records_are_left_out() -> None:
     two = [record(2.0, 12.0, 0.1), record(4.0, 13.0, 0.1)]
     assert sweep.sweeps(two) == ()
     held = record(10.0, 14.0, 0.1, servoed=True, use="frequency")
     assert sweep.sweeps([*two, held]) == ()
     free = record(10.0, 14.0, 0.1, use="frequency")
     assert len(sweep.sweeps([*two, free])[0].points) == 3
+
+
+def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
+    """A stiffness that saturates has a trend, although the points lie far from a line."""
+    records = [
+        record(a, hz, 0.01) for a, hz in ((2.0, 10.0), (3.0, 11.6), (4.0, 12.0), (10.0, 12.2))
+    ]
+    (result,) = sweep.sweeps(records)
+    x = np.array([point.amplitude for point in result.points])
+    y = np.array([point.squared_anti_resonance for point in result.points])
+    std = np.array([point.squared_anti_resonance_std for point in result.points])
+    line = np.polyfit(x, y, 1, w=1.0 / std)
+    scatter = np.sum(((y - np.polyval(line, x)) / std) ** 2) / 2.0
+    about_a_line = result.slope_std * np.sqrt(scatter)
+    assert abs(result.slope) < 3.0 * about_a_line  # scatter about a line hides the trend
+    assert result.verdict == "hardening"
+
+
+def test_scatter_about_a_parabola_widens_the_standard_error() -> None:
+    points = ((2.0, 12.0), (3.0, 12.6), (4.0, 11.8), (6.0, 12.5), (8.0, 12.1))
+    (noisy,) = sweep.sweeps([record(a, hz, 0.01) for a, hz in points])
+    (quiet,) = sweep.sweeps([record(a, 12.0, 0.01) for a, _ in points])
+    assert noisy.slope_std > 10.0 * quiet.slope_std
+    assert noisy.verdict == "no-trend"
