@@ -69,7 +69,7 @@ def examples() -> dict[str, tuple[Displayed, list[str]]]:
     record_case = case(1)
     return {
         "log": (log_of(prbs_run(rig())), ["theta_m2", "0.25 ms"]),
-        "rigid": (rigid, ["partly-determined", "0.02010", "not uncertain", "kg m^2"]),
+        "rigid": (rigid, ["partly-determined", "0.02010", "not known", "kg m^2"]),
         "decoupled": (
             record_case.decoupled,
             ["joint 1, decoupled", record_case.decoupled.checks[0].message[:12]],
@@ -85,7 +85,7 @@ def examples() -> dict[str, tuple[Displayed, list[str]]]:
         ),
         "sweep": (sweep(), ["hardening", "24002 ± 80"]),
         "tuned": (arm_model(rigid.parameters, np.eye(2)), ["converged after 7", "0.00020"]),
-        "prediction": (prediction("check", 91.25, float("nan")), ["91.2 %", "not uncertain"]),
+        "prediction": (prediction("check", 91.25, float("nan")), ["91.2 %", "not known"]),
         "identification": (identification("<b>"), ["&lt;b&gt;", "<code>saturated</code>"]),
     }
 
@@ -130,11 +130,14 @@ def test_a_response_shows_the_reliable_points_of_the_selection() -> None:
     figure = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)
     assert 5.0 <= figure.min() < figure.max() <= 60.0
     assert response.noise_variance is not None
-    uncertain = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
+    is_certain = np.sqrt(response.noise_variance / 2.0)[:, 1, 0] < 0.3 * np.abs(
         response.response[:, 1, 0]
     )
     assert (
-        0 < len(np.asarray(second.axes[0].lines[0].get_xdata())) == uncertain.sum() < uncertain.size
+        0
+        < len(np.asarray(second.axes[0].lines[0].get_xdata()))
+        == is_certain.sum()
+        < is_certain.size
     )
     with pytest.raises(InvalidInput, match="no point"):
         response.plot(band_hz=(1e6, 2e6))
@@ -144,11 +147,11 @@ def test_the_response_of_a_model_has_the_band_of_its_covariance() -> None:
     f = np.geomspace(1.0, 100.0, 30)
     response = np.asarray(10.0 / (1.0 + 1j * f), dtype=np.complex128)[:, None, None]
     spread = 1e-4 * np.abs(response[..., None, None]) ** 2 * np.eye(2)
-    uncertain = FrequencyResponse(f, response, covariance=spread)
-    assert len(uncertain.plot().axes[0].collections) == 1
-    assert len(replace(uncertain, covariance=None).plot().axes[0].collections) == 0
+    certain_response = FrequencyResponse(f, response, covariance=spread)
+    assert len(certain_response.plot().axes[0].collections) == 1
+    assert len(replace(certain_response, covariance=None).plot().axes[0].collections) == 0
     with pytest.raises(InvalidInput, match="no point"):
-        replace(uncertain, covariance=1e4 * spread).plot()
+        replace(certain_response, covariance=1e4 * spread).plot()
 
 
 def test_a_record_without_a_model_has_its_warnings_and_no_figure() -> None:
