@@ -150,7 +150,8 @@ def _validation(identification: Identification) -> Iterator[Block]:
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
     rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
-    if fits["elastic"] and validated:
+    is_missed = any(check.unexplained for check in identification.checks if not check.of_drive)
+    if fits["elastic"] and (validated or is_missed):
         rows.append(_fit_row("elastic model, motion", fits["elastic"]))
     numbers = map(number, ("channels", "median fit", "lowest fit"))
     heads: Row = ("check records predicted by", *numbers, "lowest in")
