@@ -42,7 +42,7 @@ def test_weak_correlations_are_not_listed() -> None:
     errors = correlations_of(["gear_stiffness", "gear_damping"], [[1.0, 0.9], [0.9, 1.0]])
     assert errors is not None
     assert correlations.strong_pairs(errors) == []
-    assert "No correlation reaches 0.95" in correlations.describe(errors)
+    assert "No two parameters have a correlation of 0.95 or more" in correlations.describe(errors)
 
 
 def test_a_sum_is_left_out_if_its_parts_are_there() -> None:

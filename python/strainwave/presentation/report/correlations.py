@@ -50,7 +50,7 @@ def describe(errors: Correlations) -> str:
     """Caption of the heat map."""
     pairs = strong_pairs(errors)
     if not pairs:
-        return f"No correlation reaches {MIN_STRONG_CORRELATION:g}: each parameter is identified."
+        return f"No two parameters have a correlation of {MIN_STRONG_CORRELATION:g} or more."
     text = "; ".join(f"{a} and {b} ({r:+.3f})" for a, b, r in pairs)
     return (
         f"Strong correlations: {text}. The data identify a combination of such a pair better than"

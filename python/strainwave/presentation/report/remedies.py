@@ -93,6 +93,10 @@ _RESULT = {
         "The motor encoder alone cannot determine the parameter better.",
         "Add an accelerometer or an encoder to that link.",
     ),
+    "causes-not-fitted": Advice(
+        "The likely cause of the residuals may be one of the effects that were not fitted.",
+        "Raise tuning.rival_effort, or name the effect in the joint's effects.",
+    ),
     "residual-not-noise": Advice(
         "The model lacks an effect, the study has a wrong constant, or a disturbance acted. The"
         " intervals are widened.",
