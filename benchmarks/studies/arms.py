@@ -36,7 +36,7 @@ def draw_arm(seed: int) -> tuple[Study, Values]:
     """Draw payload, gears, motors and friction around the built-in arm."""
     rng = np.random.default_rng([2009, seed])
     spring = SPRINGS[seed % len(SPRINGS)]
-    values = scara.parameters(int(rng.integers(0, scara.MOST_DISKS + 1)), spring)
+    values = scara.parameters(int(rng.integers(0, scara.MAX_DISKS + 1)), spring)
     gears: dict[int, float] = {}
     for name, joint in list(values):
         if joint is None or name == "friction_offset":

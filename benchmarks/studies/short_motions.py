@@ -19,7 +19,7 @@ from strainwave.io.logs import read_logs
 from strainwave.signals.consistency import check
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.short_records import plans, with_short_records
-from strainwave.virtual.records import recorded
+from strainwave.virtual.records import record_experiment
 
 _SERIES = 7500  # of the catalogue
 _FIRST_MOTION_SEED = 500_000
@@ -35,7 +35,7 @@ def suspected(number: int) -> tuple[Suspicion, ...]:
     rig = replace(rig, study=replace(rig.study, experiments=(motion,)))
     arm = Arm.of(rig.study.arm)
     plan = plans(rig, _FIRST_MOTION_SEED + number)[0]
-    channels = recorded(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
+    channels = record_experiment(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
     logs = read_logs(rig.study, data={motion.name: channels})
     return check(logs, rig.study).suspected
 

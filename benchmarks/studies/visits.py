@@ -28,7 +28,7 @@ from strainwave.pipeline import identify
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.families.short_records import plans, with_short_records
-from strainwave.virtual.records import recorded
+from strainwave.virtual.records import record_experiment
 
 _SERIES = 9000  # of the catalogue
 _VERTICAL_EVERY = 3  # arms
@@ -69,7 +69,7 @@ def _visit(rig: Rig, values: Values, seed: list[int]) -> Estimates:
         zip(rig.study.experiments, plans(rig, motions), strict=True)
     ):
         rng = np.random.default_rng([*seed, k])
-        logs[experiment.name] = recorded(
+        logs[experiment.name] = record_experiment(
             rig.study, arm, plan, values, rig.noise, rng, simulate, experiment.name
         )
     return estimates_of(to_document(identify(rig.study, data=logs, threads=1)), Path(f"{seed}"))

@@ -307,7 +307,7 @@ def test_an_upright_arm_begins_held(tmp_path: Path) -> None:
 def test_open_motion_without_a_log_is_refused(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     free = Experiment("free", "free.csv", "motion", ("open", "open"))
-    with pytest.raises(InvalidInput, match="moves joint 1 in open loop, without a log"):
+    with pytest.raises(InvalidInput, match="moves joint 1 in open loop and has no log"):
         virtual.simulate_study(replace(study, experiments=(free,)), scara.parameters(), tmp_path)
     assert not list(tmp_path.iterdir())
 

@@ -633,9 +633,9 @@ def unstiff() -> None:
 @pytest.mark.parametrize(
     ("ask", "said"),
     [
-        (no_voltage, r"--limit-voltage: .*add \[servo\]"),
-        (no_servo_under_gravity, r"under gravity needs a servo.*add \[servo\]"),
-        (no_servo_of_a_rigid_arm, r"a rigid arm is identified from motions.*add \[servo\]"),
+        (no_voltage, r"--limit-voltage: .*add the \[servo\]"),
+        (no_servo_under_gravity, r"under gravity needs a servo.*add the \[servo\]"),
+        (no_servo_of_a_rigid_arm, r"a rigid arm is identified from motions.*add the \[servo\]"),
         (unheld, "hold"),
         (immovable, r"satisfies the limits.*gear torque of joint 1 would be .* limit of 0.1"),
         (unstiff, "gear_stiffness_k2 of joint 1"),

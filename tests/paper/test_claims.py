@@ -26,7 +26,7 @@ from strainwave.paper import (
 from strainwave.paper.estimates import LINES_HZ, distance_db, response_of
 from strainwave.paper.rig import Rig, Tuned
 from strainwave.paper.settings import CLASSICAL
-from strainwave.paper.truth import joint_with, slopes, spring_torque
+from strainwave.paper.truth import joint_with
 from strainwave.virtual import scara
 
 Found = dict[int, Comparison]
@@ -247,19 +247,6 @@ def test_held_inputs_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_seeds_differ_in_noise_and_in_the_sequence() -> None:
     voltages = [Rig(seed).prbs(1, disks=0, periods=1).log.channels["u1"] for seed in (1, 2)]
     assert not np.array_equal(voltages[0], voltages[1])
-
-
-@pytest.mark.parametrize("joint", [1, 2])
-def test_the_spring_has_its_slopes_and_is_odd(joint: int) -> None:
-    values = scara.parameters()
-    torsion = np.linspace(-6e-3, 6e-3, 100_001)
-    torque = spring_torque(values, joint, torsion)
-    assert torque == pytest.approx(-torque[::-1], abs=1e-9)
-    slope = np.gradient(torque, torsion)
-    for torque_between, k in zip((0.5, 1.5, 3.0), slopes(values, joint), strict=True):
-        knees = [0.0, values["gear_knee_t1", joint], values["gear_knee_t2", joint]]
-        at = np.interp(torque_between, [0.0, 1.0, 2.0, 3.0], [*knees, 1.5 * knees[-1]])
-        assert slope[np.argmin(np.abs(torque - at))] == pytest.approx(k, rel=1e-6)
 
 
 def test_distance_is_that_of_a_gain() -> None:

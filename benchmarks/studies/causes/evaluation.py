@@ -20,7 +20,7 @@ from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families.causes import NOTHING, Cause, OwnPlant
 from strainwave.virtual.families.short_records import plans
-from strainwave.virtual.records import Simulator, recorded
+from strainwave.virtual.records import Simulator, record_experiment
 
 Engine = Literal["own", "mujoco"]
 
@@ -100,7 +100,9 @@ def simulate_logs(run: Run, engine: Engine, series: int) -> dict[str, dict[str, 
     ):
         rng = np.random.default_rng([seed, k, 1])
         simulator = _simulator(run, engine, k)
-        logs[experiment.name] = recorded(study, arm, plan, values, run.rig.noise, rng, simulator)
+        logs[experiment.name] = record_experiment(
+            study, arm, plan, values, run.rig.noise, rng, simulator
+        )
     return logs
 
 

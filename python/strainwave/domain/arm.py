@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt
 
@@ -112,6 +112,12 @@ class ArmDescription:
     def with_joints(self, joints: Iterable[Joint]) -> Self:
         """Copy of the arm with other joints."""
         return replace(self, joints=tuple(joints))
+
+    def with_joint(self, number: int, **changes: Any) -> Self:
+        """Copy of the arm with other values of one joint, from 1."""
+        joints = list(self.joints)
+        joints[number - 1] = replace(joints[number - 1], **changes)
+        return self.with_joints(joints)
 
     def behind_rigid_gears(self) -> Self:
         """Copy of the arm with rigid gears and without effects."""

@@ -1,8 +1,8 @@
-"""What the gear's three slopes show over the amplitude of the PRBS: Figs. 2, 14 and 15.
+"""Effect of the gear's three slopes over the amplitude of the PRBS: Figs. 2, 14 and 15.
 
-As published, each joint at each amplitude is estimated by a state-space model. By our own settings
-claims rest on the equations of motion, as sweeps of `identify` do; the state-space model is shown
-beside.
+With the published settings a state-space model estimates each joint at each amplitude. With the
+default settings the claims rely on the equations of motion, as sweeps of `identify` do, and the
+state-space model is only plotted.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
-from strainwave.paper.claims import compared
+from strainwave.paper.claims import comparison_of
 from strainwave.paper.estimates import Estimate, curve, estimated_curve, evidence_of, response_of
 from strainwave.paper.rig import Rig, Run
 from strainwave.paper.truth import slopes
@@ -22,131 +22,132 @@ from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Points, bode, scatter
 
 PAYLOAD = 3  # [kg]
-_STARTS = (0, 256, 512, 768)  # clocks of the PRBS that the records begin with
-_OUTSIDE = 2.0  # deviations that a value may lie beyond a bound
-_RELATIVE = 0.02  # the same of a value without a deviation
-_NEARLY = 0.9  # share of the square with K3 that would count as it
-_STANDS = "at low amplitudes friction holds the motor for much of the time"
+_STARTS = (0, 256, 512, 768)  # clocks of the PRBS at which the records start
+_MAX_EXCESS_STD = 2.0  # standard deviations of a value beyond a bound
+_MAX_RELATIVE_EXCESS = 0.02  # of a value without a standard deviation
+_MIN_K3_SHARE = 0.9  # of the squared anti-resonance with K3
+_STICTION = "at low amplitudes friction holds the motor for much of the time"
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """One joint at one amplitude, from one or several records of one period each."""
+    """Estimates of one joint at one amplitude, from one or several records of one period each."""
 
     amplitude: float
-    state_space: Estimate  # all records at once
-    joint: TwoInertia | None  # by the equations of motion; None: as published
-    evidence: tuple[Evidence, ...]  # decisive is what the claims rest on
-    square: float  # [rad^2/s^2] of the anti-resonance, of what is decisive
-    deviation: float  # of it; NaN: not known
-    hz: tuple[float, float]  # anti-resonance and resonance of what is decisive
-    beside: float  # the square by the state-space model where it is not; NaN: none
-    true: float  # with the slope that the gear showed
-    bounds: tuple[float, float]  # with K1 and with K3
-    sliding: float  # share of the time in which the motor surely slides
+    state_space: Estimate  # from all records
+    joint: TwoInertia | None  # from the equations of motion; None: published settings
+    evidence: tuple[Evidence, ...]  # the claims rely on the decisive models
+    square: float  # [rad^2/s^2] squared anti-resonance of the decisive model
+    std: float  # of `square`; NaN: unknown
+    hz: tuple[float, float]  # anti-resonance and resonance of the decisive model
+    state_space_square: float  # if the state-space model is not decisive; NaN: it is
+    true: float  # `square` with the equivalent stiffness
+    bounds: tuple[float, float]  # `square` with K1 and with K3
+    sliding: float  # share of the time in which the motor certainly slides
 
 
-Swept = dict[int, tuple[Level, ...]]
-"""Levels of each joint."""
+LevelsByJoint = dict[int, tuple[Level, ...]]
+"""Levels of each joint, from the lowest amplitude."""
 
 
-def levels(rig: Rig, joint: int, amplitudes: Sequence[float], records: int) -> tuple[Level, ...]:
-    """One joint at several amplitudes.
-
-    `amplitudes` [V]: From the smallest. `records`: How many at each, at most four.
-    """
-    found = []
+def estimate_levels(
+    rig: Rig, joint: int, amplitudes: Sequence[float], records: int
+) -> tuple[Level, ...]:
+    """Estimates of one joint at several amplitudes [V] from up to four records each."""
+    levels = []
     for amplitude in amplitudes:
         rig.progress(f"joint {joint} at {amplitude:g} V")
         runs = [
             rig.prbs(joint, disks=PAYLOAD, amplitude=amplitude, periods=1, start=start)
             for start in _STARTS[:records]
         ]
-        found.append(_level(rig, amplitude, runs))
-    return tuple(found)
+        levels.append(_level(rig, amplitude, runs))
+    return tuple(levels)
 
 
-def responses(swept: Swept) -> Comparison:
-    """Fig. 14: the response moves with the amplitude."""
-    criteria, plots, said = [], [], []
+def responses(levels_by_joint: LevelsByJoint) -> Comparison:
+    """Fig. 14: the frequency response changes with the amplitude."""
+    criteria, plots, texts = [], [], []
     values: dict[str, float] = {}
-    for joint, found in swept.items():
-        plots.append(_responses_of(joint, found))
-        for place, name in enumerate(("anti-resonance", "resonance")):
-            hz = [level.hz[place] for level in found]
+    for joint, levels in levels_by_joint.items():
+        plots.append(_responses_of(joint, levels))
+        for index, name in enumerate(("anti-resonance", "resonance")):
+            hz = [level.hz[index] for level in levels]
             criteria.append(_rises(f"joint {joint}, {name}", hz))
-            said.append(f"joint {joint}: {name} {_listed(hz)} Hz")
-        values[f"joint {joint}, share of the time sliding at the least amplitude"] = found[
+            texts.append(f"joint {joint}: {name} {_listed(hz)} Hz")
+        values[f"joint {joint}, share of the time sliding at the least amplitude"] = levels[
             0
         ].sliding
-    low, high = (swept[1][k].amplitude for k in (0, -1))
-    return compared(
+    low, high = (levels_by_joint[1][k].amplitude for k in (0, -1))
+    return comparison_of(
         14,
         criteria=criteria,
-        evidence=_evidence(swept),
+        evidence=_evidence(levels_by_joint),
         values=values,
-        message=f"{'; '.join(said)} from {low:g} to {high:g} V",
+        message=f"{'; '.join(texts)} from {low:g} to {high:g} V",
         plots=plots,
     )
 
 
-def squares(swept: Swept) -> Comparison:
+def squares(levels_by_joint: LevelsByJoint) -> Comparison:
     """Fig. 15: squared anti-resonance, proportional to the stiffness, over the amplitude."""
-    criteria, plots, said = [], [], []
+    criteria, plots, texts = [], [], []
     values: dict[str, float] = {}
-    for joint, found in swept.items():
-        plots.append(_scatter(joint, found))
+    for joint, levels in levels_by_joint.items():
+        plots.append(_scatter(joint, levels))
         criteria += [
-            _rises(f"joint {joint}, squared anti-resonance", [level.square for level in found]),
+            _rises(f"joint {joint}, squared anti-resonance", [level.square for level in levels]),
             Criterion(
                 f"joint {joint}, amplitudes outside K1 to K3",
-                float(sum(not _inside(level) for level in found)),
+                float(sum(not _inside(level) for level in levels)),
                 "at most",
                 0.0,
-                f"{_OUTSIDE:g} standard deviations are allowed for, or {100.0 * _RELATIVE:g} % "
-                "where there are none",
-                _STANDS,
+                f"{_MAX_EXCESS_STD:g} standard deviations, or {100.0 * _MAX_RELATIVE_EXCESS:g} % "
+                "if the standard deviation is unknown",
+                _STICTION,
             ),
         ]
-        for level in found:
+        for level in levels:
             volt = f"joint {joint} at {level.amplitude:g} V, square"
             values[f"{volt} [rad²/s²]"] = level.square
             if level.joint is not None:
-                values[f"{volt} by the state-space model [rad²/s²]"] = level.beside
+                values[f"{volt} by the state-space model [rad²/s²]"] = level.state_space_square
             values[f"{volt}, truth [rad²/s²]"] = level.true
-        low, high = found[0].bounds
-        said.append(
-            f"joint {joint}: {_listed([level.square for level in found], 0)} rad²/s², K1 "
+        low, high = levels[0].bounds
+        texts.append(
+            f"joint {joint}: {_listed([level.square for level in levels], 0)} rad²/s², K1 "
             f"{low:.0f}, K3 {high:.0f}"
         )
-    return compared(
+    return comparison_of(
         15,
         criteria=criteria,
-        evidence=_evidence(swept),
+        evidence=_evidence(levels_by_joint),
         values=values,
-        message="; ".join(said),
+        message="; ".join(texts),
         plots=plots,
     )
 
 
-def stiffest(swept: Swept) -> Comparison:
+def stiffest(levels_by_joint: LevelsByJoint) -> Comparison:
     """Section 5 of the source: the largest amplitude gives K3 of Fig. 2."""
-    shares = {joint: found[-1].square / found[-1].bounds[1] for joint, found in swept.items()}
-    return compared(
+    shares = {
+        joint: levels[-1].square / levels[-1].bounds[1] for joint, levels in levels_by_joint.items()
+    }
+    return comparison_of(
         2,
         criteria=[
             Criterion(
                 f"joint {joint}, squared anti-resonance over that with K3",
                 share,
                 "at least",
-                _NEARLY,
+                _MIN_K3_SHARE,
                 "a stiffness counts as well known to 10 %",
-                "the gear passes its softer middle twice in every swing, and a linear estimate is "
-                "a mean over the swing",
+                "each swing passes the softer range twice, and a linear estimate is a mean over "
+                "the swing",
             )
             for joint, share in shares.items()
         ],
-        evidence=[e for found in swept.values() for e in found[-1].evidence],
+        evidence=[e for levels in levels_by_joint.values() for e in levels[-1].evidence],
         message="; ".join(
             f"joint {joint}: {100.0 * share:.0f} % of K3's" for joint, share in shares.items()
         ),
@@ -161,15 +162,16 @@ def _rises(name: str, values: Sequence[float]) -> Criterion:
         "at most",
         0.0,
         "the source's curves rise at every step",
-        _STANDS,
+        _STICTION,
     )
 
 
 def _inside(level: Level) -> bool:
     low, high = level.bounds
-    margin = (
-        _OUTSIDE * level.deviation if np.isfinite(level.deviation) else _RELATIVE * level.square
-    )
+    if np.isfinite(level.std):
+        margin = _MAX_EXCESS_STD * level.std
+    else:
+        margin = _MAX_RELATIVE_EXCESS * level.square
     return low - margin < level.square < high + margin
 
 
@@ -177,21 +179,21 @@ def _listed(values: Sequence[float], digits: int = 2) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def _evidence(swept: Swept) -> list[Evidence]:
-    return [e for found in swept.values() for level in found for e in level.evidence]
+def _evidence(levels_by_joint: LevelsByJoint) -> list[Evidence]:
+    return [e for levels in levels_by_joint.values() for level in levels for e in level.evidence]
 
 
 def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
-    together = rig.estimate(*runs)
-    linear = _hz(together.anti_resonance), _hz(together.resonance)
-    own = rig.settings.protocol == "own"
-    evidence = [replace(together.evidence, decisive=not own)]
-    joint, hz, other, deviation = None, linear, float("nan"), float("nan")
-    if own:
+    state_space = rig.estimate(*runs)
+    linear = _hz(state_space.anti_resonance), _hz(state_space.resonance)
+    is_default = rig.settings.protocol == "own"
+    evidence = [replace(state_space.evidence, decisive=not is_default)]
+    joint, hz, other, std = None, linear, float("nan"), float("nan")
+    if is_default:
         model = rig.physical(*runs, disks=PAYLOAD)
         joint = joint_of(np.array([model.values[name] for name in NAMES]), runs[0].truth.gear_ratio)
         hz, other = (_hz(model.anti_resonance), _hz(model.resonance)), linear[0]
-        deviation = _deviation(model, joint)
+        std = _square_std(model, joint)
         evidence.append(evidence_of(model, f"equations of motion, {runs[0].name}"))
     number = runs[0].decoupled.joint
     k1, _, k3 = slopes(runs[0].values, number)
@@ -199,24 +201,24 @@ def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
     low, high = (_square(_with_stiffness(truth, k)) for k in (k1, k3))
     return Level(
         amplitude=amplitude,
-        state_space=together,
+        state_space=state_space,
         joint=joint,
         evidence=tuple(evidence),
         square=_squared(hz[0]),
-        deviation=deviation,
+        std=std,
         hz=hz,
-        beside=_squared(other),
+        state_space_square=_squared(other),
         true=float(np.mean([_square(run.truth) for run in runs])),
         bounds=(low, high),
         sliding=float(np.mean([run.signals.sliding[:, number - 1] != 0.0 for run in runs])),
     )
 
 
-def _deviation(model: JointModel, joint: TwoInertia) -> float:
+def _square_std(model: JointModel, joint: TwoInertia) -> float:
     """Standard deviation of the squared anti-resonance."""
 
-    def square(at: FloatArray) -> FloatArray:
-        return np.array([_square(joint.with_vector(at))])
+    def square(vector: FloatArray) -> FloatArray:
+        return np.array([_square(joint.with_vector(vector))])
 
     count = len(NAMES)
     J = jacobian(square, joint.vector)
@@ -235,9 +237,9 @@ def _square(joint: TwoInertia) -> float:
     return _squared(anti_resonance(joint).frequency_hz)
 
 
-def _responses_of(joint: int, found: Sequence[Level]) -> Figure:
+def _responses_of(joint: int, levels: Sequence[Level]) -> Figure:
     curves = []
-    for level in found:
+    for level in levels:
         name = f"{level.amplitude:g} V"
         if level.joint is None:
             curves += estimated_curve(name, level.state_space)
@@ -246,21 +248,21 @@ def _responses_of(joint: int, found: Sequence[Level]) -> Figure:
     return bode(curves, f"Joint {joint}, {PAYLOAD} kg")
 
 
-def _scatter(joint: int, found: Sequence[Level]) -> Figure:
-    volt = np.array([level.amplitude for level in found])
+def _scatter(joint: int, levels: Sequence[Level]) -> Figure:
+    volt = np.array([level.amplitude for level in levels])
     ends = volt[[0, -1]]
-    low, high = found[0].bounds
-    square = np.array([level.square for level in found])
+    low, high = levels[0].bounds
+    square = np.array([level.square for level in levels])
     points = [
-        Points("truth: mean slope", volt, np.array([level.true for level in found]), true=True)
+        Points("truth: mean slope", volt, np.array([level.true for level in levels]), true=True)
     ]
-    if found[0].joint is None:
+    if levels[0].joint is None:
         points.append(Points("state space", volt, square))
     else:
-        deviation = np.array([level.deviation for level in found])
-        beside = np.array([level.beside for level in found])
-        points.append(Points("equations of motion", volt, square, deviation))
-        points.append(Points("state space", volt, beside))
+        std = np.array([level.std for level in levels])
+        state_space = np.array([level.state_space_square for level in levels])
+        points.append(Points("equations of motion", volt, square, std))
+        points.append(Points("state space", volt, state_space))
     points.append(Points("with K1", ends, np.full(2, low)))
     points.append(Points("with K3", ends, np.full(2, high)))
     caption = f"Joint {joint}, {PAYLOAD} kg; bars: 95 %"

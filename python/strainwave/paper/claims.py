@@ -1,4 +1,4 @@
-"""What the source claims, figure by figure, in our words."""
+"""Title and claim of each figure of the source."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CLAIMS: dict[int, tuple[str, str]] = {
     8: ("Validation steps of joint 1", "The tuned model predicts steps of other sizes."),
     9: (
         "Frequency responses of joint 2 before and after refinement",
-        "The same at joint 2.",
+        "The same holds at joint 2.",
     ),
     10: (
         "Decoupled against motor input only",
@@ -66,10 +66,10 @@ CLAIMS: dict[int, tuple[str, str]] = {
         "stays between those of the gear's softest and stiffest slope.",
     ),
 }
-"""Title and claim by figure; Fig. 2's stands in the source's section 5."""
+"""Title and claim by figure. The claim on Fig. 2 is in section 5 of the source."""
 
 
-def compared(
+def comparison_of(
     figure: int,
     *,
     criteria: Sequence[Criterion],
@@ -78,10 +78,7 @@ def compared(
     values: Mapping[str, float] | None = None,
     plots: Sequence[Figure] = (),
 ) -> Comparison:
-    """The comparison of one figure, with its title and claim.
-
-    `criteria`, `message`, `evidence`, `values`, `plots`: As `Comparison` has them.
-    """
+    """Comparison of one figure with its title and claim."""
     title, claim = CLAIMS[figure]
     return Comparison(
         figure=figure,
@@ -95,7 +92,7 @@ def compared(
     )
 
 
-def failed(figure: int, problem: StrainwaveError) -> Comparison:
-    """What is said of a figure whose estimation failed: it is not shown."""
-    evidence = Evidence(str(problem), "estimation", "failed")
-    return compared(figure, criteria=(), message="the estimation failed", evidence=(evidence,))
+def failed_comparison(figure: int, error: StrainwaveError) -> Comparison:
+    """Comparison of a figure whose estimation failed: the claim is not shown."""
+    evidence = Evidence(str(error), "estimation", "failed")
+    return comparison_of(figure, criteria=(), message="the estimation failed", evidence=(evidence,))

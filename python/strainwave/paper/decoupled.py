@@ -1,4 +1,4 @@
-"""What the second input and the second output are good for: Figs. 10 and 11."""
+"""Effect of the second input and the second output: Figs. 10 and 11."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 
 from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.domain.options import Channels
-from strainwave.paper.claims import compared
+from strainwave.paper.claims import comparison_of
 from strainwave.paper.estimates import (
     Estimate,
-    close,
     curve,
     errors_of,
     estimated_curve,
-    far,
+    large_error,
     response_of,
+    small_error,
 )
 from strainwave.paper.rig import Rig
 from strainwave.presentation.figures.curves import Curve, bode
@@ -25,51 +25,52 @@ _OUTPUTS: tuple[tuple[str, Channels], ...] = (("one output", "motor"), ("two out
 
 
 def inputs(rig: Rig) -> Comparison:
-    """Fig. 10: with the interaction torque as an input, and without."""
+    """Fig. 10: models with and without the interaction torque as an input."""
     criteria: list[Criterion] = []
     evidence: list[Evidence] = []
     values: dict[str, float] = {}
-    plots, said, worst = [], [], []
+    plots, texts, worst = [], [], []
     for joint in (1, 2):
         run = rig.prbs(joint)
-        both, alone = rig.estimate(run), rig.estimate(run, inputs="motor")
-        evidence += [both.evidence, alone.evidence]
+        both, motor_only = rig.estimate(run), rig.estimate(run, inputs="motor")
+        evidence += [both.evidence, motor_only.evidence]
         curves = [
             *curve("truth", response_of(run.truth), true=True),
             *estimated_curve("decoupled: u and tau", both, band=True),
-            *estimated_curve("motor input only", alone),
+            *estimated_curve("motor input only", motor_only),
         ]
         plots.append(bode(curves, f"Joint {joint}: motor torque to motor velocity"))
-        good, poor = errors_of(both, run.truth), errors_of(alone, run.truth)
+        good, poor = errors_of(both, run.truth), errors_of(motor_only, run.truth)
         values[f"decoupled_db_{joint}"] = good.response_db
         values[f"motor_only_db_{joint}"] = poor.response_db
         criteria += [
-            close(f"joint {joint}, error of the anti-resonance [%]", good.anti_resonance_percent),
-            close(f"joint {joint}, error of the resonance [%]", good.resonance_percent),
-            far(f"joint {joint} by motor input only, larger error of both [%]", poor.worst_percent),
+            small_error(
+                f"joint {joint}, error of the anti-resonance [%]", good.anti_resonance_percent
+            ),
+            small_error(f"joint {joint}, error of the resonance [%]", good.resonance_percent),
+            large_error(
+                f"joint {joint} by motor input only, larger error of both [%]", poor.worst_percent
+            ),
         ]
         worst.append(poor.response_db)
-        said.append(
+        texts.append(
             f"joint {joint}: anti-resonance {good.anti_resonance_percent:+.1f} %, resonance "
             f"{good.resonance_percent:+.1f} % against {poor.anti_resonance_percent:+.0f} % and "
             f"{poor.resonance_percent:+.0f} % without the torque"
         )
     values["motor input only, error of the response, joint 2 over joint 1"] = worst[1] / worst[0]
-    return compared(
+    return comparison_of(
         10,
         criteria=tuple(criteria),
         evidence=tuple(evidence),
         values=values,
-        message="; ".join(said),
+        message="; ".join(texts),
         plots=tuple(plots),
     )
 
 
 def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
-    """Fig. 11: with the link velocity as an output, and without, over the payload.
-
-    `payloads` [kg]: From the largest.
-    """
+    """Fig. 11: models with and without the link velocity as an output, over the payloads [kg]."""
     evidence: list[Evidence] = []
     values: dict[str, float] = {}
     curves: dict[str, list[Curve]] = {name: [] for name, _ in _OUTPUTS}
@@ -78,22 +79,22 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
     for disks in payloads:
         rig.progress(f"one output against two, {disks} kg")
         run = rig.prbs(1, disks=disks)
-        for name, kept in _OUTPUTS:
-            found = rig.estimate(run, outputs=kept)
-            off = errors_of(found, run.truth)
-            evidence.append(found.evidence)
+        for name, used in _OUTPUTS:
+            model = rig.estimate(run, outputs=used)
+            errors = errors_of(model, run.truth)
+            evidence.append(model.evidence)
             values[f"{name}, {disks} kg: error of the anti-resonance [%]"] = (
-                off.anti_resonance_percent
+                errors.anti_resonance_percent
             )
-            values[f"{name}, {disks} kg: error of the response [dB]"] = off.response_db
-            worst[name] = max(worst[name], abs(off.anti_resonance_percent))
-            hz[name].append(_anti_resonance_hz(found))
-            curves[name] += estimated_curve(f"{disks} kg", found)
+            values[f"{name}, {disks} kg: error of the response [dB]"] = errors.response_db
+            worst[name] = max(worst[name], abs(errors.anti_resonance_percent))
+            hz[name].append(_anti_resonance_hz(model))
+            curves[name] += estimated_curve(f"{disks} kg", model)
     one, two = hz
-    return compared(
+    return comparison_of(
         11,
         criteria=(
-            close("two outputs, largest error of the anti-resonance [%]", worst[two]),
+            small_error("two outputs, largest error of the anti-resonance [%]", worst[two]),
             Criterion(
                 "two outputs, least ratio of anti-resonances from one payload to the next lighter",
                 _least_ratio(hz[two]),
@@ -101,7 +102,7 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
                 1.0,
                 "a lighter link has a higher anti-resonance",
             ),
-            far(
+            large_error(
                 "one output, largest error of the anti-resonance [%]",
                 worst[one],
                 "the motor velocity alone shows the anti-resonance as well, once the interaction "
@@ -112,12 +113,12 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
         values=values,
         message=f"anti-resonance at most {worst[two]:.1f} % off with two outputs, "
         f"{worst[one]:.1f} % with one",
-        plots=tuple(bode(drawn, f"Joint 1, {name}") for name, drawn in curves.items()),
+        plots=tuple(bode(group, f"Joint 1, {name}") for name, group in curves.items()),
     )
 
 
-def _anti_resonance_hz(found: Estimate) -> float:
-    return float("nan") if found.anti_resonance is None else found.anti_resonance.frequency_hz
+def _anti_resonance_hz(model: Estimate) -> float:
+    return float("nan") if model.anti_resonance is None else model.anti_resonance.frequency_hz
 
 
 def _least_ratio(hz: Sequence[float]) -> float:

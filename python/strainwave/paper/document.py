@@ -1,4 +1,4 @@
-"""Claims over several seeds -> comparisons.json, and from that the page docs/comparisons.md."""
+"""Convert claims over several seeds to comparisons.json."""
 
 from __future__ import annotations
 
@@ -15,10 +15,9 @@ SCHEMA = "strainwave/comparisons/2"
 
 
 def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any]:
-    """Claims, verdicts and numbers of every seed, without the figures.
+    """Claims, outcomes and numbers of every seed as JSON values, without figures.
 
-    `seeds`: In the order of each tally's runs. Returns: Of what JSON knows; a number that does not
-    exist is None.
+    `seeds` has the order of each tally's runs. Numbers without a value are None.
     """
     return {
         "schema": SCHEMA,
@@ -29,12 +28,12 @@ def document_of(tallies: Sequence[Tally], seeds: Sequence[int]) -> dict[str, Any
 
 
 def to_json(document: Mapping[str, Any]) -> bytes:
-    """`document_of` as UTF-8 text that ends with a newline."""
+    """A document as UTF-8 text that ends with a newline."""
     return (json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def _claim(tally: Tally) -> dict[str, Any]:
-    first = max(tally.runs, key=lambda run: len(run.criteria))  # one that did not fail
+    first = max(tally.runs, key=lambda run: len(run.criteria))  # a run that did not fail
     return {
         "figure": first.figure,
         "protocol": first.protocol,
@@ -67,19 +66,19 @@ def _names(tally: Tally) -> list[str]:
 
 
 def _model(tally: Tally, name: str) -> dict[str, Any]:
-    """One model over the seeds; a run that has none of that name is None."""
-    found = [next((e for e in run.evidence if e.name == name), None) for run in tally.runs]
-    known = [e for e in found if e is not None]
+    """One model over the seeds; None for runs without a model of that name."""
+    models = [next((e for e in run.evidence if e.name == name), None) for run in tally.runs]
+    known = [e for e in models if e is not None]
     codes = Counter(code for e in known for code in {w.code for w in e.warnings})
     return {
         "name": name,
         "method": known[0].method,
-        "order": [e and e.order for e in found],
-        "status": [e and e.status for e in found],
-        "growth": [e and _number(e.growth) for e in found],
-        "sound": [e and e.sound for e in found],
-        "decisive": [e and e.decisive for e in found],
-        "warnings": dict(sorted(codes.items())),  # in how many runs
+        "order": [e and e.order for e in models],
+        "status": [e and e.status for e in models],
+        "growth": [e and _number(e.growth) for e in models],
+        "sound": [e and e.sound for e in models],
+        "decisive": [e and e.decisive for e in models],
+        "warnings": dict(sorted(codes.items())),  # number of runs by code
     }
 
 

@@ -1,4 +1,4 @@
-"""State-space models of a decoupled joint by the product's own step, and how far they are off."""
+"""State-space models of a decoupled joint as `identify` estimates them, and their errors."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ from strainwave.presentation.figures.curves import Curve
 from strainwave.statespace import frequency_response, to_continuous
 
 LINES_HZ = np.geomspace(1.0, 100.0, 240)
-JUDGED_HZ = (3.0, 60.0)  # where errors of responses are taken: around dip and peak
-CLOSE_PERCENT = 5.0
-_STEP = 1e-3  # [s] over which a physical model's growth is taken
-CLOSE = "5 % in a frequency are 10 % in a stiffness, as which a parameter counts as well known"
+JUDGED_HZ = (3.0, 60.0)  # band of response errors: around anti-resonance and resonance
+MAX_SMALL_ERROR = 5.0  # [%] of a frequency
+_GROWTH_SAMPLE_TIME = 1e-3  # [s] of the discrete-time poles of a physical model
+_SMALL_ERROR_REASON = "5 % in a frequency are 10 % in a stiffness, which counts as well known"
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +44,15 @@ class Estimate:
 
     evidence: Evidence
     model: StateSpace | None  # None: the estimation failed
-    continuous: ContinuousStateSpace | None = None  # None: there is none
-    response: FrequencyResponse | None = None  # of the latter at `LINES_HZ`
+    continuous: ContinuousStateSpace | None = None  # None: does not exist
+    response: FrequencyResponse | None = None  # of `continuous` at `LINES_HZ`
     anti_resonance: Mode | None = None
     resonance: Mode | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """How far an estimate is from the truth; infinite where it has no such thing."""
+    """Errors of an estimate; infinite if the estimate lacks the quantity."""
 
     anti_resonance_percent: float
     resonance_percent: float
@@ -60,21 +60,20 @@ class Errors:
 
     @property
     def worst_percent(self) -> float:
-        """The larger error of the two frequencies."""
+        """Larger error of the two frequencies."""
         return max(abs(self.anti_resonance_percent), abs(self.resonance_percent))
 
 
 def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) -> Estimate:
-    """A model of one joint by `physical.state_space_of`, as `identify` makes it.
+    """State-space model of one joint as `identify` estimates it, with status and warnings.
 
-    `name`: Of the model, for whoever reads its status. Returns: With the model's status and
-    warnings; where the estimation failed, with the reason.
+    `name` identifies the model. If the estimation fails, the evidence holds the reason.
     """
     try:
         model = state_space_of(records, options)
-    except (StrainwaveError, np.linalg.LinAlgError) as problem:
-        said = Diagnostic("state-space-failed", name, str(problem))
-        return Estimate(Evidence(name, options.method, "failed", warnings=(said,)), None)
+    except (StrainwaveError, np.linalg.LinAlgError) as error:
+        warning = Diagnostic("state-space-failed", name, str(error))
+        return Estimate(Evidence(name, options.method, "failed", warnings=(warning,)), None)
     evidence = Evidence(
         name,
         options.method,
@@ -84,13 +83,13 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
         warnings=model.warnings,
     )
     try:
-        found = modes_of(model)
+        modes = modes_of(model)
         continuous = to_continuous(without_alternating(model))
         response = frequency_response(continuous, LINES_HZ)
-    except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as problem:
-        said = Diagnostic("modes-failed", name, str(problem))
-        return Estimate(replace(evidence, warnings=(*model.warnings, said)), model)
-    return Estimate(evidence, model, continuous, response, found.anti_resonance, found.resonance)
+    except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as error:
+        warning = Diagnostic("modes-failed", name, str(error))
+        return Estimate(replace(evidence, warnings=(*model.warnings, warning)), model)
+    return Estimate(evidence, model, continuous, response, modes.anti_resonance, modes.resonance)
 
 
 def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
@@ -100,52 +99,45 @@ def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
 
 
 def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Evidence:
-    """Of a physical model of which only the response counts, not each parameter by itself.
-
-    `joint`: Its parameters.
-    """
+    """Evidence of a physical model of which only the response counts, not single parameters."""
     return replace(evidence_of(model, name), growth=growth_of(joint))
 
 
 def growth_of(joint: TwoInertia) -> float:
-    """Largest modulus of a joint's poles, sampled every millisecond."""
+    """Largest modulus of a joint's discrete-time poles at 1 ms."""
     slowest = float(np.linalg.eigvals(state_space(joint)[0]).real.max())
-    return float(np.exp(slowest * _STEP))
+    return float(np.exp(slowest * _GROWTH_SAMPLE_TIME))
 
 
-def close(name: str, percent: float, otherwise: str = "") -> Criterion:
-    """That an error of a frequency is small.
+def small_error(name: str, percent: float, otherwise: str = "") -> Criterion:
+    """Criterion that the error of a frequency is small. `otherwise` explains a large error."""
+    return Criterion(name, abs(percent), "at most", MAX_SMALL_ERROR, _SMALL_ERROR_REASON, otherwise)
 
-    `otherwise`: Why it is not, where it is not.
+
+def large_error(name: str, percent: float, otherwise: str = "") -> Criterion:
+    """Criterion that the error of a frequency is large; a missing frequency has an infinite error.
+
+    `otherwise` explains a small error.
     """
-    return Criterion(name, abs(percent), "at most", CLOSE_PERCENT, CLOSE, otherwise)
-
-
-def far(name: str, percent: float, otherwise: str = "") -> Criterion:
-    """That an error of a frequency is not small; a missing frequency is the largest error.
-
-    `otherwise`: Why it is small, where it is.
-    """
-    return Criterion(name, abs(percent), "at least", CLOSE_PERCENT, CLOSE, otherwise)
+    return Criterion(
+        name, abs(percent), "at least", MAX_SMALL_ERROR, _SMALL_ERROR_REASON, otherwise
+    )
 
 
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:
-    """Of a joint with known parameters.
-
-    `frequencies_hz` (n_frequencies,).
-    """
+    """Frequency response of a joint with known parameters."""
     A, B, C = state_space(joint)
     return frequency_response(ContinuousStateSpace(A, B, C, np.zeros((2, 2))), frequencies_hz)
 
 
-def errors_of(found: Estimate, truth: TwoInertia) -> Errors:
-    """Against the truth."""
+def errors_of(model: Estimate, truth: TwoInertia) -> Errors:
+    """Errors of an estimate relative to the true joint."""
     db = float("inf")
-    if found.response is not None:
-        db = distance_db(found.response.response[:, 0, 0], response_of(truth).response[:, 0, 0])
+    if model.response is not None:
+        db = distance_db(model.response.response[:, 0, 0], response_of(truth).response[:, 0, 0])
     return Errors(
-        _off(found.anti_resonance, true_anti_resonance(truth)),
-        _off(found.resonance, true_resonance(truth)),
+        _error_percent(model.anti_resonance, true_anti_resonance(truth)),
+        _error_percent(model.resonance, true_resonance(truth)),
         db,
     )
 
@@ -156,22 +148,21 @@ def distance_db(
     frequencies_hz: FloatArray = LINES_HZ,
     band_hz: tuple[float, float] = JUDGED_HZ,
 ) -> float:
-    """Root mean square of two responses' difference in magnitude, logarithmic in frequency.
+    """Root mean square [dB] of the magnitude ratio of two responses over a band.
 
-    `one`, `other` (n_frequencies,). `frequencies_hz` (n_frequencies,): Evenly spaced in their
-    logarithm. `band_hz` (float, float). Returns [dB].
+    All arrays have shape (n_frequencies,). The frequencies are evenly spaced in their logarithm.
     """
-    judged = (frequencies_hz >= band_hz[0]) & (frequencies_hz <= band_hz[1])
-    ratio = 20.0 * np.log10(np.abs(one[judged]) / np.abs(other[judged]))
+    in_band = (frequencies_hz >= band_hz[0]) & (frequencies_hz <= band_hz[1])
+    ratio = 20.0 * np.log10(np.abs(one[in_band]) / np.abs(other[in_band]))
     return float(np.sqrt(np.mean(ratio**2)))
 
 
 def curve(
     name: str, response: FrequencyResponse, *, true: bool = False, band: bool = False
 ) -> list[Curve]:
-    """Motor torque to motor velocity for a figure.
+    """Curve of motor torque to motor velocity for a figure, as a list.
 
-    `true`: Of the truth. `band`: With its 95 % band, if it has a covariance. Returns: One.
+    `true` marks the true response, `band` adds the 95 % band if there is a covariance.
     """
     size = response.magnitude_std if band else None
     angle = response.phase_std if band else None
@@ -187,18 +178,15 @@ def curve(
     ]
 
 
-def estimated_curve(name: str, found: Estimate, *, band: bool = False) -> list[Curve]:
-    """As `curve`, of an estimate; empty where it has no response.
-
-    `name`: What is wrong with the model is added to it.
-    """
-    if found.response is None:
+def estimated_curve(name: str, model: Estimate, *, band: bool = False) -> list[Curve]:
+    """Curve of an estimate; empty if it has no response. The name states whether it is sound."""
+    if model.response is None:
         return []
-    sound = found.evidence.sound
-    return curve(name if sound else f"{name} (not sound)", found.response, band=band and sound)
+    sound = model.evidence.sound
+    return curve(name if sound else f"{name} (not sound)", model.response, band=band and sound)
 
 
-def _off(found: Mode | None, true: Mode) -> float:
-    if found is None:
+def _error_percent(mode: Mode | None, true: Mode) -> float:
+    if mode is None:
         return float("inf")
-    return 100.0 * (found.frequency_hz / true.frequency_hz - 1.0)
+    return 100.0 * (mode.frequency_hz / true.frequency_hz - 1.0)

@@ -1,4 +1,4 @@
-"""What drives a joint: the PRBS (Fig. 4), and the other link's torque (Figs. 5 and 12)."""
+"""Inputs of a joint: the PRBS (Fig. 4), and the interaction torque (Figs. 5 and 12)."""
 
 from __future__ import annotations
 
@@ -7,31 +7,31 @@ import numpy as np
 from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import lagged
-from strainwave.paper.claims import compared
+from strainwave.paper.claims import comparison_of
 from strainwave.paper.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, lines, spectrum
 
 PERIOD = (2**ORDER - 1) * CLOCK  # [s]
-_SHOWN = 0.3  # [s]
-_SLOW_HZ = 5.0  # below the anti-resonance, where a servo holds
-_FLAT_DB = 3.0
-_FAITHFUL = 95.0  # [%] fit of the computed torque
-_FULL = 0.8  # share of the band
-_STRETCHED = 0.999  # least cosine of joint 2's angle for a constant inertia
-_LESS_DB = -3.0
+_PLOTTED_DURATION = 0.3  # [s]
+_MAX_SERVO_HZ = 5.0  # below the anti-resonance, where the servo holds the joint
+_MAX_RIPPLE_DB = 3.0
+_MIN_TORQUE_FIT = 95.0  # [%] of the computed torque
+_MIN_BAND_SHARE = 0.8  # in which the torque exceeds its noise
+_MIN_COSINE = 0.999  # of joint 2's angle, for a constant inertia
+_MAX_SERVO_POWER_DB = -3.0  # relative to the free joint
 
 
 def prbs(rig: Rig) -> Comparison:
-    """Fig. 4: the input of the first joint."""
+    """Fig. 4: input of joint 1."""
     run = rig.prbs(1)
     voltage = run.trajectory["voltage"][:, 0]
     frequency, density = _density(voltage, run)
     inside = (frequency >= 1.0) & (frequency <= 100.0)
     ripple = float(np.ptp(10.0 * np.log10(density[inside])))
     levels = np.unique(np.round(voltage, 9))
-    shown = run.trajectory.time < _SHOWN
-    return compared(
+    shown = run.trajectory.time < _PLOTTED_DURATION
+    return comparison_of(
         4,
         criteria=(
             Criterion("levels", float(len(levels)), "at most", 2.0, "a binary sequence has two"),
@@ -39,7 +39,7 @@ def prbs(rig: Rig) -> Comparison:
                 "ripple of the density from 1 to 100 Hz [dB]",
                 ripple,
                 "at most",
-                _FLAT_DB,
+                _MAX_RIPPLE_DB,
                 "half the power, the usual edge of a band",
             ),
         ),
@@ -59,35 +59,38 @@ def prbs(rig: Rig) -> Comparison:
 
 
 def free(rig: Rig) -> Comparison:
-    """Fig. 5: torque of link 2 on link 1 while joint 2 is free."""
+    """Fig. 5: torque of link 2 on link 1 with joint 2 free."""
     run = rig.prbs(1)
     tau, true, fit = _torques(run)
     frequency, density = _density(tau, run)
-    full = next(c for c in run.decoupled.checks if c.name == "interaction-spectrum")
+    spectrum_check = next(c for c in run.decoupled.checks if c.name == "interaction-spectrum")
     cosine = _least_cosine(run)
     early = run.trajectory.time < PERIOD
-    return compared(
+    return comparison_of(
         5,
         criteria=(
             Criterion(
                 "share of the band in which the torque is above its noise",
-                full.value,
+                spectrum_check.value,
                 "at least",
-                _FULL,
-                "below that identify warns of a poor second input",
+                _MIN_BAND_SHARE,
+                "below it, identify warns of a poor second input",
             ),
-            _stretched(cosine),
-            _faithful(fit),
+            _cosine_criterion(cosine),
+            _fit_criterion(fit),
         ),
         values={"rms_n_m": float(tau.std())},
-        message=f"above its noise in {100.0 * full.value:.0f} % of the band; "
+        message=f"above its noise in {100.0 * spectrum_check.value:.0f} % of the band; "
         f"{fit:.1f} % fit to the true torque; least cosine of joint 2 {cosine:.5f}",
-        plots=(*_drawn(run, tau, true, early), _spectra({"joint 2 free": (frequency, density)})),
+        plots=(
+            *_torque_plots(run, tau, true, early),
+            _spectra({"joint 2 free": (frequency, density)}),
+        ),
     )
 
 
 def servoed(rig: Rig) -> Comparison:
-    """Fig. 12: the same while a servo holds joint 2."""
+    """Fig. 12: torque of link 2 on link 1 with joint 2 under its servo."""
     densities, slow = {}, {}
     controls: tuple[tuple[str, Control], ...] = (("free", "open"), ("servoed", "servo"))
     for name, other in controls:
@@ -96,57 +99,57 @@ def servoed(rig: Rig) -> Comparison:
         frequency, density = _density(tau, run)
         densities[f"joint 2 {name}"] = (frequency, density)
         cosine = _least_cosine(run)
-        slow[name] = float(density[(frequency >= 1.0) & (frequency <= _SLOW_HZ)].mean())
+        slow[name] = float(density[(frequency >= 1.0) & (frequency <= _MAX_SERVO_HZ)].mean())
     drop = 10.0 * float(np.log10(slow["servoed"] / slow["free"]))
     early = run.trajectory.time < PERIOD
-    return compared(
+    return comparison_of(
         12,
         criteria=(
             Criterion(
-                f"power from 1 to {_SLOW_HZ:g} Hz against the free joint [dB]",
+                f"power from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint [dB]",
                 drop,
                 "at most",
-                _LESS_DB,
+                _MAX_SERVO_POWER_DB,
                 "half the power",
             ),
-            _stretched(cosine),
-            _faithful(fit),
+            _cosine_criterion(cosine),
+            _fit_criterion(fit),
         ),
-        message=f"{drop:+.1f} dB from 1 to {_SLOW_HZ:g} Hz against the free joint; {fit:.1f} % fit "
-        f"to the true torque; least cosine of joint 2 {cosine:.5f}",
-        plots=(*_drawn(run, tau, true, early), _spectra(densities)),
+        message=f"{drop:+.1f} dB from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint; {fit:.1f} "
+        f"% fit to the true torque; least cosine of joint 2 {cosine:.5f}",
+        plots=(*_torque_plots(run, tau, true, early), _spectra(densities)),
     )
 
 
 def _least_cosine(run: Run) -> float:
-    """Of joint 2's angle, from its motor's encoder as the source computes it."""
+    """Smallest cosine of joint 2's angle from its motor encoder, as the source computes it."""
     ratio = run.arm.joints[1].gear_ratio
     return float(np.cos(ratio * run.log.channels["theta_m2"]).min())
 
 
-def _stretched(cosine: float) -> Criterion:
+def _cosine_criterion(cosine: float) -> Criterion:
     return Criterion(
         "least cosine of the angle of joint 2",
         cosine,
         "at least",
-        _STRETCHED,
-        "the source's own, for a constant inertia",
-        "open loop leaves the arm where the PRBS takes it, and this one swings further",
+        _MIN_COSINE,
+        "limit of the source for a constant inertia",
+        "in open loop this arm swings further than that of the source",
     )
 
 
-def _faithful(fit: float) -> Criterion:
+def _fit_criterion(fit: float) -> Criterion:
     return Criterion(
         "fit of the computed to the true torque [%]",
         fit,
         "at least",
-        _FAITHFUL,
-        "base parameters 5 % off move the link inertia by 2.4 %",
+        _MIN_TORQUE_FIT,
+        "errors of 5 % in the base parameters change the link inertia by 2.4 %",
     )
 
 
 def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
-    """Interaction torque as computed and as it truly was, and the fit of the two."""
+    """Computed and true interaction torque, and the fit of the computed one [%]."""
     joint = run.decoupled.joint
     tau = run.decoupled.inputs[:, 1]
     motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
@@ -154,13 +157,13 @@ def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
     true = interaction_torques(run.arm, base, *motion)[:, joint - 1]
     true = lagged(true, run.decoupled.shared, run.decoupled.sample_time)
     valid = run.decoupled.valid
-    missed = np.linalg.norm((tau - true)[valid])
-    fit = 100.0 * (1.0 - missed / np.linalg.norm(true[valid] - true[valid].mean()))
+    error = np.linalg.norm((tau - true)[valid])
+    fit = 100.0 * (1.0 - error / np.linalg.norm(true[valid] - true[valid].mean()))
     return tau, true, float(fit)
 
 
 def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
-    """Power spectral density with segments of one period, in which a PRBS has no leakage."""
+    """Power spectral density with segments of one period, for which a PRBS has no leakage."""
     from scipy.signal import welch
 
     T = run.decoupled.sample_time
@@ -170,7 +173,9 @@ def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequency[shown]), np.asarray(density[shown])
 
 
-def _drawn(run: Run, tau: FloatArray, true: FloatArray, rows: BoolArray) -> tuple[Figure, ...]:
+def _torque_plots(
+    run: Run, tau: FloatArray, true: FloatArray, rows: BoolArray
+) -> tuple[Figure, ...]:
     time = run.trajectory.time[rows]
     return (
         lines(

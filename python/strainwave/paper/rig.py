@@ -1,4 +1,4 @@
-"""Runs of the built-in arm as its sensors log them, decoupled, with the truth beside them."""
+"""Experiments of the built-in arm as its sensors log them, decoupled, with the true values."""
 
 from __future__ import annotations
 
@@ -45,19 +45,15 @@ from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import link_side
 from strainwave.virtual import scara
+from strainwave.virtual.plans import STEP_HOLD, smooth_reference
 
 Progress = Callable[[str], None]
 
-PAYLOAD = 5  # [kg]; what most comparisons carry
-AMPLITUDE = 10.0  # [V]; the most the rig's drives give
-CLOCK = 1e-3  # [s]
+PAYLOAD = 5  # [kg] of most comparisons
+AMPLITUDE = 10.0  # [V] limit of the rig's drives
+CLOCK = 1e-3  # [s] of servo and PRBS
 ORDER = 10  # of the PRBS: 1023 clocks
-STEP_SAMPLE = 2.5e-4  # [s] of the records of steps
-_MOTION_SECONDS = 10.0
-_MOTION_SPEED = 1.8  # [rad/s] of a link
-_MOTION_EXCURSION = 1.2  # [rad] of a link
-_MOTION_TOP_HZ = 1.0
-_STEP_SECONDS = 0.5
+STEP_SAMPLE_TIME = 2.5e-4  # [s] of step records
 TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
 _TRUTH: tuple[Quantity, ...] = (
@@ -70,7 +66,7 @@ _TRUTH: tuple[Quantity, ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One experiment: what was measured of the excited joint, and what is true of it."""
+    """One experiment: measurements of the excited joint, and its true model."""
 
     name: str
     arm: Arm
@@ -79,22 +75,21 @@ class Run:
     log: Log
     signals: LinkSignals
     decoupled: Decoupled
-    truth: TwoInertia  # with the slope that the gear showed on the whole
+    truth: TwoInertia  # with the equivalent stiffness of the record
 
 
 @dataclass(frozen=True, slots=True)
 class Tuned:
-    """All parameters of the arm with its full payload, fitted at once."""
+    """Parameters of the arm with its full payload, fitted at once."""
 
     values: Values
     evidence: tuple[Evidence, ...]
 
 
 class Rig:
-    """The virtual SCARA arm with three-slope gears and noisy sensors; runs are made once.
+    """The virtual SCARA arm with three-slope gears and noisy sensors. Runs are cached.
 
-    `seed`: Of the sensors' noise, of the motions, and of where the PRBS begins. `progress`: Called
-    with what is being done.
+    `seed` is that of sensor noise, motions and the start of the PRBS.
     """
 
     def __init__(
@@ -111,19 +106,18 @@ class Rig:
         self.physical = cache(self._physical)
         self.transfer = cache(self._transfer)
         self.tuned = cache(self._tuned)
-        self._begins = int(self._rng(3).integers(2**ORDER - 1))
+        self._prbs_start = int(self._rng(3).integers(2**ORDER - 1))
 
-    def forget(self) -> None:
-        """Let go of all runs and models; they take some hundred megabytes."""
-        for made in (self.rigid, self.prbs, self.estimate, self.physical, self.transfer):
-            made.cache_clear()
-        self.tuned.cache_clear()
+    def clear_caches(self) -> None:
+        """Release all runs and models, which take some hundred megabytes."""
+        cached = (self.rigid, self.prbs, self.estimate, self.physical, self.transfer, self.tuned)
+        for function in cached:
+            function.cache_clear()
 
     def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
-        """Steps of one servo's reference, the other servo at zero, as logged.
+        """Log of steps of one servo's reference with the other servo's reference at zero.
 
-        `levels` [rad/s]: Of the motor, each for half a second. `joint`: From 1. `number`: Makes the
-        noise that of this record.
+        `levels` [rad/s] are those of the motor for half a second each. `number` selects the noise.
         """
         values = scara.parameters(PAYLOAD)
         trajectory = run_steps(self.arm, values, levels, joint)
@@ -136,21 +130,11 @@ class Rig:
         return replace(log, channels={**log.channels, **references})
 
     def _rigid(self, disks: int) -> RigidModel:
-        """The first step's model, from a servoed motion of both joints."""
+        """Rigid model from a servoed motion of both joints."""
         self.progress(f"rigid step with {disks} kg")
         rng = self._rng(0, disks)
         reference = np.column_stack(
-            [
-                excitation.smooth_motion(
-                    duration=_MOTION_SECONDS,
-                    clock=CLOCK,
-                    top_hz=_MOTION_TOP_HZ,
-                    excursion=_MOTION_EXCURSION / joint.gear_ratio,
-                    speed=_MOTION_SPEED / joint.gear_ratio,
-                    rng=rng,
-                )
-                for joint in self.arm.joints
-            ]
+            [smooth_reference(joint.gear_ratio, CLOCK, rng) for joint in self.arm.joints]
         )
         both: tuple[Control, Control] = ("servo", "servo")
         drive = _drive(np.zeros_like(reference), reference, both)
@@ -179,13 +163,14 @@ class Rig:
     ) -> Run:
         """One joint under PRBS in open loop, the other free or servoed.
 
-        `start` is the clock of the sequence that the record begins with, after the seed's own.
+        `start` is the clock of the sequence at which the record starts, relative to that of the
+        seed.
         """
         control: tuple[Control, Control] = ("open", other) if joint == 1 else (other, "open")
         count = periods or self.settings.periods
         sequence = excitation.prbs(Prbs(ORDER, CLOCK, count, amplitude))
         voltage = np.zeros((len(sequence), 2))
-        voltage[:, joint - 1] = np.roll(sequence, -start - self._begins)
+        voltage[:, joint - 1] = np.roll(sequence, -start - self._prbs_start)
         values = scara.parameters(disks)
         T = self.settings.sample_time
         trajectory = simulate(
@@ -224,7 +209,7 @@ class Rig:
         outputs: Channels = "both",
         order: int | None = None,
     ) -> Estimate:
-        """State-space model of one joint by the settings' way, but for what is given."""
+        """State-space model of one joint with the given changes of the settings."""
         linear = self.settings.linear
         linear = replace(
             linear,
@@ -233,31 +218,31 @@ class Rig:
             outputs=outputs,
             order=order or linear.order,
         )
-        left_out = [
+        restrictions = [
             text
-            for text, kept in (("motor input only", inputs), ("one output", outputs))
-            if kept == "motor"
+            for text, channels in (("motor input only", inputs), ("one output", outputs))
+            if channels == "motor"
         ]
-        name = ", ".join([linear.method, runs[0].name, *left_out])
+        name = ", ".join([linear.method, runs[0].name, *restrictions])
         return estimate([run.decoupled for run in runs], linear, name)
 
     def _physical(self, *runs: Run, disks: int = PAYLOAD) -> JointModel:
-        """Physical parameters of one joint by its equations of motion."""
+        """Physical parameters of one joint from its equations of motion."""
         return identify_joint(
             [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.arm
         )
 
     def _transfer(self, joint: int) -> JointModel:
-        """Physical parameters from the state-space model, with the rigid model's lag, (18)."""
+        """Physical parameters from the state-space model and the rigid model's lag, (18)."""
         run = self.prbs(joint)
-        found = self.estimate(run)
-        if found.model is None:
-            raise NotIdentifiable(found.evidence.warnings[-1].message)
+        estimate = self.estimate(run)
+        if estimate.model is None:
+            raise NotIdentifiable(estimate.evidence.warnings[-1].message)
         known = rigid_knowledge(self.rigid(PAYLOAD), self.arm, joint)
-        return from_state_space(found.model, run.decoupled, self.arm, known)
+        return from_state_space(estimate.model, run.decoupled, self.arm, known)
 
     def _tuned(self) -> Tuned:
-        """All parameters at once, from a PRBS and a step of each joint, or as published."""
+        """All parameters from a PRBS and a step of each joint, or as published."""
         self.progress("fine tuning")
         logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
         arm, name = self.arm, "whole arm"
@@ -271,7 +256,7 @@ class Rig:
             logs += [run.log for run in runs]
         model = tune(logs, self.rigid(PAYLOAD), joints, arm, self.settings.tuning)
         values, evidence = dict(model.values), evidence_of(model, name)
-        if self.settings.tuning.as_published:  # its ranges are part of the method
+        if self.settings.tuning.as_published:  # the ranges are part of the method
             growth = max(
                 growth_of(joint_with(values, number, values["gear_stiffness", number], ratio))
                 for number, ratio in enumerate((j.gear_ratio for j in arm.joints), start=1)
@@ -284,29 +269,28 @@ class Rig:
 
 
 def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -> Trajectory:
-    """An arm under its velocity servos, one of them with a reference of steps.
+    """Trajectory of an arm under its velocity servos, one of them with a reference of steps.
 
-    `values`: (name, joint) -> value, of the arm's kinds of springs. `levels` [rad/s]. `joint`: From
-    1.
+    `values` have the springs of `arm`. `levels` [rad/s].
     """
     both = _reference(levels, joint)
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
-    samples = round(len(both) * CLOCK / STEP_SAMPLE)
+    samples = round(len(both) * CLOCK / STEP_SAMPLE_TIME)
     return simulate(
-        arm, values, drive, sample_time=STEP_SAMPLE, samples=samples, record=_SENSORS + _TRUTH
+        arm, values, drive, sample_time=STEP_SAMPLE_TIME, samples=samples, record=_SENSORS + _TRUTH
     )
 
 
 def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
-    """(n_ticks, 2) [rad/s]; the other servo's is zero."""
-    own = excitation.steps(np.array(levels), hold=_STEP_SECONDS, clock=CLOCK)
-    both = np.zeros((len(own), 2))
-    both[:, joint - 1] = own
+    """References (n_ticks, 2) [rad/s]; that of the other servo is zero."""
+    steps = excitation.steps(np.array(levels), hold=STEP_HOLD, clock=CLOCK)
+    both = np.zeros((len(steps), 2))
+    both[:, joint - 1] = steps
     return both
 
 
 def ideal_log(trajectory: Trajectory, joint: int) -> Log:
-    """A model's steps as the rig's sensors would log them, without noise."""
+    """Log of a model's steps with the sensors of the rig, without noise."""
     experiment = Experiment("model", "model.csv", "tuning", ("servo", "servo"), joint)
     return _log(experiment, trajectory, None, np.random.default_rng(0))
 

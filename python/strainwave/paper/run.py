@@ -1,4 +1,4 @@
-"""The comparisons as files: claims put to the built-in arm, as a page, as JSON and as Markdown."""
+"""Write the comparisons as HTML, JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -21,21 +21,23 @@ def write_comparisons(
     seeds: int = 1,
     as_published: bool = False,
 ) -> tuple[Tally, ...]:
-    """The source's claims put to the built-in arm: comparisons.html, .json and .md.
+    """Test the source's claims on the built-in arm; write comparisons.html, .json and .md.
 
-    `identification`: Of that arm; its tuned parameters are compared, if it has them. `seed`: The
-    first. `seeds`: How many. `as_published`: Whether by the source's settings as well.
+    `identification` is that of the arm; its tuned parameters are compared if it has them. `seed` is
+    the first of `seeds` seeds. `as_published` adds the published settings.
     """
     numbers = range(seed, seed + seeds)
     settings = (OWN, PUBLISHED) if as_published else (OWN,)
-    found = compare_seeds(numbers, tuned=identification.tuned, settings=settings, progress=progress)
+    tallies = compare_seeds(
+        numbers, tuned=identification.tuned, settings=settings, progress=progress
+    )
     progress("writing the comparisons")
-    page = render_comparisons(found, arm=scara.DESCRIPTION)
-    document = document_of(found, numbers)
+    page = render_comparisons(tallies, arm=scara.DESCRIPTION)
+    document = document_of(tallies, numbers)
     files = {
         "comparisons.html": page.encode(),
         "comparisons.json": to_json(document),
         "comparisons.md": to_markdown(document).encode(),
     }
     write_whole(folder, files)
-    return found
+    return tallies

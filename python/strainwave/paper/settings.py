@@ -1,4 +1,4 @@
-"""How experiments of a comparison are recorded and their models estimated."""
+"""Settings of recording and estimation for the comparisons."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from strainwave.domain import LinearOptions, LinkOptions, Protocol, TuningOption
 from strainwave.domain.options import EstimationMethod
 
 CLASSICAL: EstimationMethod = "moesp"
-"""Of the weights among which MATLAB's n4sid chooses; feedback biases it."""
+"""One of the weightings of MATLAB's n4sid. Feedback biases it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """One way from an experiment to a model."""
+    """Settings from an experiment to a model."""
 
     protocol: Protocol
     sample_time: float  # [s] of the logs
@@ -21,22 +21,22 @@ class Settings:
     links: LinkOptions = field(default_factory=LinkOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
     tuning: TuningOptions = field(default_factory=TuningOptions)
-    records: int = 4  # of one period, at each amplitude of Figs. 14 and 15
-    why_not_better: str = "the first model left little to gain"  # by fine tuning
+    records: int = 4  # of one period at each amplitude of Figs. 14 and 15
+    why_not_better: str = "the first model was already accurate"  # by fine tuning
 
 
 OWN = Settings("own", sample_time=2.5e-4, periods=4)
-"""What `identify` does unless it is set otherwise."""
+"""Default settings of `identify`."""
 
 PUBLISHED = Settings(
     "as-published",
     sample_time=2.5e-5,
     periods=1,
-    links=LinkOptions(order=1),  # its time constant is not in the source: ours
+    links=LinkOptions(order=1),  # the source does not give its time constant
     linear=LinearOptions(order=4, decimation=80, filter="decimation"),
     tuning=TuningOptions(as_published=True),
     records=1,
-    why_not_better="steps bend the gear less than the PRBS, where it is softer, and one stiffness "
-    "of a gear that has three follows",
+    why_not_better="steps load the gear less than the PRBS does, and the one stiffness follows the "
+    "softer slope there",
 )
-"""The source's: 0.025 ms, one period of 1.023 s, decimated to 2 ms, order 4."""
+"""Settings of the source: 0.025 ms, one period of 1.023 s, decimated to 2 ms, order 4."""

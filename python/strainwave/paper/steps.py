@@ -1,4 +1,4 @@
-"""The tuned arm under its servos: Figs. 7 and 8."""
+"""Step responses of the tuned arm under its servos: Figs. 7 and 8."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ from strainwave.domain import Comparison, Criterion, FloatArray
 from strainwave.domain.parameters import Values
 from strainwave.identification.closed_loop import as_known
 from strainwave.numerics.filters import band_pass, low_pass
-from strainwave.paper.claims import compared
+from strainwave.paper.claims import comparison_of
 from strainwave.paper.rig import TUNING_STEPS, Rig, Tuned, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair
 from strainwave.signals.link_motion import link_side
 
-_CHECKS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # levels of the validation data
-_SEEN_HZ = 100.0  # above it a velocity is noise
-_RINGING_HZ = (5.0, 60.0)  # where the gears vibrate and the servo hardly acts
-_GOOD = 97.0  # [%]
-_WIDTH = "what the curves of a printed plot such as the source's can differ by unseen"
+_VALIDATION_STEPS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # [rad/s] of the motor
+_MAX_SIGNAL_HZ = 100.0  # above, the velocity is noise
+_VIBRATION_HZ = (5.0, 60.0)  # band of the gears' vibration, above that of the servo
+_MIN_FIT = 97.0  # [%]
+_MIN_FIT_REASON = "a smaller difference is not visible in a printed plot"
 
 
 def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
-    """Fig. 7: a step of joint 1 and the model's answer, before and after tuning."""
-    fits, rings, plots = [], [], []
+    """Fig. 7: step of joint 1 and the response of the model before and after tuning."""
+    fits, vibration_fits, plots = [], [], []
     for name, model_of in (("before", before), ("after", after)):
-        measured, model, time = _answers(rig, model_of.values, TUNING_STEPS, 0)
+        measured, model, time = _link_velocities(rig, model_of.values, TUNING_STEPS, 0)
         fits.append(_fit(measured, model))
-        rings.append(_fit(_ringing(measured, time), _ringing(model, time)))
+        vibration_fits.append(_fit(_vibration(measured, time), _vibration(model, time)))
         plots.append(_plot(measured, model, time, f"Step of joint 1, {name} tuning"))
-    return compared(
+    return comparison_of(
         7,
         criteria=(
             Criterion(
@@ -37,30 +37,40 @@ def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
                 fits[1] - fits[0],
                 "at least",
                 0.0,
-                "the source claims an improvement and no size of it",
+                "the source claims an improvement without a size",
                 rig.settings.why_not_better,
             ),
         ),
         evidence=(*before.evidence, *after.evidence),
-        values={"vibration fit before [%]": rings[0], "vibration fit after [%]": rings[1]},
+        values={
+            "vibration fit before [%]": vibration_fits[0],
+            "vibration fit after [%]": vibration_fits[1],
+        },
         message=f"fit of the link velocity {fits[0]:.1f} % before, {fits[1]:.1f} % after; of the "
-        f"vibration above {_RINGING_HZ[0]:g} Hz {rings[0]:.1f} % and {rings[1]:.1f} %",
+        f"vibration above {_VIBRATION_HZ[0]:g} Hz {vibration_fits[0]:.1f} % and "
+        f"{vibration_fits[1]:.1f} %",
         plots=tuple(plots),
     )
 
 
 def validation(rig: Rig, tuned: Tuned) -> Comparison:
-    """Fig. 8: steps of the validation data."""
+    """Fig. 8: steps for validation."""
     fits, plots = [], []
-    for number, levels in enumerate(_CHECKS, start=1):
-        measured, model, time = _answers(rig, tuned.values, levels, number)
+    for number, levels in enumerate(_VALIDATION_STEPS, start=1):
+        measured, model, time = _link_velocities(rig, tuned.values, levels, number)
         fits.append(_fit(measured, model))
         named = " to ".join(f"{level:g}" for level in levels)
         plots.append(_plot(measured, model, time, f"Reference {named} rad/s of the motor"))
-    return compared(
+    return comparison_of(
         8,
         criteria=(
-            Criterion("least fit of the link velocity [%]", min(fits), "at least", _GOOD, _WIDTH),
+            Criterion(
+                "least fit of the link velocity [%]",
+                min(fits),
+                "at least",
+                _MIN_FIT,
+                _MIN_FIT_REASON,
+            ),
         ),
         evidence=tuned.evidence,
         message="fits of the link velocity " + " and ".join(f"{fit:.1f} %" for fit in fits),
@@ -68,27 +78,27 @@ def validation(rig: Rig, tuned: Tuned) -> Comparison:
     )
 
 
-def _answers(
+def _link_velocities(
     rig: Rig, values: Values, levels: tuple[float, ...], number: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Link velocity of the arm and of the model, both from the same sensors by the same way."""
+    """Link velocities of the arm and of the model, from the same sensors, and the time."""
     joint = 1
     log = rig.steps(levels, joint, number)
-    own = run_steps(as_known(rig.arm, values), values, levels, joint)
+    model = run_steps(as_known(rig.arm, values), values, levels, joint)
     velocities = []
-    for record in (log, ideal_log(own, joint)):
+    for record in (log, ideal_log(model, joint)):
         velocity = link_side(record, rig.arm).link_velocity[:, joint - 1]
-        velocities.append(low_pass(velocity, _SEEN_HZ, record.sample_time))
+        velocities.append(low_pass(velocity, _MAX_SIGNAL_HZ, record.sample_time))
     return velocities[0], velocities[1], log.time
 
 
-def _ringing(velocity: FloatArray, time: FloatArray) -> FloatArray:
-    return band_pass(velocity, *_RINGING_HZ, float(time[1] - time[0]))
+def _vibration(velocity: FloatArray, time: FloatArray) -> FloatArray:
+    return band_pass(velocity, *_VIBRATION_HZ, float(time[1] - time[0]))
 
 
 def _fit(measured: FloatArray, model: FloatArray) -> float:
-    away = np.linalg.norm(measured - measured.mean())
-    return float(100.0 * (1.0 - np.linalg.norm(measured - model) / away))
+    spread = np.linalg.norm(measured - measured.mean())
+    return float(100.0 * (1.0 - np.linalg.norm(measured - model) / spread))
 
 
 def _plot(measured: FloatArray, model: FloatArray, time: FloatArray, caption: str) -> Figure:

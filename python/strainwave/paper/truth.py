@@ -1,38 +1,16 @@
-"""What is true of a joint of the built-in arm, as a linear model can know it."""
+"""True linear model of a joint of the built-in arm."""
 
 from __future__ import annotations
 
-import numpy as np
-
-from strainwave.domain import ArmDescription, FloatArray
+from strainwave.domain import ArmDescription
+from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.dynamics.two_inertia import TwoInertia
 
 
-def spring_torque(values: Values, joint: int, torsion: FloatArray) -> FloatArray:
-    """The three-slope law of one gear.
-
-    `torsion` (n_samples,) [rad]. Returns (n_samples,) [N m].
-    """
-    k1, k2, k3 = slopes(values, joint)
-    t1, t2 = (values[f"gear_knee_t{i}", joint] for i in (1, 2))
-    first = t1 / k1
-    second = first + (t2 - t1) / k2
-    size = np.abs(torsion)
-    torque = (
-        k1 * np.minimum(size, first)
-        + k2 * np.clip(size - first, 0.0, second - first)
-        + k3 * np.maximum(size - second, 0.0)
-    )
-    return np.asarray(np.sign(torsion) * torque)
-
-
 def slopes(values: Values, joint: int) -> tuple[float, float, float]:
-    """K1, K2, K3 of one gear.
-
-    Returns [N m/rad].
-    """
+    """K1, K2, K3 [N m/rad] of one gear."""
     return (
         values["gear_stiffness_k1", joint],
         values["gear_stiffness_k2", joint],
@@ -41,17 +19,14 @@ def slopes(values: Values, joint: int) -> tuple[float, float, float]:
 
 
 def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> TwoInertia:
-    """One joint of the arm on its own, with a linear spring.
-
-    `stiffness` [N m/rad].
-    """
-    own = values["beta", None]
+    """One joint of the arm with a linear spring [N m/rad]."""
+    link_inertia = values["beta", None]
     if joint == 1:
-        own += values["alpha", None] + 2.0 * values["gamma", None]
+        link_inertia += values["alpha", None] + 2.0 * values["gamma", None]
     return TwoInertia(
         motor_inertia=values["motor_inertia", joint],
         motor_viscous_friction=values["motor_viscous_friction", joint],
-        link_inertia=own,
+        link_inertia=link_inertia,
         link_viscous_friction=values["link_viscous_friction", joint],
         gear_stiffness=stiffness,
         gear_damping=values["gear_damping", joint],
@@ -62,16 +37,18 @@ def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> Tw
 def equivalent(
     arm: ArmDescription, values: Values, trajectory: Trajectory, joint: int
 ) -> TwoInertia:
-    """The joint with the slope that fits its spring's torque over the whole run best.
+    """Joint with the equivalent stiffness, which fits the spring torque over the record best.
 
-    k = sum(T(delta) delta) / sum(delta^2), with the torsion delta of the run.
+        k = sum(T(delta) delta) / sum(delta^2)
 
-    `values`: With three slopes, or with one, which is then the answer. `joint`: From 1.
+    delta is the torsion of the record. `values` have three slopes, or one stiffness, which is then
+    k.
     """
     ratio = arm.joints[joint - 1].gear_ratio
     if ("gear_stiffness", joint) in values:
         return joint_with(values, joint, values["gear_stiffness", joint], ratio)
     column = joint - 1
     torsion = ratio * trajectory["motor_angle"][:, column] - trajectory["link_angle"][:, column]
-    torque = spring_torque(values, joint, torsion)
+    law = gear_law("three-slope")
+    torque = law.torque(law.of_joint(values, joint), torsion)
     return joint_with(values, joint, float(torque @ torsion / (torsion @ torsion)), ratio)

@@ -1,1 +1,1 @@
-"""A built-in arm and virtual experiments: studies and logs whose truth is known."""
+"""The built-in arm and virtual experiments: studies and logs with known true values."""

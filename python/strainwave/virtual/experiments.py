@@ -1,8 +1,7 @@
-"""Experiments on a virtual arm: study and parameters in; logs and a study to identify from out.
+"""Simulate the experiments of a study on a virtual arm and write its logs and study file.
 
-An experiment whose log is there is run again with the log's references and open-loop voltages; one
-that was planned and not recorded yet with what was planned; any other gets an excitation that fits
-its use.
+If the log of an experiment exists, its references and open-loop voltages are applied again. If a
+plan exists, the plan is applied. Otherwise an excitation is chosen by the use of the experiment.
 """
 
 from __future__ import annotations
@@ -35,13 +34,13 @@ from strainwave.io import study as studies
 from strainwave.io.parameters import read_parameters
 from strainwave.signals.recorded_input import recorded_drive
 from strainwave.virtual import scara
-from strainwave.virtual.plans import Plan, invented
-from strainwave.virtual.records import Simulator, recorded
+from strainwave.virtual.plans import Plan, default_plan
+from strainwave.virtual.records import Simulator, record_experiment
 
 Progress = Callable[[str], None]
 
-_FAST_SAMPLE = 2.5e-4  # [s] where the gears' vibration is to be seen
-_WRITABLE = (".csv", ".csv.gz", ".parquet")
+_FAST_SAMPLE_TIME = 2.5e-4  # [s] of records that resolve the vibration of the gears
+_WRITABLE_FORMATS = (".csv", ".csv.gz", ".parquet")
 
 
 def simulate_study_file(
@@ -53,17 +52,17 @@ def simulate_study_file(
     ideal: bool,
     progress: Progress,
 ) -> int:
-    """Run every experiment of a study file on an arm whose parameters a file holds.
+    """Simulate every experiment of a study file with the parameters of a file.
 
-    `seed`: Of the sensors' noise and of the motions. `ideal`: Sensors without noise. `progress`:
-    Called with what is being done. Returns: How many logs were written. Raises `InvalidInput`: A
-    file, a parameter or the folder is at fault.
+    `seed` is that of sensor noise and motions, `ideal` means sensors without errors, and `progress`
+    receives the current activity. Returns the number of logs. Raises InvalidInput if a file, a
+    parameter or the folder is invalid.
     """
     if folder.resolve() == study_path.resolve().parent:
         raise InvalidInput(
-            "would write simulated logs over the measured ones",
+            "the simulated logs would overwrite the measured ones",
             where=f"--out {folder}",
-            remedy="choose another directory than the study's",
+            remedy="choose a directory other than that of the study",
         )
     study = studies.read_study(study_path, logs_exist=False)
     values = read_parameters(parameters_path)
@@ -80,32 +79,32 @@ def simulate_study(
     noise: SensorNoise | None = None,
     as_recorded: bool = True,
     simulator: Simulator = simulate,
-    sample_time: float = _FAST_SAMPLE,
+    sample_time: float = _FAST_SAMPLE_TIME,
     progress: Progress = lambda _: None,
 ) -> int:
-    """Run every experiment of a study on a virtual arm; write its logs and study.toml to a folder.
+    """Simulate every experiment of a study; write its logs and study.toml to a folder.
 
-    `values`: (name, joint) -> value. `folder`: Made where it does not exist. `noise`: Ideal sensors
-    without. `as_recorded`: Where an experiment's log exists, apply what was applied then, and where
-    its plan exists, what was planned; not an excitation of its use. `simulator`: What the arm moves
-    by. `sample_time` [s]: At most, where the gears' vibration is to be seen. Returns: How many logs
-    were written. Raises `InvalidInput`: A parameter is missing or impossible, an experiment cannot
-    be simulated, or the folder cannot be written to.
+    Without `noise` the sensors are ideal. With `as_recorded`, existing logs and plans determine the
+    inputs. `simulator` is the engine. `sample_time` [s] is the largest of records that resolve the
+    vibration of the gears. Returns the number of logs. Raises InvalidInput if a parameter is
+    missing or impossible, if an experiment cannot be simulated, or if the folder cannot be written.
     """
     arm = Arm.of(study.arm)
     experiments = []
-    written = []
+    logs_columns = []
     for number, experiment in enumerate(study.experiments):
         progress(f"simulating {experiment.name}, {number + 1} of {len(study.experiments)}")
         rng = np.random.default_rng([seed, number])
-        plan = _known(study, arm, experiment, values) if as_recorded else None
-        plan = plan or invented(study.path, arm, experiment, values, rng, sample_time)
-        written.append(recorded(study, arm, plan, values, noise, rng, simulator, experiment.name))
+        plan = _existing_plan(study, arm, experiment, values) if as_recorded else None
+        plan = plan or default_plan(study.path, arm, experiment, values, rng, sample_time)
+        logs_columns.append(
+            record_experiment(study, arm, plan, values, noise, rng, simulator, experiment.name)
+        )
         file = Path(experiment.file).name
-        if not file.endswith(_WRITABLE):
+        if not file.endswith(_WRITABLE_FORMATS):
             file = f"{Path(file).stem}.parquet"
         experiments.append(replace(experiment, file=file, start=None, stop=None, add={}))
-    for experiment, columns in zip(experiments, written, strict=True):
+    for experiment, columns in zip(experiments, logs_columns, strict=True):
         logs.write_log(folder / experiment.file, columns)
     copy = replace(study, path=folder / "study.toml", experiments=tuple(experiments), channels={})
     studies.write_study(copy, copy.path)
@@ -115,10 +114,10 @@ def simulate_study(
 def demonstrate(
     folder: Path, *, seed: int, progress: Progress, figures: bool = False
 ) -> tuple[Identification, Values]:
-    """The main job on the built-in arm: simulate, identify from the files, report.
+    """Simulate the built-in arm, identify it from the files, and write the report.
 
-    `folder`: Gets the logs, study.toml, result.json and report.html. `figures`: Whether every
-    figure becomes a file, too. Returns: The true values of what was identified, by (name, joint).
+    The folder gets the logs, study.toml, result.json and report.html, with `figures` also all
+    figures as files. The true values of the identified parameters are returned second.
     """
     values = scara.parameters()
     study = scara.study(folder)
@@ -135,22 +134,18 @@ def demonstrate(
 
 
 def derived(values: Values, arm: ArmDescription) -> Values:
-    """Known values, with the combinations of them that identification reports.
-
-    `values`: (name, joint) -> value, as simulated. Returns: With `rigid_inertia`,
-    `total_viscous_friction` and `link_inertia` (3), (18).
-    """
+    """Known values with the combinations that identification reports, (3), (18)."""
     return values | {key: value_of(row, values) for key, row in reported(arm).items()}
 
 
-def _known(study: Study, arm: Arm, experiment: Experiment, values: Values) -> Plan | None:
-    """What was applied, by the log, or what is to be, by the plan; None: there is neither."""
+def _existing_plan(study: Study, arm: Arm, experiment: Experiment, values: Values) -> Plan | None:
+    """Plan of an experiment from its log or its table of inputs; None if there is neither."""
     if study.log_path(experiment).exists():
         log = logs.read_log(study, experiment)
         return Plan(recorded_drive(arm, log), log.sample_time, len(log))
     drive = read_applied(study.path.parent, arm, experiment, values)
     if drive is None:
         return None
-    fast = experiment.use in ("frequency", "sweep") or experiment.joint is not None
-    looks = int(np.ceil(drive.tick / _FAST_SAMPLE - 1e-9)) if fast else 1  # a tick
-    return Plan(drive, drive.tick / looks, looks * len(drive.voltage))
+    is_fast = experiment.use in ("frequency", "sweep") or experiment.joint is not None
+    samples_per_tick = int(np.ceil(drive.tick / _FAST_SAMPLE_TIME - 1e-9)) if is_fast else 1
+    return Plan(drive, drive.tick / samples_per_tick, samples_per_tick * len(drive.voltage))

@@ -1,4 +1,4 @@
-"""What is applied to a virtual arm where no log says it: an excitation that fits a use."""
+"""Default excitation of an experiment of a virtual arm by its use."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
-_MOTION_SECONDS = 10.0
-_MOTION_TOP_HZ = 1.0
-_MOTION_SPEED = 1.8  # [rad/s] of a link
-_MOTION_EXCURSION = 1.2  # [rad] of a link
-_STEP_SHARE = {"tuning": 0.48, "check": 0.72}  # of the limit that kp times the step takes
-_STEP_SECONDS = 0.5
+MOTION_DURATION = 10.0  # [s]
+_MAX_MOTION_HZ = 1.0
+_MAX_LINK_SPEED = 1.8  # [rad/s] of a motion
+_MAX_LINK_EXCURSION = 1.2  # [rad] of a motion
+_STEP_VOLTAGE_SHARES = {"tuning": 0.48, "check": 0.72}  # kp times the step over the limit
+STEP_HOLD = 0.5  # [s] per level
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """One experiment as it is to be run."""
+    """One experiment to simulate."""
 
     drive: Drive
-    sample_time: float
+    sample_time: float  # [s]
     samples: int
 
 
-def invented(
+def default_plan(
     path: Path,
     arm: Arm,
     experiment: Experiment,
@@ -39,12 +39,12 @@ def invented(
     rng: np.random.Generator,
     fast_sample: float,
 ) -> Plan:
-    """An excitation that fits the experiment's use.
+    """Excitation of an experiment by its use.
 
-    `path`: The study's, for messages. `values`: (name, joint) -> value, for what holds the arm up
-    at the start. `rng`: Of motions. `fast_sample` [s]: Between samples at most, where the gears'
-    vibration is to be seen. Raises `InvalidInput`: It needs a servo that is not there, or moves
-    joints in open loop that nothing drives.
+    `path` is the study's, for messages; `values` give the voltage that holds the arm at the start.
+    `fast_sample` [s] is the largest sample time of records that resolve the vibration of the gears.
+    Raises InvalidInput if the experiment needs a missing servo, or if it would move joints in open
+    loop without an input.
     """
     period = arm.servo.period if arm.servo else 1e-3
     if experiment.use in ("frequency", "sweep"):
@@ -55,7 +55,7 @@ def invented(
         tick, excited = period, _steps(path, arm, experiment)
         sample_time = min(fast_sample, tick)
     else:
-        tick, excited = period, np.zeros(round(_MOTION_SECONDS / period))
+        tick, excited = period, np.zeros(round(MOTION_DURATION / period))
         sample_time = tick
     voltage = np.zeros((len(excited), arm.n_joints))
     reference = np.zeros_like(voltage)
@@ -63,39 +63,39 @@ def invented(
         if experiment.joint == i + 1:
             (voltage if experiment.use in ("frequency", "sweep") else reference)[:, i] = excited
         elif experiment.joint is None and experiment.control[i] == "servo":
-            reference[:, i] = _motion(arm, i, tick, rng)
+            reference[:, i] = smooth_reference(arm.joints[i].gear_ratio, tick, rng)
         elif experiment.joint is None:
             raise InvalidInput(
-                f"experiment {experiment.name!r} moves joint {i + 1} in open loop, without a log",
+                f"experiment {experiment.name!r} moves joint {i + 1} in open loop and has no log",
                 where=str(path),
-                remedy='set its control to "servo", or give a log whose input is applied again',
+                remedy='set its control to "servo", or provide a log with the input to apply',
             )
-    still = (0.0,) * arm.n_joints
+    start = (0.0,) * arm.n_joints
     drive = Drive(
         tick=tick,
         voltage=voltage,
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
-        motor_angle=still,
-        initial_voltage=arm.holding_voltage(values, still),
+        motor_angle=start,
+        initial_voltage=arm.holding_voltage(values, start),
     )
     return Plan(drive, sample_time, round(len(excited) * tick / sample_time))
 
 
-def _motion(arm: Arm, i: int, tick: float, rng: np.random.Generator) -> FloatArray:
-    n = arm.joints[i].gear_ratio
+def smooth_reference(gear_ratio: float, tick: float, rng: np.random.Generator) -> FloatArray:
+    """Velocity reference [rad/s, motor side] of a rigid-motion record, one value per tick."""
     return excitation.smooth_motion(
-        duration=_MOTION_SECONDS,
+        duration=MOTION_DURATION,
         clock=tick,
-        top_hz=_MOTION_TOP_HZ,
-        excursion=_MOTION_EXCURSION / n,
-        speed=_MOTION_SPEED / n,
+        top_hz=_MAX_MOTION_HZ,
+        excursion=_MAX_LINK_EXCURSION / gear_ratio,
+        speed=_MAX_LINK_SPEED / gear_ratio,
         rng=rng,
     )
 
 
 def _steps(path: Path, arm: Arm, experiment: Experiment) -> FloatArray:
-    """There and back: a step of the reference that the servo can follow without its limit."""
+    """A step of the reference and back that does not saturate the servo."""
     if arm.servo is None:
         raise InvalidInput(
             f"experiment {experiment.name!r} needs a servo",
@@ -103,6 +103,10 @@ def _steps(path: Path, arm: Arm, experiment: Experiment) -> FloatArray:
             remedy="add a [servo] table",
         )
     kp = arm.servo.kp[(experiment.joint or 1) - 1]
-    level = _STEP_SHARE.get(experiment.use, 0.48) * arm.servo.limit / max(kp, 1e-9)
+    level = (
+        _STEP_VOLTAGE_SHARES.get(experiment.use, _STEP_VOLTAGE_SHARES["tuning"])
+        * arm.servo.limit
+        / max(kp, 1e-9)
+    )
     levels = np.array([0.0, level, 0.0])
-    return excitation.steps(levels, hold=_STEP_SECONDS, clock=arm.servo.period)
+    return excitation.steps(levels, hold=STEP_HOLD, clock=arm.servo.period)

@@ -1,7 +1,7 @@
 """The built-in rig: a SCARA-type two-link arm with strain-wave gears and brass disks at its tip.
 
-No paper prints the numbers of such an arm. These are consistent with one another, with a gear
-maker's catalogue (sizes 20 and 14, ratio 100) and with anti-resonances of 10 to 30 Hz.
+No paper publishes the parameters of such an arm. These are consistent with each other, with a gear
+manufacturer's catalogue (sizes 20 and 14, ratio 100), and with anti-resonances of 10 to 30 Hz.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from strainwave.errors import InvalidInput
 
 DESCRIPTION = "a simulated SCARA-type arm with three-slope gears and noisy sensors"
 LINK_LENGTH = (0.35, 0.30)  # [m]
-LINK_MASS = (8.0, 3.0)  # [kg]; link 1's with the motor of joint 2
+LINK_MASS = (8.0, 3.0)  # [kg]; link 1 includes the motor of joint 2
 CENTROID = (0.22, 0.15)  # [m] from the link's own axis
 LINK_INERTIA = (0.12, 0.030)  # [kg m^2] about the centroid
 TIP_MOUNT = (1.0, 5e-4)  # [kg], [kg m^2] about its own axis
-DISK = (1.0, 1.25e-3)  # each
-MOST_DISKS = 5
+DISK = (1.0, 1.25e-3)  # [kg], [kg m^2] of each disk about its own axis
+MAX_DISKS = 5
 
 _SPRING = "three-slope"
-_MIDDLE = "gear_stiffness_k2"  # where another gear law takes one stiffness
+_LINEAR_STIFFNESS = "gear_stiffness_k2"  # stiffness of other gear laws
 
 _DRIVES: tuple[dict[str, float], ...] = (
     {
@@ -71,17 +71,16 @@ _THREE_SLOPES: tuple[dict[str, float], ...] = (
 )
 
 
-def parameters(disks: int = MOST_DISKS, spring: Spring = _SPRING) -> Values:
-    """Parameter values of the rig, base parameters (3) from its masses.
+def parameters(disks: int = MAX_DISKS, spring: Spring = _SPRING) -> Values:
+    """Parameter values [SI] of the rig by name and joint, base parameters (3) from its masses.
 
-    alpha = I1 + m1 lc1^2 + m2 l1^2, beta = I2 about axis 2, gamma = l1 (m2 lc2 + m_tip l2)
+        alpha = I1 + m1 lc1^2 + m2 l1^2,   beta = I2 about axis 2,   gamma = l1 (m2 lc2 + m_tip l2)
 
-    `disks`: Payload: brass disks of 1 kg at the tip, 0 to 5. `spring`: Name of a gear law; those
-    but the rig's own take its middle slope for their stiffness. Returns: (name, joint) -> value
-    [SI]. Raises `InvalidInput`: There are not that many disks.
+    `disks` is the payload, 0 to 5 brass disks of 1 kg at the tip. Gear laws other than that of the
+    rig get its middle slope as their stiffness. Raises InvalidInput if there are too many disks.
     """
-    if not 0 <= disks <= MOST_DISKS:
-        raise InvalidInput(f"{disks} disks", remedy=f"the rig carries 0 to {MOST_DISKS}")
+    if not 0 <= disks <= MAX_DISKS:
+        raise InvalidInput(f"the rig cannot carry {disks} disks", remedy=f"use 0 to {MAX_DISKS}")
     tip = TIP_MOUNT[0] + disks * DISK[0]
     alpha = LINK_INERTIA[0] + LINK_MASS[0] * CENTROID[0] ** 2
     alpha += (LINK_MASS[1] + tip) * LINK_LENGTH[0] ** 2
@@ -90,16 +89,15 @@ def parameters(disks: int = MOST_DISKS, spring: Spring = _SPRING) -> Values:
     gamma = LINK_LENGTH[0] * (LINK_MASS[1] * CENTROID[1] + tip * LINK_LENGTH[1])
     values: Values = {("alpha", None): alpha, ("beta", None): beta, ("gamma", None): gamma}
     for joint, (drive, slopes) in enumerate(zip(_DRIVES, _THREE_SLOPES, strict=True), start=1):
-        gear = slopes if spring == _SPRING else gear_law(spring).straight(slopes[_MIDDLE])
+        gear = slopes if spring == _SPRING else gear_law(spring).straight(slopes[_LINEAR_STIFFNESS])
         values |= {(name, joint): value for name, value in (drive | gear).items()}
     return values
 
 
 def study(folder: Path, spring: Spring = _SPRING) -> Study:
-    """The rig's study: its sensors, its servo and the experiments that identify it.
+    """Study of the rig: sensors, servo and the experiments that identify it.
 
-    `folder`: Where the study file and its logs are to be. `spring`: Name of a gear law. Returns:
-    Nothing is written; the logs do not exist yet.
+    `folder` is the future location of the study file and its logs, which are not written here.
     """
     joints = tuple(
         Joint(
@@ -129,16 +127,16 @@ def study(folder: Path, spring: Spring = _SPRING) -> Study:
 
 def _experiments() -> tuple[Experiment, ...]:
     both: tuple[Control, Control] = ("servo", "servo")
-    found = [_record("motion", "motion", both), _record("motion-check", "check", both)]
+    experiments = [_record("motion", "motion", both), _record("motion-check", "check", both)]
     for joint in (1, 2):
         free: tuple[Control, Control] = ("open", "open")
         prbs = Prbs(order=10, clock=1e-3, periods=4, amplitude=10.0)
-        found += [
+        experiments += [
             _record(f"prbs-j{joint}", "frequency", free, joint=joint, prbs=prbs),
             _record(f"step-j{joint}", "tuning", both, joint=joint),
             _record(f"step-check-j{joint}", "check", both, joint=joint),
         ]
-    return tuple(found)
+    return tuple(experiments)
 
 
 def _record(

@@ -1,7 +1,7 @@
-"""Families of virtual arms: drawn over a gear catalogue, each by its number alone.
+"""Families of virtual arms drawn over a gear catalogue, each arm reproducible by its number.
 
-`description` says what is drawn, `drawing` draws. Arms have their experiments run in memory; some
-have a fault in their input, or an effect that their study does not mention.
+`description` states the distribution, and `drawing` draws arms and simulates their experiments in
+memory. Some arms have a fault in their input, or an effect that their study does not mention.
 """
 
 from __future__ import annotations

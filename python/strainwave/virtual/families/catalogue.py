@@ -1,7 +1,7 @@
-"""Arms drawn over a gear catalogue: sizes 8 to 40, ratios 30 to 160, any encoder and sampling.
+"""Arms drawn over a gear catalogue: sizes 8 to 40, ratios 30 to 160, all encoders and sample times.
 
-An arm is drawn by what a designer chooses: gears, anti-resonances, motors that match their loads
-and wind the gears up past their knees at full voltage. So a drawn arm is one that could be built.
+An arm is drawn by a designer's choices: gears, anti-resonances, and motors that match their loads
+and load the gears beyond their knees at full voltage. Every drawn arm could be built.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual.families.rigs import Rig, between
 
 GEARS = {
-    # size: T1, T2 [N m], then K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above, and at 50
+    # size: T1, T2 [N m]; K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above; the same at 50
     8: ((0.29, 0.75), (0.091, 0.104, 0.12), (0.044, 0.067, 0.084)),
     11: ((0.80, 2.0), (0.27, 0.34, 0.44), (0.22, 0.30, 0.32)),
     14: ((2.0, 6.9), (0.47, 0.61, 0.71), (0.34, 0.47, 0.57)),
@@ -42,29 +42,32 @@ RATIOS = (30, 50, 80, 100, 120, 160)
 COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)
 SAMPLE_TIMES = (2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)  # [s]
 SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
-SMALL, LARGE = 14, 25  # sizes up to and from which a gear is so called
-_RANGES = tuple(9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0, 1000.0))  # of accelerometers
-_VOLTS = 10.0
+MAX_SMALL_SIZE, MIN_LARGE_SIZE = 14, 25  # of the classes "small" and "large"
+_ACCELEROMETER_RANGES = tuple(
+    9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0, 1000.0)
+)  # [m/s^2]
+_VOLTAGE_LIMIT = 10.0  # [V]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choices:
-    """What an arm is drawn from."""
+    """Values from which an arm is drawn."""
 
     sizes: Sequence[int] = tuple(GEARS)  # ascending
     ratios: Sequence[float] = RATIOS
     counts: Sequence[float] = COUNTS
     sample_times: Sequence[float] = SAMPLE_TIMES  # [s]
     payload: tuple[float, float] | None = None  # [kg] at the tip
-    coulomb: tuple[float, float] = (1.0, 1.0)  # factors on the catalogue's friction
+    coulomb: tuple[float, float] = (1.0, 1.0)  # factor on Coulomb friction
+    # factor on viscous friction
     viscous: tuple[float, float] = (1.0, 1.0)
 
 
 def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
-    """One arm of the catalogue, with its sensors and experiments.
+    """One arm of the catalogue with its sensors and experiments, by its seed within a series.
 
-    `seed`: Of the arm within its series. `small`: Sizes 8 to 14, anti-resonances above 25 Hz and
-    2,000 counts, sampled at 4 kHz.
+    With `small`, the gears have sizes 8 to 14, the anti-resonances exceed 25 Hz, and the encoders
+    have 2,000 counts, sampled at 4 kHz.
     """
     rng = np.random.default_rng([8, 40, series, seed])
     return of_choices(rng, SPRINGS[seed % len(SPRINGS)], Choices(), small=small)
@@ -73,17 +76,14 @@ def drawn(seed: int, series: int = 0, *, small: bool = False) -> Rig:
 def of_choices(
     rng: np.random.Generator, spring: Spring, choices: Choices, *, small: bool = False
 ) -> Rig:
-    """One arm of the catalogue, drawn from some of what there is.
+    """One arm of the catalogue, drawn from given choices.
 
-    The gear of joint 2 is of the same size as that of joint 1 or up to two smaller in the list. A
-    payload m at the tip adds m l1^2, m l2^2 and m l1 l2 to alpha, beta and gamma before motors and
-    gains are chosen: what carries it is built for it.
-
-    `spring`: Gear law of both joints: "linear" or "three-slope". `small`: Sizes 8 to 14, anti-
-    resonances above 25 Hz and 2,000 counts, sampled at 4 kHz.
+    The gear of joint 2 has the size of joint 1's or up to two sizes less. A payload m at the tip
+    adds m l1^2, m l2^2 and m l1 l2 to alpha, beta and gamma before motors and gains are chosen.
+    `spring` is "linear" or "three-slope".
     """
     sizes = list(choices.sizes)
-    largest = sizes.index(SMALL) + 1 if small else len(sizes)
+    largest = sizes.index(MAX_SMALL_SIZE) + 1 if small else len(sizes)
     base = int(rng.integers(1 if small else 0, largest))
     outer = int(rng.integers(max(0, base - 2), base + 1))
     ratios = rng.choice(choices.ratios, 2)
@@ -107,7 +107,7 @@ def of_choices(
         coulomb = dry * _factor(rng, choices.coulomb)
         stiffness = slopes[i][1]
         damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load[i])
-        own = {
+        drive = {
             "motor_inertia": motor,
             "motor_viscous_friction": viscous,
             "motor_coulomb_friction": coulomb,
@@ -116,12 +116,12 @@ def of_choices(
             "gear_damping": damping,
         }
         if spring == "linear":
-            own["gear_stiffness"] = stiffness
+            drive["gear_stiffness"] = stiffness
         else:
-            own |= {f"gear_stiffness_k{k}": slope for k, slope in enumerate(slopes[i], start=1)}
-            own |= {f"gear_knee_t{k}": knee for k, knee in enumerate(knees, start=1)}
-        values |= {(name, i + 1): float(value) for name, value in own.items()}
-        per_volt = torque / _VOLTS
+            drive |= {f"gear_stiffness_k{k}": slope for k, slope in enumerate(slopes[i], start=1)}
+            drive |= {f"gear_knee_t{k}": knee for k, knee in enumerate(knees, start=1)}
+        values |= {(name, i + 1): float(value) for name, value in drive.items()}
+        per_volt = torque / _VOLTAGE_LIMIT
         kp = 20.0 * (motor + n**2 * load[i]) / per_volt
         gains.append((kp, 12.5 * kp))
         distance = 0.9 * length[i]
@@ -149,14 +149,16 @@ def of_choices(
                 period=max(1e-3, sample_time),
                 kp=tuple(g[0] for g in gains),
                 ki=tuple(g[1] for g in gains),
-                limit=_VOLTS,
+                limit=_VOLTAGE_LIMIT,
             ),
         ),
         experiments=_experiments(spring, max(1e-3, sample_time)),
     )
-    reach = next((a for a in _RANGES if a > peak), _RANGES[-1])
+    sensor_range = next((a for a in _ACCELEROMETER_RANGES if a > peak), _ACCELEROMETER_RANGES[-1])
     classes = {
-        "size": _class(max(sizes[base], 0), (SMALL, LARGE), ("small", "medium", "large")),
+        "size": _class(
+            max(sizes[base], 0), (MAX_SMALL_SIZE, MIN_LARGE_SIZE), ("small", "medium", "large")
+        ),
         "counts": _class(counts, (2000, 8192), ("up to 2,000", "to 8,192", "more")),
         "sampling": _class(
             1.0 / sample_time, (1000.0, 4000.0), ("up to 1 kHz", "to 4 kHz", "more")
@@ -166,7 +168,7 @@ def of_choices(
     }
     if choices.payload:
         classes["payload"] = f"{payload:.3g} kg"
-    noise = SensorNoise(accelerometer_range=reach)
+    noise = SensorNoise(accelerometer_range=sensor_range)
     return Rig(study, values, noise, sample_time, classes)
 
 
@@ -174,7 +176,7 @@ def _links(
     rng: np.random.Generator, inertia: Sequence[float], payloads: tuple[float, float] | None
 ) -> tuple[Values, tuple[float, float], tuple[float, float], float]:
     """Base parameters (3), inertia at each joint of the stretched arm, lengths, payload."""
-    beta = min(inertia[1], inertia[0] / 3.0)  # what joint 2 carries, joint 1 carries as well
+    beta = min(inertia[1], inertia[0] / 3.0)  # joint 1 carries the load of joint 2
     coupling = float(rng.uniform(0.3, 0.75))
     root = -coupling * np.sqrt(beta) + np.sqrt(coupling**2 * beta + inertia[0] - beta)
     alpha, gamma = root**2, coupling * root * np.sqrt(beta)
@@ -197,7 +199,7 @@ def _slopes(size: int, ratio: int) -> tuple[float, float, float]:
 
 
 def _factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
-    """Drawn within its bounds; where they are one, nothing is drawn."""
+    """Random factor within its bounds; equal bounds draw no random number."""
     return between(rng, *bounds) if bounds[0] < bounds[1] else bounds[0]
 
 
@@ -206,18 +208,18 @@ def _class(value: float, edges: tuple[float, float], names: tuple[str, str, str]
 
 
 def _experiments(spring: Spring, clock: float) -> tuple[Experiment, ...]:
-    """Those of the built-in rig, and smaller amplitudes for a curve."""
+    """Experiments of the built-in rig, with a sweep for three-slope springs."""
     both: tuple[Control, Control] = ("servo", "servo")
     free: tuple[Control, Control] = ("open", "open")
-    found = [Experiment("motion", "motion.parquet", "motion", both)]
+    experiments = [Experiment("motion", "motion.parquet", "motion", both)]
 
-    def shaken(name: str, use: Use, joint: int, volt: float) -> Experiment:
+    def prbs_record(name: str, use: Use, joint: int, volt: float) -> Experiment:
         prbs = Prbs(10, clock, 2, volt)
         return Experiment(name, f"{name}.parquet", use, free, joint=joint, prbs=prbs)
 
     for j in (1, 2):
-        found.append(shaken(f"prbs-j{j}", "frequency", j, _VOLTS))
+        experiments.append(prbs_record(f"prbs-j{j}", "frequency", j, _VOLTAGE_LIMIT))
         if spring == "three-slope":
-            found.append(shaken(f"sweep-j{j}", "sweep", j, 0.4 * _VOLTS))
-        found.append(Experiment(f"step-j{j}", f"step-j{j}.parquet", "tuning", both, joint=j))
-    return tuple(found)
+            experiments.append(prbs_record(f"sweep-j{j}", "sweep", j, 0.4 * _VOLTAGE_LIMIT))
+        experiments.append(Experiment(f"step-j{j}", f"step-j{j}.parquet", "tuning", both, joint=j))
+    return tuple(experiments)

@@ -1,4 +1,4 @@
-"""What a family of virtual arms is drawn from: `[family]` of a campaign.toml."""
+"""Description of a family of virtual arms: `[family]` of a campaign.toml."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ Range = tuple[Positive, Positive]
 LinkSensors = Literal["accelerometer", "gyro", "accelerometer-and-gyro", "encoder", "none"]
 
 FAULTS: tuple[str, ...] = (*INPUT_FAULTS, *SIZES)
-"""Kinds of faults: slips of the study and its logs, then defects of sensors."""
+"""Kinds of faults: errors of the study and its logs, then defects of sensors."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Friction:
-    """Factors on the catalogue's friction, lowest and highest: `friction`."""
+    """Lowest and highest factors on the catalogue's friction: `friction`."""
 
     coulomb: Range = (1.0, 1.0)
     viscous: Range = (1.0, 1.0)
@@ -43,9 +43,9 @@ class Sensors:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Family:
-    """What arms are drawn from; each arm follows from the seed and its number alone."""
+    """Distribution of arms. Seed and number determine an arm."""
 
-    arms: Annotated[int, Ge(1)]  # how many
+    arms: Annotated[int, Ge(1)]  # number of arms
     seed: Annotated[int, Ge(0)] = 0
     sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEARS)  # of gears
     ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = RATIOS
@@ -58,19 +58,17 @@ class Family:
         tuple[Annotated[float, Ge(2e-5), Le(2e-3)], ...], MinLen(1)  # [s]
     ] = (2e-3, 1e-3, 5e-4)
     payload: tuple[NonNegative, NonNegative] | None = None  # [kg] at the tip
-    gravity: Share = 0.0  # share of arms that stand upright
+    gravity: Share = 0.0  # share of arms with gravity in the plane of motion
     friction: Friction | None = None  # None: the catalogue's
-    sensors: Sensors | None = None  # None: those of a decent rig
-    faults: Share | tuple[str, ...] = 0.0  # share of arms with one of any kind; or kinds
-    effects: Share | tuple[str, ...] = 0.0  # that the study does not mention; as faults
+    sensors: Sensors | None = None  # None: those of a good rig
+    faults: Share | tuple[str, ...] = 0.0  # share of arms with a fault, or kinds of faults
+    effects: Share | tuple[str, ...] = 0.0  # unmentioned effects: share of arms, or names
 
 
 def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
-    """The family that a `[family]` describes.
+    """Family of a parsed `[family]` table. `path` and `text` of the file serve messages.
 
-    `table`: As parsed. `path`: Of the file, for messages. `text`: Of the file, for the lines of
-    messages. Raises `InvalidInput`: A key is missing, unknown, or of another type or range than it
-    may have.
+    Raises InvalidInput if a key is missing or unknown, or if a value has an invalid type or range.
     """
     reader = Reader(path, text)
     family = reader.record(Family, table, "family")
@@ -95,35 +93,35 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
             raise InvalidInput(
                 f"the range of '{key}' from {bounds[0]:g} to {bounds[1]:g} is empty",
                 where=reader.place("family", None, key),
-                remedy="give the lower bound first",
+                remedy="put the lower bound first",
             )
     return family
 
 
 def _check_known(chosen: Iterable[Any], known: tuple[Any, ...], key: str, reader: Reader) -> None:
-    for one in chosen:
-        if one not in known:
-            near = nearest(one, known) if isinstance(one, str) else ""
+    for value in chosen:
+        if value not in known:
+            near = nearest(value, known) if isinstance(value, str) else ""
             raise InvalidInput(
-                f"'{key}' has {one!r}, which cannot be drawn",
+                f"'{key}' contains the unknown value {value!r}",
                 where=reader.place("family", None, key),
-                remedy=f"choose among {', '.join(map(str, known))}{near}",
+                remedy=f"use {', '.join(map(str, known))}{near}",
             )
 
 
 def fields_of(family: Family) -> dict[str, Any]:
-    """A family as the table that it is read from: plain JSON values."""
+    """Table of a family in plain JSON values."""
     return _table(family)
 
 
 def _table(record: Any) -> dict[str, Any]:
-    own = {f.name: getattr(record, f.name) for f in fields(record)}
+    values = {f.name: getattr(record, f.name) for f in fields(record)}
     return {
         key: _table(value)
         if isinstance(value, Friction | Sensors)
         else list(value)
         if isinstance(value, tuple)
         else value
-        for key, value in own.items()
+        for key, value in values.items()
         if value is not None
     }

@@ -1,4 +1,4 @@
-"""Draw the arms of a family, and run their experiments in memory."""
+"""Draw the arms of a family and simulate their experiments in memory."""
 
 from __future__ import annotations
 
@@ -30,69 +30,66 @@ from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
 from strainwave.virtual.families.rigs import Rig, between
 from strainwave.virtual.families.sensor_defects import SIZES, injected
 from strainwave.virtual.families.short_records import plans, with_short_records
-from strainwave.virtual.records import recorded
+from strainwave.virtual.records import record_experiment
 
-_GYRO_HZ = (30.0, 200.0)
+_GYRO_BANDWIDTH_HZ = (30.0, 200.0)
 _STREAMS = ("arm", "sensors", "gravity", "effect", "fault", "records", "motion")
-"""Chances that do not depend on each other: another share of faults leaves the arms as they are."""
+"""Independent random streams: another share of faults does not change the arms."""
 
 
 @dataclass(frozen=True, slots=True)
 class VirtualArm:
-    """One arm of a family, before its experiments run."""
+    """One arm of a family before its experiments are simulated."""
 
     rig: Rig
-    cause: Cause  # what it has and its study does not mention
-    fault: str | None  # kind
-    seed: tuple[int, int]  # the family's, and the arm's number
+    cause: Cause  # not mentioned in its study
+    fault: str | None  # kind of the fault in its input
+    seed: tuple[int, int]  # seed of the family, number of the arm
 
     @property
     def study(self) -> Study:
-        """Without a fault."""
+        """Study without the fault."""
         return self.rig.study
 
     @property
     def values(self) -> Values:
-        """(name, joint) -> true value."""
+        """True values by name and joint."""
         return self.rig.values
 
     @property
     def noise(self) -> SensorNoise:
-        """Of its sensors."""
+        """Errors of its sensors."""
         return self.rig.noise
 
     @property
     def sample_time(self) -> float:
-        """[s] of records that excite the gears."""
+        """Sample time [s] of records that excite the gears."""
         return self.rig.sample_time
 
     @property
     def truth(self) -> Values:
-        """(name, joint) -> true value of what identification reports.
+        """True values of the reported parameters by name and joint.
 
-        Coulomb friction that differs from record to record has none.
+        Coulomb friction that varies between records has no true value.
         """
-        found = derived(self.values, self.study.arm)
+        values = derived(self.values, self.study.arm)
         if self.cause.name == "friction-by-record":
-            del found["motor_coulomb_friction", self.cause.joint]
-        return found
+            del values["motor_coulomb_friction", self.cause.joint]
+        return values
 
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """An arm's study and logs as `identify` takes them, with the fault if there is one."""
+    """Study and logs of an arm as `identify` takes them, with the fault if there is one."""
 
     study: Study
-    data: Mapping[str, Mapping[str, FloatArray]]  # experiment -> channel -> (n_samples,)
-    classes: Mapping[str, Any]  # what the arm was drawn with: plain JSON values
+    data: Mapping[str, Mapping[str, FloatArray]]  # by experiment and channel, (n_samples,)
+    classes: Mapping[str, Any]  # drawn properties in plain JSON values
 
 
 def draw(family: Family, number: int) -> VirtualArm:
-    """One arm of a family, by its number alone.
-
-    `number`: From 0.
-    """
-    chance = {name: _chance((family.seed, number), name) for name in _STREAMS}
+    """Arm of a family by its number, from 0."""
+    rngs = {name: _rng((family.seed, number), name) for name in _STREAMS}
     friction = family.friction or Friction()
     choices = Choices(
         sizes=sorted(family.sizes),
@@ -103,57 +100,59 @@ def draw(family: Family, number: int) -> VirtualArm:
         coulomb=friction.coulomb,
         viscous=friction.viscous,
     )
-    spring = str(chance["arm"].choice(family.springs))
-    rig = of_choices(chance["arm"], spring, choices)
-    upright = bool(chance["gravity"].uniform() < family.gravity)
-    rig = with_short_records(rig, upright=upright, rng=chance["gravity"])
-    rig = _with_sensors(rig, family.sensors or Sensors(), chance["sensors"])
-    cause = _cause(family.effects, rig, chance["effect"])
-    fault = _chosen(family.faults, _possible_faults(rig), chance["fault"])
+    spring = str(rngs["arm"].choice(family.springs))
+    rig = of_choices(rngs["arm"], spring, choices)
+    upright = bool(rngs["gravity"].uniform() < family.gravity)
+    rig = with_short_records(rig, upright=upright, rng=rngs["gravity"])
+    rig = _with_sensors(rig, family.sensors or Sensors(), rngs["sensors"])
+    cause = _cause(family.effects, rig, rngs["effect"])
+    fault = _draw_kind(family.faults, _possible_faults(rig), rngs["fault"])
     return VirtualArm(rig, cause, fault, (family.seed, number))
 
 
 def record(arm: VirtualArm) -> Recorded:
-    """Run an arm's experiments; put its fault into study or logs."""
-    study, own = arm.study, Arm.of(arm.study.arm)
-    motion = int(_chance(arm.seed, "motion").integers(2**31))
+    """Simulate an arm's experiments and inject its fault into study or logs."""
+    study, plant_arm = arm.study, Arm.of(arm.study.arm)
+    motion = int(_rng(arm.seed, "motion").integers(2**31))
     data: dict[str, dict[str, FloatArray]] = {}
     for k, (experiment, plan) in enumerate(
         zip(study.experiments, plans(arm.rig, motion), strict=True)
     ):
         rng = np.random.default_rng([*arm.seed, _STREAMS.index("records"), k])
         plant = OwnPlant(arm.cause, k)
-        data[experiment.name] = recorded(study, own, plan, arm.values, arm.noise, rng, plant)
+        data[experiment.name] = record_experiment(
+            study, plant_arm, plan, arm.values, arm.noise, rng, plant
+        )
     classes: dict[str, Any] = dict(arm.rig.classes)
     if arm.cause.name != NOTHING:
         sizes = {name: float(size) for name, size in arm.cause.sizes.items()}
         classes |= {"effect": arm.cause.name, "joint": arm.cause.joint, "sizes": sizes}
     if arm.fault is None:
         return Recorded(study, data, classes)
-    put = _put(arm.fault, read_logs(study, data=data), study, _chance((*arm.seed, 1), "fault"))
-    if put is None:
+    fault = _inject(arm.fault, read_logs(study, data=data), study, _rng((*arm.seed, 1), "fault"))
+    if fault is None:
         return Recorded(study, data, classes)
-    classes |= {"fault": put.kind, "fault_size": put.size, "fault_codes": list(put.codes)}
-    return Recorded(put.study, _as_data(put.logs), classes)
+    classes |= {"fault": fault.kind, "fault_size": fault.size, "fault_codes": list(fault.codes)}
+    return Recorded(fault.study, _as_data(fault.logs), classes)
 
 
-def _chance(seed: tuple[int, ...], stream: str) -> np.random.Generator:
+def _rng(seed: tuple[int, ...], stream: str) -> np.random.Generator:
     return np.random.default_rng([*seed, _STREAMS.index(stream)])
 
 
-def _chosen(
+def _draw_kind(
     of: float | tuple[str, ...], all_kinds: tuple[str, ...], rng: np.random.Generator
 ) -> str | None:
-    """One of the kinds: of all for a share of the arms, or of those listed for each arm."""
+    """One kind: of all kinds for a share of the arms, or of the given kinds for every arm."""
     share, kinds = (1.0, of) if isinstance(of, tuple) else (of, all_kinds)
     possible = [kind for kind in kinds if kind in all_kinds]
-    drawn, at = rng.uniform(), int(rng.integers(2**31))
-    return possible[at % len(possible)] if possible and drawn < share else None
+    draw_value, index = rng.uniform(), int(rng.integers(2**31))
+    return possible[index % len(possible)] if possible and draw_value < share else None
 
 
 def _cause(of: float | tuple[str, ...], rig: Rig, rng: np.random.Generator) -> Cause:
-    """An effect and its sizes, or none."""
-    name = _chosen(of, causes_of_the_plant(), rng)
+    """A cause with its sizes, or none."""
+    name = _draw_kind(of, causes_of_the_plant(), rng)
     if name is None:
         return Cause(NOTHING, 1, {})
     joint = joint_of(name, rig.study.arm, int(rng.integers(1, rig.study.arm.n_joints + 1)))
@@ -161,7 +160,7 @@ def _cause(of: float | tuple[str, ...], rig: Rig, rng: np.random.Generator) -> C
 
 
 def _with_sensors(rig: Rig, sensors: Sensors, rng: np.random.Generator) -> Rig:
-    """Noise times a factor, and one of the sets of link sensors."""
+    """Rig with scaled noise and one of the sets of link sensors."""
     low, high = sensors.noise
     factor = between(rng, low, high) if low < high else low
     noise = replace(
@@ -171,7 +170,7 @@ def _with_sensors(rig: Rig, sensors: Sensors, rng: np.random.Generator) -> Rig:
         gyro_deviation=factor * rig.noise.gyro_deviation,
     )
     kind: LinkSensors = sensors.link[int(rng.integers(len(sensors.link)))]
-    bandwidth = between(rng, *_GYRO_HZ)
+    bandwidth = between(rng, *_GYRO_BANDWIDTH_HZ)
     arm = rig.study.arm
     joints = [_with_sensor(joint, kind, bandwidth) for joint in arm.joints]
     encoders = {
@@ -202,18 +201,20 @@ def _possible_faults(rig: Rig) -> tuple[str, ...]:
     return tuple(kind for kind in FAULTS if kind not in without)
 
 
-def _put(kind: str, logs: tuple[Log, ...], study: Study, rng: np.random.Generator) -> Fault | None:
-    """The fault of a kind, its joint and size by chance; None where the arm cannot show it."""
+def _inject(
+    kind: str, logs: tuple[Log, ...], study: Study, rng: np.random.Generator
+) -> Fault | None:
+    """Fault of a kind with random joint and size; None if the arm cannot show it."""
     if kind in INPUT_FAULTS:
         joint = int(rng.integers(1, study.arm.n_joints + 1))
         return INPUT_FAULTS[kind](logs, study, joint, rng)
     defect: Kind = next(each for each in SIZES if each == kind)
     unit, sizes = SIZES[defect]
-    for size in rng.permutation(sizes).tolist():  # a small one may show nowhere
-        put = injected(logs, Arm.of(study.arm), defect, size, rng)
-        if put is not None:
-            said = f"{size:g} {unit}, {put.channel} of {put.record}"
-            return Fault(kind, said, (kind,), put.logs, study)
+    for size in rng.permutation(sizes).tolist():  # a small defect may have no effect
+        injection = injected(logs, Arm.of(study.arm), defect, size, rng)
+        if injection is not None:
+            text = f"{size:g} {unit}, {injection.channel} of {injection.record}"
+            return Fault(kind, text, (kind,), injection.logs, study)
     return None
 
 

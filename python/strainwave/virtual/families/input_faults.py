@@ -1,4 +1,4 @@
-"""Slips of units, signs, joints, geometry and clocks, put into clean logs or their study."""
+"""Errors of units, signs, joints, geometry and clocks, injected into clean logs or their study."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ Logs = tuple[Log, ...]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Something wrong with the input, and the input that has it."""
+    """An error of the input, and the input that has it."""
 
     kind: str
     size: str
-    codes: tuple[str, ...]  # that name it; empty: it is to be corrected or noticed without harm
+    codes: tuple[str, ...]  # warning codes that name it; empty: harmless or corrected
     logs: Logs
     study: Study
 
 
-def _changed(logs: Logs, change: Callable[[Log, dict[str, FloatArray]], None]) -> Logs:
-    found = []
+def _change_channels(logs: Logs, change: Callable[[Log, dict[str, FloatArray]], None]) -> Logs:
+    changed = []
     for log in logs:
         channels = dict(log.channels)
         change(log, channels)
-        found.append(replace(log, channels=channels))
-    return tuple(found)
+        changed.append(replace(log, channels=channels))
+    return tuple(changed)
 
 
-def _times(logs: Logs, name: str, factor: float) -> Logs:
+def _scale_channel(logs: Logs, name: str, factor: float) -> Logs:
     def change(_: Log, channels: dict[str, FloatArray]) -> None:
         channels[name] = factor * channels[name]
 
-    return _changed(logs, change)
+    return _change_channels(logs, change)
 
 
-def _timed(logs: Logs, factor: float) -> Logs:
+def _scale_time(logs: Logs, factor: float) -> Logs:
     return tuple(
         replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
     )
@@ -48,55 +48,57 @@ def _timed(logs: Logs, factor: float) -> Logs:
 
 def _time_unit(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
     factor, unit = [(1e3, "ms"), (1e6, "us")][int(rng.integers(2))]
-    return Fault("time-unit", unit, ("wrong-unit",), _timed(logs, factor), study)
+    return Fault("time-unit", unit, ("wrong-unit",), _scale_time(logs, factor), study)
 
 
 def _time_scale(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
     factor = 1.0 + float(rng.choice([-1.0, 1.0]) * rng.uniform(0.005, 0.05))
-    return Fault("time-scale", f"{factor:.3f}", ("clock-drift",), _timed(logs, factor), study)
+    return Fault("time-scale", f"{factor:.3f}", ("clock-drift",), _scale_time(logs, factor), study)
 
 
 def _angle_unit(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
     counts = float(study.arm.joints[joint - 1].encoder_counts or 8192.0)
     units = {"degrees": 180.0 / np.pi, "counts": counts / (2 * np.pi), "turns": 0.5 / np.pi}
     unit = str(rng.choice(list(units)))
-    changed = _times(logs, f"theta_m{joint}", units[unit])
+    changed = _scale_channel(logs, f"theta_m{joint}", units[unit])
     return Fault("angle-unit", unit, ("wrong-unit",), changed, study)
 
 
 def _angle_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"theta_m{joint}", -1.0)
+    changed = _scale_channel(logs, f"theta_m{joint}", -1.0)
     return Fault("angle-sign", "-1", ("wrong-sign",), changed, study)
 
 
 def _accelerometer_unit(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"a{joint}", 1.0 / 9.80665)
+    changed = _scale_channel(logs, f"a{joint}", 1.0 / 9.80665)
     return Fault("accelerometer-unit", "g", ("wrong-unit",), changed, study)
 
 
 def _accelerometer_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _times(logs, f"a{joint}", -1.0)
+    changed = _scale_channel(logs, f"a{joint}", -1.0)
     return Fault("accelerometer-sign", "-1", ("wrong-sign",), changed, study)
 
 
 def _voltage_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    return Fault("voltage-sign", "-1", ("wrong-sign",), _times(logs, f"u{joint}", -1.0), study)
+    return Fault(
+        "voltage-sign", "-1", ("wrong-sign",), _scale_channel(logs, f"u{joint}", -1.0), study
+    )
 
 
 def _swapped(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
-    there = [name for name in ("a", "u", "theta_m") if f"{name}1" in logs[0].channels]
-    kind = str(rng.choice(there))
+    present = [name for name in ("a", "u", "theta_m") if f"{name}1" in logs[0].channels]
+    kind = str(rng.choice(present))
 
     def change(_: Log, channels: dict[str, FloatArray]) -> None:
         channels[f"{kind}1"], channels[f"{kind}2"] = channels[f"{kind}2"], channels[f"{kind}1"]
 
-    return Fault("swapped-joints", kind, ("swapped-channels",), _changed(logs, change), study)
+    return Fault(
+        "swapped-joints", kind, ("swapped-channels",), _change_channels(logs, change), study
+    )
 
 
-def _with_joint(study: Study, joint: int, **keys: Any) -> Study:
-    joints = list(study.arm.joints)
-    joints[joint - 1] = replace(joints[joint - 1], **keys)
-    return replace(study, arm=replace(study.arm, joints=tuple(joints)))
+def _with_joint(study: Study, joint: int, **changes: Any) -> Study:
+    return replace(study, arm=study.arm.with_joint(joint, **changes))
 
 
 def _gear_ratio(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
@@ -123,25 +125,27 @@ def _torque_constant(logs: Logs, study: Study, joint: int, rng: np.random.Genera
     return Fault("torque-constant", f"x {factor}", ("wrong-torque-constant",), logs, changed)
 
 
-def _warped(logs: Logs, delay: float, fast: float) -> Logs:
+def _shift_link_sensors(logs: Logs, delay: float, fast: float) -> Logs:
     def change(log: Log, channels: dict[str, FloatArray]) -> None:
         time = log.time - log.time[0]
-        at = time * (1.0 + fast) - delay
+        shifted = time * (1.0 + fast) - delay
         link = {name: v for name, v in channels.items() if name.startswith(("a", "gyro"))}
-        channels.update({name: np.interp(at, time, values) for name, values in link.items()})
+        channels.update({name: np.interp(shifted, time, values) for name, values in link.items()})
 
-    return _changed(logs, change)
+    return _change_channels(logs, change)
 
 
 def _late(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
     delay = float(rng.choice([1e-3, 2e-2]))
     codes = () if delay < 5e-3 else ("misaligned",)
-    changed = _warped(logs, delay, 0.0)
+    changed = _shift_link_sensors(logs, delay, 0.0)
     return Fault("late-sensors", f"{1e3 * delay:g} ms", codes, changed, study)
 
 
 def _drift(logs: Logs, study: Study, _: int, __: np.random.Generator) -> Fault:
-    return Fault("fast-clock", "0.1 %", ("clock-drift",), _warped(logs, 0.0, 1e-3), study)
+    return Fault(
+        "fast-clock", "0.1 %", ("clock-drift",), _shift_link_sensors(logs, 0.0, 1e-3), study
+    )
 
 
 def _clipped(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
@@ -152,12 +156,14 @@ def _clipped(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> 
     def change(_: Log, channels: dict[str, FloatArray]) -> None:
         channels[name] = np.clip(channels[name], -limit, limit)
 
-    return Fault("clipped-sensor", f"at {share:.2f}", ("clipped",), _changed(logs, change), study)
+    return Fault(
+        "clipped-sensor", f"at {share:.2f}", ("clipped",), _change_channels(logs, change), study
+    )
 
 
-Put = Callable[[Logs, Study, int, np.random.Generator], Fault]
+FaultInjector = Callable[[Logs, Study, int, np.random.Generator], Fault]
 
-INPUT_FAULTS: Mapping[str, Put] = {
+INPUT_FAULTS: Mapping[str, FaultInjector] = {
     "time-unit": _time_unit,
     "time-scale": _time_scale,
     "angle-unit": _angle_unit,
@@ -173,14 +179,11 @@ INPUT_FAULTS: Mapping[str, Put] = {
     "fast-clock": _drift,
     "clipped-sensor": _clipped,
 }
-"""Kinds by name: logs, study, joint from 1 and chance -> what has the fault."""
+"""Injectors of faults by kind; their arguments are logs, study, joint from 1, and generator."""
 
 
 def drawn_faults(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
-    """Every kind of fault once, in random order, its joint and size by chance.
-
-    `logs`: Clean.
-    """
+    """Every kind of fault once for clean logs, in random order, with random joint and size."""
     kinds = list(INPUT_FAULTS.values())
     for k in rng.permutation(len(kinds)).tolist():
         yield kinds[k](logs, study, int(rng.integers(1, study.arm.n_joints + 1)), rng)

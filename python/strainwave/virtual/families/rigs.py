@@ -13,15 +13,15 @@ from strainwave.dynamics.simulation import SensorNoise
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A drawn arm, its sensors' noise and how fast it is sampled."""
+    """A drawn arm with sensor noise and sample time."""
 
     study: Study
     values: Values
     noise: SensorNoise = field(default_factory=SensorNoise)
     sample_time: float = 2.5e-4  # [s] of records that excite the gears
-    classes: dict[str, str] = field(default_factory=dict)  # what it is counted under
+    classes: dict[str, str] = field(default_factory=dict)  # groups of the statistics
 
 
 def between(rng: np.random.Generator, low: float, high: float) -> float:
-    """Drawn evenly among logarithms."""
+    """Log-uniform random number."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
