@@ -72,11 +72,6 @@ class StateSpace:
         return len(self.A)
 
     @property
-    def aic(self) -> float:
-        """Akaike's information criterion; smaller is better."""
-        return 2.0 * self.n_parameters - 2.0 * self.log_likelihood
-
-    @property
     def bic(self) -> float:
         """Schwarz's information criterion; smaller is better."""
         return self.n_parameters * float(np.log(self.n_samples)) - 2.0 * self.log_likelihood

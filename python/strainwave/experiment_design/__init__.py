@@ -132,10 +132,7 @@ def design(
             else:
                 sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
                 records += (record, *sweep)
-                warnings += tuple(
-                    Diagnostic("limit-broken", f"sweep of joint {joint}", f"not planned: {reason}")
-                    for reason in omissions
-                )
+                warnings += tuple(_omission(f"sweep of joint {joint}", text) for text in omissions)
         if band and arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             try:
@@ -145,26 +142,34 @@ def design(
     if not records:
         raise failures[0]
     warnings += tuple(
-        Diagnostic(
-            "limit-broken", error.where or "", f"not planned: {error.problem}; {error.remedy}"
-        )
-        for error in failures
+        _omission(error.where or "", f"{error.problem}; {error.remedy}") for error in failures
     )
     known = completed(values, arm)
     warnings += tuple(c for record in records for c in _warnings(arm, known, record))
-    for joint, band in bands.items():
-        own = [record for record in records if record.experiment.joint == joint]
-        if band and own and own[0].band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
-            text = (
-                f"the servo's clock limits the excitation to {own[0].band_hz[1]:.3g} Hz, but the "
-            )
-            text += f"joint needs {band.high_hz:.3g} Hz; output the voltages with a faster clock"
-            warnings += (Diagnostic("slow-clock", own[0].experiment.name, text),)
+    warnings += _slow_clocks(bands, records)
     warnings += _torques_without_limit(arm, limits, records)
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
     return Design(replace(study, experiments=experiments), limits, records, warnings, precision)
+
+
+def _omission(where: str, reason: str) -> Diagnostic:
+    return Diagnostic("limit-broken", where, f"not planned: {reason}")
+
+
+def _slow_clocks(
+    bands: Mapping[int, Band | None], records: Sequence[Planned]
+) -> tuple[Diagnostic, ...]:
+    """Warnings of joints whose excitation the clock limits to less than the wanted band."""
+    warnings = []
+    for joint, band in bands.items():
+        first = next((r for r in records if r.experiment.joint == joint), None)
+        if band and first and first.band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
+            text = f"the servo's clock limits the excitation to {first.band_hz[1]:.3g} Hz, but the"
+            text += f" joint needs {band.high_hz:.3g} Hz; output the voltages with a faster clock"
+            warnings.append(Diagnostic("slow-clock", first.experiment.name, text))
+    return tuple(warnings)
 
 
 def _torques_without_limit(

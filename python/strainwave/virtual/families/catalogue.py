@@ -7,7 +7,7 @@ and load the gears beyond their knees at full voltage. Every drawn arm could be 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +47,8 @@ _ACCELEROMETER_RANGES = tuple(
     9.81 * g for g in (2.0, 5.0, 10.0, 20.0, 50.0, 200.0, 1000.0)
 )  # [m/s^2]
 _VOLTAGE_LIMIT = 10.0  # [V]
+_SERVO_BANDWIDTH = 20.0  # [rad/s] of the velocity loop of a rigid joint
+_KI_RATIO = 12.5  # [1/s] ki over kp
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,48 +97,24 @@ def of_choices(
     slopes = [_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)]
     inertia = [k[1] / (2.0 * np.pi * f) ** 2 for k, f in zip(slopes, frequency, strict=True)]
     values, load, length, payload = _links(rng, inertia, choices.payload)
-    joints = []
-    gains: list[tuple[float, float]] = []
-    peak = 0.0
-    for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True)):
-        n, knees = 1.0 / float(ratio), GEARS[size][0]
-        torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
-        motor = n**2 * load[i] * between(rng, 0.2, 1.2)
-        dry = float(rng.uniform(0.04, 0.12)) * torque
-        viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _factor(rng, choices.viscous)
-        coulomb = dry * _factor(rng, choices.coulomb)
-        stiffness = slopes[i][1]
-        damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load[i])
-        drive = {
-            "motor_inertia": motor,
-            "motor_viscous_friction": viscous,
-            "motor_coulomb_friction": coulomb,
-            "friction_offset": float(rng.uniform(-0.05, 0.05)) * coulomb,
-            "link_viscous_friction": viscous / n**2 * float(rng.uniform(0.1, 0.4)),
-            "gear_damping": damping,
-        }
-        if spring == "linear":
-            drive["gear_stiffness"] = stiffness
-        else:
-            drive |= {f"gear_stiffness_k{k}": slope for k, slope in enumerate(slopes[i], start=1)}
-            drive |= {f"gear_knee_t{k}": knee for k, knee in enumerate(knees, start=1)}
-        values |= {(name, i + 1): float(value) for name, value in drive.items()}
-        per_volt = torque / _VOLTAGE_LIMIT
-        kp = 20.0 * (motor + n**2 * load[i]) / per_volt
-        gains.append((kp, 12.5 * kp))
-        distance = 0.9 * length[i]
-        peak = max(peak, 15.0 * knees[1] / load[i] * (distance + i * length[0]))
-        joints.append(
-            Joint(
-                spring=spring,
-                gear_ratio=n,
-                torque_per_volt=per_volt,
-                current_loop_hz=between(rng, 500.0, 1000.0),
-                encoder_counts=counts,
-                accelerometer_distance=distance,
-                accelerometer_hz=bandwidth,
-            )
+    drives = [
+        _draw_drive(rng, spring, choices, i, size, float(ratio), slopes[i], load[i])
+        for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True))
+    ]
+    joints = [
+        replace(
+            drive.joint,
+            encoder_counts=counts,
+            accelerometer_distance=0.9 * length[i],
+            accelerometer_hz=bandwidth,
         )
+        for i, drive in enumerate(drives)
+    ]
+    values |= {key: value for drive in drives for key, value in drive.values.items()}
+    peak = max(
+        15.0 * GEARS[size][0][1] / load[i] * (0.9 * length[i] + i * length[0])
+        for i, size in enumerate((sizes[base], sizes[outer]))
+    )
     study = Study(
         path=Path("study.toml"),
         sha256="",
@@ -147,29 +125,82 @@ def of_choices(
             servo=Servo(
                 "pi-velocity",
                 period=max(1e-3, sample_time),
-                kp=tuple(g[0] for g in gains),
-                ki=tuple(g[1] for g in gains),
+                kp=tuple(drive.kp for drive in drives),
+                ki=tuple(_KI_RATIO * drive.kp for drive in drives),
                 limit=_VOLTAGE_LIMIT,
             ),
         ),
         experiments=_experiments(spring, max(1e-3, sample_time)),
     )
     sensor_range = next((a for a in _ACCELEROMETER_RANGES if a > peak), _ACCELEROMETER_RANGES[-1])
-    classes = {
-        "size": _class(
-            max(sizes[base], 0), (MAX_SMALL_SIZE, MIN_LARGE_SIZE), ("small", "medium", "large")
-        ),
+    classes = _classes(sizes[base], counts, sample_time, bandwidth) | {"spring": spring}
+    if choices.payload:
+        classes["payload"] = f"{payload:.3g} kg"
+    noise = SensorNoise(accelerometer_range=sensor_range)
+    return Rig(study, values, noise, sample_time, classes)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drive:
+    """Motor and gear of one joint."""
+
+    joint: Joint
+    values: Values
+    kp: float  # [V s/rad] of the servo
+
+
+def _draw_drive(
+    rng: np.random.Generator,
+    spring: Spring,
+    choices: Choices,
+    i: int,
+    size: int,
+    ratio: float,
+    slopes: tuple[float, float, float],
+    load: float,
+) -> _Drive:
+    """Motor and gear of joint i, from 0, for a load inertia [kg m^2] at the link."""
+    n, knees, stiffness = 1.0 / ratio, GEARS[size][0], slopes[1]
+    torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
+    motor = n**2 * load * between(rng, 0.2, 1.2)
+    dry = float(rng.uniform(0.04, 0.12)) * torque
+    viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _factor(rng, choices.viscous)
+    coulomb = dry * _factor(rng, choices.coulomb)
+    damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load)
+    drive = {
+        "motor_inertia": motor,
+        "motor_viscous_friction": viscous,
+        "motor_coulomb_friction": coulomb,
+        "friction_offset": float(rng.uniform(-0.05, 0.05)) * coulomb,
+        "link_viscous_friction": viscous / n**2 * float(rng.uniform(0.1, 0.4)),
+        "gear_damping": damping,
+    }
+    if spring == "linear":
+        drive["gear_stiffness"] = stiffness
+    else:
+        drive |= {f"gear_stiffness_k{k}": slope for k, slope in enumerate(slopes, start=1)}
+        drive |= {f"gear_knee_t{k}": knee for k, knee in enumerate(knees, start=1)}
+    per_volt = torque / _VOLTAGE_LIMIT
+    joint = Joint(
+        spring=spring,
+        gear_ratio=n,
+        torque_per_volt=per_volt,
+        current_loop_hz=between(rng, 500.0, 1000.0),
+    )
+    values: Values = {(name, i + 1): float(value) for name, value in drive.items()}
+    return _Drive(joint, values, _SERVO_BANDWIDTH * (motor + n**2 * load) / per_volt)
+
+
+def _classes(size: int, counts: int, sample_time: float, bandwidth: float) -> dict[str, str]:
+    """Groups of an arm in statistics."""
+    return {
+        "size": _class(size, (MAX_SMALL_SIZE, MIN_LARGE_SIZE), ("small", "medium", "large")),
         "counts": _class(counts, (2000, 8192), ("up to 2,000", "to 8,192", "more")),
         "sampling": _class(
             1.0 / sample_time, (1000.0, 4000.0), ("up to 1 kHz", "to 4 kHz", "more")
         ),
         "bandwidth": _class(bandwidth, (100.0, 300.0), ("up to 100 Hz", "to 300 Hz", "more")),
-        "spring": spring,
     }
-    if choices.payload:
-        classes["payload"] = f"{payload:.3g} kg"
-    noise = SensorNoise(accelerometer_range=sensor_range)
-    return Rig(study, values, noise, sample_time, classes)
 
 
 def _links(
