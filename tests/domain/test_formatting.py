@@ -21,14 +21,14 @@ from strainwave.domain.formatting import UNKNOWN, plus_minus
         (math.nan, 1.0, (UNKNOWN, UNKNOWN)),
     ],
 )
-def test_digits_follow_the_uncertainty(
+def test_digits_match_the_standard_deviation(
     value: float | None, std: float | None, expected: tuple[str, str]
 ) -> None:
     assert plus_minus(value, std) == expected
 
 
 @given(st.floats(-1e12, 1e12), st.floats(1e-12, 1e6))
-def test_what_is_written_is_the_number_to_a_tenth_of_its_uncertainty(
+def test_the_text_is_accurate_to_a_tenth_of_the_standard_deviation(
     value: float, std: float
 ) -> None:
     written_value, written_std = plus_minus(value, std)

@@ -1,4 +1,4 @@
-"""What each kind of arm says of its links agrees with itself."""
+"""Each kind of arm: consistency of its relations between inertias."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from strainwave.domain.kinds import KINDS, Values, kind_of
 RATIOS = (0.02, 0.01)
 
 
-def described(kind: ArmKind, gravity: float | None = 9.81) -> ArmDescription:
+def description(kind: ArmKind, gravity: float | None = 9.81) -> ArmDescription:
     joints = tuple(Joint("linear", n) for n in RATIOS[: KINDS[kind].n_joints])
     return ArmDescription(kind, joints, link_length=0.4, gravity=gravity)
 
 
-def drawn(arm: ArmDescription, seed: int) -> Values:
-    """Every parameter that a combination may have."""
+def random_values(arm: ArmDescription, seed: int) -> Values:
+    """Random values of every parameter of a combination."""
     rng = np.random.default_rng(seed)
     names = ("motor_inertia", "motor_viscous_friction", "link_viscous_friction", "friction_offset")
     numbers = range(1, arm.n_joints + 1)
@@ -38,29 +38,30 @@ def drawn(arm: ArmDescription, seed: int) -> Values:
     return {key: float(rng.uniform(0.5, 2.0)) for key in keys}
 
 
-def test_every_kind_of_a_study_file_is_in_the_table() -> None:
+def test_every_kind_is_registered() -> None:
     assert set(KINDS) == set(get_args(ArmKind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_inertias_follow_from_those_of_the_links(kind: ArmKind) -> None:
-    """`from_link_inertias` undoes `link_inertia`."""
-    arm = described(kind)
-    values = drawn(arm, 1)
-    own = kind_of(arm)
+def test_from_link_inertias_inverts_link_inertia(kind: ArmKind) -> None:
+    arm = description(kind)
+    values = random_values(arm, 1)
+    kind_ = kind_of(arm)
     numbers = range(1, arm.n_joints + 1)
-    links = {("link_inertia", i): value_of(own.link_inertia(i), values) for i in numbers}
-    found: Values = {key: v for key, v in values.items() if key not in dict(own.from_link_inertias)}
-    for key, row in own.from_link_inertias:
-        found[key] = value_of(row, found | links)
-    assert found == pytest.approx(values)
+    links = {("link_inertia", i): value_of(kind_.link_inertia(i), values) for i in numbers}
+    inverted: Values = {
+        key: v for key, v in values.items() if key not in dict(kind_.from_link_inertias)
+    }
+    for key, row in kind_.from_link_inertias:
+        inverted[key] = value_of(row, inverted | links)
+    assert inverted == pytest.approx(values)
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_total_inertia_is_the_motor_s_and_the_link_s(kind: ArmKind) -> None:
-    """c_1 = m_M + n^2 m_L out of the rigid model's unknowns alone: (18)."""
-    arm = described(kind)
-    values = drawn(arm, 2)
+def test_the_total_inertia_follows_from_the_rigid_unknowns(kind: ArmKind) -> None:
+    """c_1 = m_M + n^2 m_L, (18)."""
+    arm = description(kind)
+    values = random_values(arm, 2)
     rigid = {column.key: value_of(column.parts, values) for column in rigid_columns(arm)}
     for number, joint in enumerate(arm.joints, start=1):
         link = value_of(kind_of(arm).link_inertia(number), values)
@@ -69,16 +70,16 @@ def test_the_total_inertia_is_the_motor_s_and_the_link_s(kind: ArmKind) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_reported_combinations_are_no_parameters(kind: ArmKind) -> None:
-    arm = described(kind)
-    found = reported(arm)
-    assert not found.keys() & drawn(arm, 3).keys()
-    assert lumped_inertias(arm).items() <= found.items()
-    assert {("total_viscous_friction", i + 1) for i in range(arm.n_joints)} <= found.keys()
+def test_reported_combinations_are_not_parameters(kind: ArmKind) -> None:
+    arm = description(kind)
+    rows = reported(arm)
+    assert not rows.keys() & random_values(arm, 3).keys()
+    assert lumped_inertias(arm).items() <= rows.items()
+    assert {("total_viscous_friction", i + 1) for i in range(arm.n_joints)} <= rows.keys()
 
 
-def test_what_rigid_motion_identifies_depends_on_gravity_and_gears() -> None:
-    names = [str(column) for column in rigid_columns(described("planar-two-link", None))]
+def test_rigid_columns_depend_on_gravity_and_gears() -> None:
+    names = [str(column) for column in rigid_columns(description("planar-two-link", None))]
     assert names[:4] == ["rigid_inertia of joint 1", "motor_inertia of joint 2", "beta", "gamma"]
     assert names[4] == "total_viscous_friction of joint 1"
     drive = ArmDescription("single-joint", (Joint("rigid", 0.1, motion="prismatic"),))

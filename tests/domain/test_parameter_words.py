@@ -1,4 +1,4 @@
-"""Symbols and descriptions of parameters: those of the page of notation, and of every parameter."""
+"""Symbols and descriptions of parameters agree with docs/notation.md and exist for all parameters."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 
 
 def rows() -> list[tuple[list[str], list[str]]]:
-    """Symbols and names of each row of the table of parameters."""
+    """Symbols and names in each row of the parameter table."""
     text = NOTATION.read_text(encoding="utf-8")
     table = text.split("## Parameters")[1].split("\n## ")[0]
-    found = []
+    rows = []
     for line in table.splitlines()[4:]:
         if not line.startswith("|"):
             break
         symbols, names = (cell.strip() for cell in line.split("|")[1:3])
-        found.append((symbols.split(", ") if symbols else [], whole(re.findall("`(.+?)`", names))))
-    return found
+        rows.append(
+            (symbols.split(", ") if symbols else [], complete_names(re.findall("`(.+?)`", names)))
+        )
+    return rows
 
 
-def whole(names: list[str]) -> list[str]:
-    """Names of which the page gives only the end, as `_k2` after `gear_stiffness_k1`."""
+def complete_names(names: list[str]) -> list[str]:
+    """Complete names for abbreviations such as `_k2` after `gear_stiffness_k1`."""
     stem = names[0].rpartition("_")[0]
     return [stem + name if name.startswith("_") else name for name in names]
 
 
 @pytest.mark.parametrize(("symbols", "names"), rows(), ids=str)
-def test_symbols_are_those_of_the_page(symbols: list[str], names: list[str]) -> None:
+def test_symbols_match_the_notation(symbols: list[str], names: list[str]) -> None:
     given = [all_words()[name].symbol for name in names if "..." not in name]
     if len(symbols) == len(given):
         assert given == symbols
@@ -42,17 +44,17 @@ def test_symbols_are_those_of_the_page(symbols: list[str], names: list[str]) -> 
         assert set(given) - {""} == set(symbols)
 
 
-def test_the_page_has_every_parameter() -> None:
+def test_the_notation_lists_every_parameter() -> None:
     page = {name for _, names in rows() for name in names}
     assert {name for name in all_words() if not name.startswith("imu_")} <= page
 
 
-def test_every_parameter_that_is_listed_elsewhere_has_words() -> None:
+def test_every_parameter_has_a_description() -> None:
     listed = {*SENSOR_PARAMETERS, *(name for effect in all_effects() for name in effect.names)}
     assert listed <= set(all_words())
 
 
-def test_descriptions_are_one_line_and_differ() -> None:
+def test_descriptions_are_unique_single_lines() -> None:
     texts = [words.description for words in all_words().values()]
     assert all(text and "\n" not in text and not text.endswith(".") for text in texts)
     assert len(set(texts)) == len(texts)

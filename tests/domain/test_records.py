@@ -1,4 +1,4 @@
-"""The records are one package to all who import them, however its modules are cut."""
+"""The package exports all records of its modules."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from strainwave import domain as records
 from strainwave.domain import ArmDescription, Channel, Experiment, Joint, Study
 
 
-def test_the_package_names_every_record_of_its_modules() -> None:
+def test_the_package_exports_every_record() -> None:
     modules = [import_module(f"strainwave.domain.{m.name}") for m in iter_modules(records.__path__)]
     defined = {
         kind.__name__: kind
@@ -25,7 +25,7 @@ def test_the_package_names_every_record_of_its_modules() -> None:
     assert set(defined) <= set(records.__all__)
 
 
-def test_a_record_survives_pickling() -> None:
+def test_records_can_be_pickled() -> None:
     study = Study(
         path=Path("study.toml"),
         sha256="0" * 64,

@@ -1,4 +1,4 @@
-"""The arm as a value: its regressors, matrices and maps agree with the core's inverse dynamics."""
+"""Regressors, matrices and maps of an arm agree with the core's inverse dynamics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ARMS = {"one joint": ONE, "two links": TWO}
 
 
 def values_of(arm: Arm) -> Values:
-    """Parameters with all friction left out."""
+    """Parameters without friction."""
     values: Values = dict.fromkeys(arm.parameter_names, 0.0)
     some = {"alpha": 1.6, "beta": 0.6, "gamma": 0.4, "link_inertia": 0.8}
     for name, joint in values:
@@ -41,13 +41,13 @@ def motion(arm: Arm, seed: int = 0) -> tuple[FloatArray, FloatArray, FloatArray]
 
 
 def rigid_values(arm: Arm) -> FloatArray:
-    """The rigid model's unknowns but friction."""
+    """Unknowns of the rigid model without friction."""
     values = values_of(arm)
     return np.array([value_of(c.parts, values) for c in arm.rigid_columns[: arm.n_body]])
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_the_regressor_times_parameters_is_the_inverse_dynamics(name: str) -> None:
+def test_regressor_times_parameters_is_the_inverse_dynamics(name: str) -> None:
     arm = ARMS[name]
     torque = arm.inverse_dynamics(arm.parameter_vector(values_of(arm)), *motion(arm))
     by_columns = arm.rigid_regressor(*motion(arm)) @ rigid_values(arm)
@@ -55,8 +55,8 @@ def test_the_regressor_times_parameters_is_the_inverse_dynamics(name: str) -> No
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_links_and_motors_make_up_the_rigid_model_however_they_share(name: str) -> None:
-    """Behind rigid gears a share of inertia at the motor or at the link is the same torque."""
+def test_rigid_torque_does_not_depend_on_the_motor_share(name: str) -> None:
+    """With rigid gears an inertia at the motor or at the link causes the same torque."""
     arm = ARMS[name]
     angle, velocity, acceleration = motion(arm)
     n, solution = arm.gear_ratios, rigid_values(arm)
@@ -67,7 +67,7 @@ def test_links_and_motors_make_up_the_rigid_model_however_they_share(name: str) 
         np.testing.assert_allclose(n * links + motors * acceleration / n, expected, rtol=1e-10)
 
 
-def test_torques_of_accelerations_are_columns_of_the_inertia_matrix() -> None:
+def test_torques_of_accelerations_match_the_inertia_matrix() -> None:
     angle, _, acceleration = motion(TWO)
     base = TWO.base_of_rigid() @ rigid_values(TWO)
     torque = TWO.torques_of_accelerations(base, angle, acceleration)
@@ -76,14 +76,14 @@ def test_torques_of_accelerations_are_columns_of_the_inertia_matrix() -> None:
     np.testing.assert_allclose(M, np.transpose(M, (0, 2, 1)), rtol=1e-12)
 
 
-def test_link_inertias_are_those_of_the_stretched_arm() -> None:
+def test_link_inertias_are_the_diagonal_of_the_stretched_inertia_matrix() -> None:
     values = values_of(TWO)
     base = np.array([values[key] for key in TWO.base_names])
     expected = [value_of(TWO.link_inertia(i), values) for i in (1, 2)]
     np.testing.assert_allclose(TWO.link_inertias(base), expected, rtol=1e-12)
 
 
-def test_an_arm_is_a_value_whose_core_is_made_once() -> None:
+def test_arms_are_values_with_a_cached_core() -> None:
     description: ArmDescription = scara.study(Path()).arm
     arm = Arm.of(description)
     assert arm == Arm.of(description)
@@ -97,6 +97,6 @@ def test_an_arm_is_a_value_whose_core_is_made_once() -> None:
     assert len(stiff.parameter_names) < len(arm.parameter_names)
 
 
-def test_a_derived_array_cannot_be_changed() -> None:
+def test_derived_arrays_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         TWO.gear_ratios[0] = 1.0

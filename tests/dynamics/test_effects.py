@@ -52,7 +52,7 @@ def drive(volts: FloatArray) -> Drive:
 
 
 def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
-    """Motor and link velocity of one joint that slides forward from standstill, by SciPy."""
+    """Motor and link velocity of one joint that slides forward from standstill, integrated by SciPy."""
     p = {name: value for (name, _), value in values.items()}
 
     def slope(_: float, x: FloatArray) -> list[float]:
@@ -76,13 +76,13 @@ def by_scipy(volts: float, seconds: FloatArray, values: Values) -> FloatArray:
         ]
 
     start = [0.0, 0.0, p["kinematic_error_cos"], 0.0, 0.0]
-    found = solve_ivp(
+    solution = solve_ivp(
         slope, (0.0, seconds[-1]), start, "DOP853", seconds, rtol=1e-11, atol=1e-13, max_step=1e-4
     )
-    return np.asarray(found.y[[1, 3]].T)
+    return np.asarray(solution.y[[1, 3]].T)
 
 
-def test_an_arm_with_effects_moves_as_scipy_integrates_it() -> None:
+def test_effects_match_scipy() -> None:
     samples = 300
     run = simulate(
         Arm.of(one_joint().arm),
@@ -93,21 +93,25 @@ def test_an_arm_with_effects_moves_as_scipy_integrates_it() -> None:
         record=["motor_velocity", "link_velocity"],
     )
     expected = by_scipy(4.0, run.time, VALUES | EFFECTS)
-    assert expected[1:, 0].min() > 0.0  # it slides, as the other equations take for granted
-    swings = np.sign(RATIO * expected[:, 0] - expected[:, 1])  # nearly the torsion's rate
+    assert expected[1:, 0].min() > 0.0  # the motor slides, as the SciPy model assumes
+    swings = np.sign(
+        RATIO * expected[:, 0] - expected[:, 1]
+    )  # approximately the rate of the torsion
     assert np.sum(np.diff(swings) != 0.0) > 8
     for i, name in enumerate(("motor_velocity", "link_velocity")):
-        found = run.quantities[name][:, 0]  # type: ignore[index]
-        # Tens of reversals of the torsion, each seen by stages at order three.
-        np.testing.assert_allclose(found, expected[:, i], atol=2e-6 * np.abs(expected[:, i]).max())
+        simulated = run.quantities[name][:, 0]  # type: ignore[index]
+        # tens of reversals of the torsion, each integrated with third order
+        np.testing.assert_allclose(
+            simulated, expected[:, i], atol=2e-6 * np.abs(expected[:, i]).max()
+        )
 
 
 @pytest.mark.parametrize("effect", ALL)
-def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: EffectName) -> None:
+def test_effects_need_parameters_and_change_the_motion(effect: EffectName) -> None:
     study, volts = one_joint((effect,)), drive(np.full(200, 4.0))
-    own = {key: value for key, value in EFFECTS.items() if key[0].startswith(effect[:9])}
-    first, second, *_ = [name for name, _ in own]
-    assert Arm.of(study.arm).parameter_names[-len(own) :] == tuple(own)
+    values = {key: value for key, value in EFFECTS.items() if key[0].startswith(effect[:9])}
+    first, second, *_ = [name for name, _ in values]
+    assert Arm.of(study.arm).parameter_names[-len(values) :] == tuple(values)
     with pytest.raises(InvalidInput, match=f"missing parameters: {first} of joint 1, {second}"):
         simulate(
             Arm.of(study.arm), VALUES, volts, sample_time=1e-3, samples=200, record=["encoder"]
@@ -126,7 +130,7 @@ def test_every_effect_asks_for_its_parameters_and_changes_the_motion(effect: Eff
     assert np.abs(with_it["encoder"] - without["encoder"]).max() > 1e-3
 
 
-def test_an_error_of_the_gear_whose_order_is_not_given_has_two_lobes() -> None:
+def test_the_default_order_of_the_kinematic_error_is_two() -> None:
     arm, volts = Arm.of(one_joint(("kinematic-error",)).arm), drive(np.full(200, 4.0))
     order = ("kinematic_error_order", 1)
     unnamed = VALUES | {key: value for key, value in EFFECTS.items() if key != order}
@@ -138,7 +142,7 @@ def test_an_error_of_the_gear_whose_order_is_not_given_has_two_lobes() -> None:
     assert np.abs(runs[2] - runs[1]).max() > 1e-3
 
 
-def test_the_core_refuses_effects_that_are_none() -> None:
+def test_the_core_rejects_invalid_effects() -> None:
     study = one_joint()
     rigid = replace(
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="rigid"),))
@@ -149,10 +153,10 @@ def test_the_core_refuses_effects_that_are_none() -> None:
         _ = Arm.of(one_joint(("creep",)).arm).core
 
 
-def test_derivatives_reach_the_effects_parameters() -> None:
+def test_sensitivities_to_effect_parameters_match_differences() -> None:
     study, values = one_joint(), VALUES | EFFECTS
     volts = drive(4.0 * np.sign(np.sin(2.0 * np.pi * 11.0 * 1e-3 * np.arange(200) + 0.1)))
-    found = sensitivities(
+    derivatives = sensitivities(
         Arm.of(study.arm),
         values,
         volts,
@@ -175,11 +179,11 @@ def test_derivatives_reach_the_effects_parameters() -> None:
             for change in (size, -size)
         )
         slope = (up - down) / (2.0 * size)
-        # A central difference is off by the square of its step, and at reversals' kinks by the step.
-        np.testing.assert_allclose(found[:, :, k], slope, atol=1e-3 * np.abs(slope).max())
+        # central differences have second-order errors, and first-order errors at reversals
+        np.testing.assert_allclose(derivatives[:, :, k], slope, atol=1e-3 * np.abs(slope).max())
 
 
-def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> None:
+def test_a_study_file_with_effects_is_simulated(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     first = replace(study.arm.joints[0], effects=ALL)
     step = tuple(e for e in study.experiments if e.name == "step-j1")
@@ -200,7 +204,7 @@ def test_a_study_with_effects_is_simulated_from_its_files(tmp_path: Path) -> Non
     assert not np.array_equal(with_them, without)
 
 
-def test_the_rigid_step_takes_an_arm_whose_gears_have_effects(tmp_path: Path) -> None:
+def test_the_rigid_step_accepts_effects(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     first = replace(study.arm.joints[0], effects=ALL)
     motion = tuple(e for e in study.experiments if e.use == "motion")
@@ -208,9 +212,9 @@ def test_the_rigid_step_takes_an_arm_whose_gears_have_effects(tmp_path: Path) ->
         study, arm=replace(study.arm, joints=(first, study.arm.joints[1])), experiments=motion
     )
     virtual.simulate_study(study, scara.parameters() | EFFECTS, tmp_path)
-    found = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
-    assert found.rigid is not None
+    result = pipeline.identify(tmp_path / "study.toml", stages=pipeline.STAGES[:1])
+    assert result.rigid is not None
     true = virtual.derived(scara.parameters(), study.arm)
     for name, joint in (("rigid_inertia", 1), ("beta", None), ("gamma", None)):
-        # a few parts in a thousand, as without effects: slow motion hardly sees them
-        assert found.rigid.value(name, joint) == pytest.approx(true[name, joint], rel=0.01)
+        # a few per mille, as without effects, which slow motion hardly excites
+        assert result.rigid.value(name, joint) == pytest.approx(true[name, joint], rel=0.01)

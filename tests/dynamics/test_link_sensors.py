@@ -1,4 +1,4 @@
-"""What a link sensor does to what it reads, and the derivatives of that."""
+"""Model of a link sensor, and its derivatives."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ INNER = slice(40, -40)
 
 
 @pytest.mark.parametrize("ahead", [-7.3, -1.0, -0.25, 0.5, 3.0, 12.8])
-def test_moved_samples_are_those_of_the_moved_signal(ahead: float) -> None:
-    """Up to a quarter of the sampling frequency, to the ripple of the window."""
+def test_shifted_samples_match_the_shifted_signal(ahead: float) -> None:
+    """Up to a quarter of the sampling rate, within the ripple of the window."""
     for hz in (3.0, 60.0, 250.0):
         x = np.sin(2.0 * np.pi * hz * TIME + 0.4)
         expected = np.sin(2.0 * np.pi * hz * (TIME + ahead * T) + 0.4)
         assert moved(x, ahead)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
 
 
-def test_a_constant_moves_to_itself_and_nothing_moves_nothing() -> None:
+def test_a_constant_and_a_zero_shift_do_not_change() -> None:
     assert moved(np.full(50, 3.0), 2.4) == pytest.approx(3.0, abs=1e-14)
     x = np.random.default_rng(0).normal(size=50)
     assert np.array_equal(moved(x, 0.0), x)
     assert len(moved(x, -3.7)) == 50
 
 
-def test_the_slope_of_rows_at_four_in_a_period() -> None:
+def test_the_derivative_of_rows_at_four_samples_per_period() -> None:
     row_time = 2e-3
     t = row_time * np.arange(500)
     for hz, limit in ((10.0, 1e-6), (62.5, 1e-3), (125.0, 0.05)):
@@ -54,15 +54,15 @@ def test_the_slope_of_rows_at_four_in_a_period() -> None:
         assert np.max(np.abs(slope - w * np.cos(w * t))[8:-8]) < limit * w
 
 
-def test_a_late_sensor_out_of_scale_reads_that() -> None:
+def test_delay_and_scale_change_the_reading() -> None:
     x = np.sin(2.0 * np.pi * 20.0 * TIME)
     values: Values = {("accelerometer_delay", 2): 1.5e-3, ("accelerometer_scale", 2): 1.04}
     expected = 1.04 * np.sin(2.0 * np.pi * 20.0 * (TIME - 1.5e-3))
     assert as_read(x, T, 2, values)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
-    assert np.array_equal(as_read(x, T, 1, values), x)  # another joint's
+    assert np.array_equal(as_read(x, T, 1, values), x)  # constants of another joint
 
 
-def test_names() -> None:
+def test_names_of_sensor_constants() -> None:
     every = [(name, 1) for name in ("accelerometer", "gyro", "link_angle")]
     every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
     names = {name for name, _ in constants_of(every)} | {TILT}

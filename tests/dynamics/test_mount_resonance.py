@@ -1,4 +1,4 @@
-"""A link sensor on a soft mount, against SciPy's simulation of the same system."""
+"""Resonance of a sensor mount, compared with SciPy's simulation."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ TIME: FloatArray = T * np.arange(600, dtype=np.float64)
 
 
 def motion(t: FloatArray) -> FloatArray:
-    """Band-limited, from standstill, which it leaves at once."""
+    """Band-limited motion that starts immediately."""
     rising = 1.0 - np.exp(-((t / 0.01) ** 2))
     return np.asarray(3.0 + rising * (np.sin(210.0 * t) + 0.5 * np.sin(700.0 * t + 1.0)))
 
 
 @pytest.mark.parametrize(("frequency", "damping"), [(40.0, 0.01), (85.0, 0.05), (200.0, 0.7)])
-def test_a_mount_passes_a_motion_on_as_its_equation_says(frequency: float, damping: float) -> None:
+def test_the_reading_matches_scipy(frequency: float, damping: float) -> None:
     fine: FloatArray = T / FINER * np.arange(FINER * len(TIME), dtype=np.float64)
     w = 2.0 * np.pi * frequency
     system = ([w**2], [1.0, 2.0 * damping * w, w**2])
     expected = 3.0 + lsim(system, motion(fine) - 3.0, fine)[1][::FINER]
     read = MountResonance(frequency, damping).read(motion(TIME), T)
-    # samples of a motion that ends are not quite band-limited
+    # samples of a motion of finite length are not exactly band-limited
     assert np.max(np.abs(read - expected)[:-20]) < 2e-3
     assert np.max(np.abs(read - expected)) < 0.05
 
 
-def test_several_motions_at_once_pass_as_one_by_one() -> None:
+def test_several_motions_are_filtered_independently() -> None:
     mount = MountResonance(60.0, 0.03)
     both = np.stack([motion(TIME), np.cos(90.0 * TIME)], axis=1)
     read = mount.read(both, T)
@@ -42,10 +42,10 @@ def test_several_motions_at_once_pass_as_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("damping", [0.02, 0.4])
-def test_slopes_are_those_of_what_is_read(damping: float) -> None:
+def test_slopes_match_differences(damping: float) -> None:
     x, f = motion(TIME), 70.0
     by_frequency, by_damping = MountResonance(f, damping).slopes(x, T)
-    # the length of what is added behind a record follows the mount: a thousandth of its ringing
+    # the padding depends on the mount, which changes the reading by 1/1000 of the vibration
     for slope, step in ((by_frequency, (1e-3, 0.0)), (by_damping, (0.0, 1e-5))):
         ends = [
             MountResonance(f + sign * step[0], damping + sign * step[1]).read(x, T)
@@ -55,12 +55,12 @@ def test_slopes_are_those_of_what_is_read(damping: float) -> None:
         assert np.max(np.abs(slope - numeric)) < 2e-3 * np.max(np.abs(numeric))
 
 
-def test_a_motion_at_standstill_is_read_as_it_is() -> None:
+def test_a_constant_is_read_unchanged() -> None:
     still = np.full(200, 9.81)
     assert MountResonance(50.0, 0.01).read(still, T) == pytest.approx(still)
 
 
-def test_an_accelerometer_on_its_mount_is_read_so() -> None:
+def test_the_sensor_model_applies_the_mount() -> None:
     names = mount_of("accelerometer", 2)
     assert names is not None
     values = dict(zip(names, (55.0, 0.04), strict=True))

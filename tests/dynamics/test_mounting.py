@@ -1,4 +1,4 @@
-"""What a sensor glued anywhere reads, against differences of the path that it moves along."""
+"""Readings of a sensor at any position and attitude, compared with differences of its path."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
     """The rig with an ideal IMU on one of its links."""
     study = scara.study(Path("nowhere"))
     joints = tuple(
-        replace(own, imu=imu if i == joint else None)
-        for i, own in enumerate(study.arm.joints, start=1)
+        replace(description, imu=imu if i == joint else None)
+        for i, description in enumerate(study.arm.joints, start=1)
     )
     return replace(study, arm=replace(study.arm, joints=joints, gravity=gravity))
 
@@ -46,26 +46,26 @@ def axes(study: Study, joint: int) -> tuple[Axis, ...]:
 
 
 def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Where the sensor is, and how its axes are turned: (n, 3), (n, 3, 3)."""
+    """Position (n, 3) and attitude (n, 3, 3) of the sensor."""
     in_space = angle.cumsum(axis=1)
 
-    def turned(k: int) -> FloatArray:
+    def link_attitude(k: int) -> FloatArray:
         zero, one = np.zeros(len(angle)), np.ones(len(angle))
         c, s = np.cos(in_space[:, k]), np.sin(in_space[:, k])
         rows = [[c, -s, zero], [s, c, zero], [zero, zero, one]]
         return np.moveaxis(np.array(rows), 2, 0)
 
-    own = turned(joint - 1)
-    place = own @ np.array(XYZ)
+    attitudes = link_attitude(joint - 1)
+    position = attitudes @ np.array(XYZ)
     if joint == 2:
-        place = place + turned(0) @ np.array([study.arm.link_length or 0.0, 0.0, 0.0])
-    return place, own @ attitude(RPY)
+        position = position + link_attitude(0) @ np.array([study.arm.link_length or 0.0, 0.0, 0.0])
+    return position, attitudes @ attitude(RPY)
 
 
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("gravity", [None, 9.81])
-def test_the_simulated_imu_reads_what_its_path_gives(gravity: float | None, joint: int) -> None:
-    """Second differences of the place, turned into the sensor; the rate of its attitude."""
+def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -> None:
+    """Second differences of the position in the sensor's frame, and the rate of its attitude."""
     study = rig(gravity, joint)
     values = scara.parameters() | {
         ("gravity_torque_1", None): 40.0,
@@ -78,23 +78,25 @@ def test_the_simulated_imu_reads_what_its_path_gives(gravity: float | None, join
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
     record: list[Quantity] = ["link_angle", *BASIS, RATE]
     run = simulate(Arm.of(study.arm), values, drive, sample_time=T, samples=n, record=record)
-    place, turned = path_of(run["link_angle"], study, joint)
-    second = (place[2:] - 2.0 * place[1:-1] + place[:-2]) / T**2
+    position, link_attitude = path_of(run["link_angle"], study, joint)
+    second = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / T**2
     force = second + np.array([0.0, gravity or 0.0, 0.0])
-    read = np.einsum("ni,nik->nk", force, turned[1:-1])
-    spin = np.einsum("nji,njk->nik", turned[1:-1], (turned[2:] - turned[:-2]) / (2.0 * T))
+    read = np.einsum("ni,nik->nk", force, link_attitude[1:-1])
+    spin = np.einsum(
+        "nji,njk->nik", link_attitude[1:-1], (link_attitude[2:] - link_attitude[:-2]) / (2.0 * T)
+    )
     rate = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
     for axis in axes(study, joint):
         parts = np.column_stack([run[name][:, joint - 1] for name in axis.quantities])
-        found = (parts @ factors(axis, Arm.of(study.arm), {}))[1:-1]
+        simulated = (parts @ factors(axis, Arm.of(study.arm), {}))[1:-1]
         expected = (read if axis.kind == "accelerometer" else rate)[:, axis.number]
-        off = np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
-        # differences lack T^2/12 of the next but one derivative, and blur what a voltage's step does
+        off = np.sqrt(np.mean((simulated - expected) ** 2) / np.mean(expected**2))
+        # differences omit T^2/12 times the fourth derivative and smooth voltage steps
         assert off < 2e-3, axis
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
-def test_the_core_and_the_start_take_one_basis(gravity: float | None) -> None:
+def test_the_kinematics_match_the_core(gravity: float | None) -> None:
     study = rig(gravity, 2)
     values = scara.parameters() | {
         ("gravity_torque_1", None): 40.0,
@@ -108,12 +110,12 @@ def test_the_core_and_the_start_take_one_basis(gravity: float | None) -> None:
         Arm.of(study.arm), values, drive, sample_time=1e-3, samples=300, record=[*motion, *BASIS]
     )
     q, dq, ddq = (run[name] for name in motion)
-    found = kinematics(q, dq, ddq, Arm.of(study.arm))
+    basis = kinematics(q, dq, ddq, Arm.of(study.arm))
     for k, name in enumerate(BASIS):
-        np.testing.assert_allclose(found[:, :, k], run[name], atol=1e-9)
+        np.testing.assert_allclose(basis[:, :, k], run[name], atol=1e-9)
 
 
-def test_rotations_and_angles() -> None:
+def test_attitude_and_angles_are_inverse() -> None:
     rng = np.random.default_rng(3)
     for _ in range(20):
         rpy = rng.uniform(-1.5, 1.5, 3)
@@ -121,30 +123,31 @@ def test_rotations_and_angles() -> None:
         np.testing.assert_allclose(matrix @ matrix.T, np.eye(3), atol=1e-14)
         np.testing.assert_allclose(angles(matrix), rpy, atol=1e-12)
     quarter = attitude((0.0, 0.0, np.pi / 2.0))
-    np.testing.assert_allclose(quarter[:, 0], [0.0, 1.0, 0.0], atol=1e-15)  # its x along link's y
+    np.testing.assert_allclose(
+        quarter[:, 0], [0.0, 1.0, 0.0], atol=1e-15
+    )  # x of the sensor along y of the link
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("joint", [1, 2])
-def test_slopes_are_those_of_the_factors(gravity: float | None, joint: int) -> None:
+def test_slopes_match_differences_of_the_factors(gravity: float | None, joint: int) -> None:
     rng = np.random.default_rng(5)
     for imu in (Imu(), Imu(xyz=XYZ), Imu(rpy=RPY)):
         study = rig(gravity, joint, imu)
-        own = axes(study, joint)
-        keys = unknowns_of(own, Arm.of(study.arm))
+        imu_axes = axes(study, joint)
+        keys = unknowns_of(imu_axes, Arm.of(study.arm))
         values = {key: float(rng.uniform(0.1, 0.5)) for key in keys}
-        for axis in own:
-            found = slopes(axis, Arm.of(study.arm), values, keys)
+        for axis in imu_axes:
+            derivatives = slopes(axis, Arm.of(study.arm), values, keys)
             for k, key in enumerate(keys):
                 moved = {**values, key: values[key] + 1e-4}
                 step = factors(axis, Arm.of(study.arm), moved) - factors(
                     axis, Arm.of(study.arm), values
                 )
-                np.testing.assert_allclose(found[:, k], step / 1e-4, atol=1e-3)
+                np.testing.assert_allclose(derivatives[:, k], step / 1e-4, atol=1e-3)
 
 
-def test_distances_by_the_slow_part() -> None:
-    """Short records leave a start of the right size."""
+def test_distances_from_short_records_have_the_right_size() -> None:
     study, _, logs = shaken(order=10)
     joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
     starts = mounting_starts(
@@ -157,8 +160,8 @@ def test_distances_by_the_slow_part() -> None:
     assert mounting_starts(logs, Arm.of(study.arm)) == {}
 
 
-def test_what_is_unknown_of_an_imu() -> None:
-    """On a fixed axis a distance and, under gravity, a bearing; else a place. Turns from a start."""
+def test_unknowns_of_an_imu() -> None:
+    """On a fixed axis a distance and, under gravity, a bearing; otherwise a position."""
     full = ["imu_turn_x", "imu_turn_y", "imu_turn_z"]
     expected = {
         (1, None): ["imu_distance", *full],
@@ -174,11 +177,14 @@ def test_what_is_unknown_of_an_imu() -> None:
         alone = [*names[:-3], "imu_turn_z", "imu_gz_z"]
         assert unknowns_of(one, Arm.of(study.arm)) == [(name, joint) for name in alone]
         assert not unknowns_of(axes(rig(gravity, joint), joint), Arm.of(rig(gravity, joint).arm))
-    turned = rig(None, 1, Imu(rpy=RPY))
-    assert unknowns_of(axes(turned, 1), Arm.of(turned.arm)) == [("imu_x", 1), ("imu_y", 1)]
+    link_attitude = rig(None, 1, Imu(rpy=RPY))
+    assert unknowns_of(axes(link_attitude, 1), Arm.of(link_attitude.arm)) == [
+        ("imu_x", 1),
+        ("imu_y", 1),
+    ]
 
 
-def test_a_rotation_vector() -> None:
+def test_rotation_vectors() -> None:
     rng = np.random.default_rng(7)
     for _ in range(10):
         vector = rng.normal(size=3)
@@ -191,8 +197,10 @@ def test_a_rotation_vector() -> None:
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("count", [2, 3])
-def test_the_search_finds_a_drawn_mounting(gravity: float | None, joint: int, count: int) -> None:
-    """From ideal readings of a wide motion; of two accelerometers with gyros beside them."""
+def test_the_search_recovers_a_random_mounting(
+    gravity: float | None, joint: int, count: int
+) -> None:
+    """Ideal readings of a wide motion; two accelerometers come with gyros."""
     rng = np.random.default_rng([joint, count])
     names = [*(("ax", "ay", "az")[:count]), "gx", "gy", "gz"]
     t = np.linspace(0.0, 6.0, 600)[:, None]
@@ -201,20 +209,20 @@ def test_the_search_finds_a_drawn_mounting(gravity: float | None, joint: int, co
     rpy = rng.uniform(-3.0, 3.0, 3)
     xyz = (rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), 0.02)
     true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
-    lost = rig(gravity, joint, Imu())
-    own = axes_of([f"{name}{joint}" for name in names], Arm.of(lost.arm), joint)
+    unknown = rig(gravity, joint, Imu())
+    imu_axes = axes_of([f"{name}{joint}" for name in names], Arm.of(unknown.arm), joint)
     basis = kinematics(q, dq, ddq, Arm.of(true.arm))[:, joint - 1]
     rate = dq[:, :joint].sum(axis=1)[:, None]
     tables = []
-    for axis in own:
+    for axis in imu_axes:
         parts = rate if axis.kind == "gyro" else basis
         rows = np.column_stack([parts, parts @ factors(axis, Arm.of(true.arm), {})])
         tables.append(rows - rows.mean(axis=0))
-    found = imu_starts(own, tables, Arm.of(lost.arm))
-    for axis in own:
+    starts = imu_starts(imu_axes, tables, Arm.of(unknown.arm))
+    for axis in imu_axes:
         counts, expected = (
-            factors(axis, Arm.of(lost.arm), found),
+            factors(axis, Arm.of(unknown.arm), starts),
             factors(axis, Arm.of(true.arm), {}),
         )
-        felt = np.linalg.norm(tables[own.index(axis)][:, :-1], axis=0) > 1e-9
-        np.testing.assert_allclose(counts[felt], expected[felt], atol=1e-5)
+        is_excited = np.linalg.norm(tables[imu_axes.index(axis)][:, :-1], axis=0) > 1e-9
+        np.testing.assert_allclose(counts[is_excited], expected[is_excited], atol=1e-5)

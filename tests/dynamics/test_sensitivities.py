@@ -1,4 +1,4 @@
-"""Derivatives of simulated experiments, through the binding."""
+"""Derivatives of simulated experiments."""
 
 from __future__ import annotations
 
@@ -31,35 +31,35 @@ EXPERIMENT: dict[str, Any] = {
 }
 
 
-def test_values_are_the_simulation_s_and_shapes_are_as_said() -> None:
+def test_values_match_the_simulation() -> None:
     directions = [("alpha", None), ("motor_inertia", 2), ("initial_link_angle", 1)]
-    found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     plain = ARM.simulate(VALUES[None], VOLTAGE, **EXPERIMENT)
     for name in RECORD:
-        values, tangents = found[name]
+        values, tangents = recorded[name]
         np.testing.assert_array_equal(values, plain[name][0])
         assert tangents.shape == (200, 2, 3)
 
 
-def test_a_parameter_s_derivative_is_its_difference() -> None:
+def test_derivatives_match_differences() -> None:
     k = ARM.parameter_names.index(("gear_damping", 1))
     directions = [ARM.parameter_names[k]]
-    found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
+    recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     step = 1e-5 * VALUES[k]
     moved = VALUES + step * np.array([[1.0], [-1.0]]) * (np.arange(len(VALUES)) == k)
     both = ARM.simulate(moved, VOLTAGE, **EXPERIMENT)
     for name in RECORD:
         difference = (both[name][0] - both[name][1]) / (2.0 * step)
-        # A difference of second order, over knees that bend: five digits.
+        # central differences over rounded knees have five digits
         scale = np.abs(difference).max()
-        np.testing.assert_allclose(found[name][1][..., 0], difference, atol=1e-5 * scale)
+        np.testing.assert_allclose(recorded[name][1][..., 0], difference, atol=1e-5 * scale)
 
 
-def test_threads_give_what_one_gives() -> None:
+def test_threads_do_not_change_the_result() -> None:
     def run(_: int) -> np.ndarray[Any, np.dtype[np.float64]]:
         names = ARM.parameter_names
-        found = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=names, **EXPERIMENT)
-        return found["motor_velocity"][1]
+        recorded = ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=names, **EXPERIMENT)
+        return recorded["motor_velocity"][1]
 
     with ThreadPoolExecutor(2) as pool:
         one, other = pool.map(run, range(2))
@@ -67,21 +67,21 @@ def test_threads_give_what_one_gives() -> None:
 
 
 @pytest.mark.parametrize("direction", [("alpha", 1), ("initial_link_angle", 3), ("mass", None)])
-def test_unknown_directions_are_refused(direction: tuple[str, int | None]) -> None:
+def test_unknown_directions_are_rejected(direction: tuple[str, int | None]) -> None:
     with pytest.raises(ValueError, match=f'no "{direction[0]}"'):
         ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=[direction], **EXPERIMENT)
 
 
-@pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # derivatives go two ways
+@pytest.mark.parametrize("spring", ["three-slope", "rigid"])  # two implementations of derivatives
 @pytest.mark.parametrize("n_directions", [0, 3, 8])
-def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> None:
+def test_rows_are_filtered_samples(spring: Spring, n_directions: int) -> None:
     rig = Arm.of(scara.study(Path(), spring).arm)
     arm, values = rig.core, rig.parameter_vector(scara.parameters(spring=spring))
     directions = arm.parameter_names[:n_directions]
     full = arm.sensitivities(values, VOLTAGE, with_respect_to=directions, **EXPERIMENT)
     kernels = low_pass_kernels(60.0, 1e-3)
     taps = [kernels.taps(rate=name == "link_angle") for name in RECORD]
-    found = arm.sensitivities(
+    recorded = arm.sensitivities(
         values,
         VOLTAGE,
         with_respect_to=directions,
@@ -90,7 +90,7 @@ def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> Non
         samples_per_row=kernels.step,
     )
     for name in RECORD:
-        for rows, samples in zip(found[name], full[name], strict=True):
+        for rows, samples in zip(recorded[name], full[name], strict=True):
             wanted = kernels.rows(samples, rate=name == "link_angle")
             assert rows.shape == wanted.shape
             size = np.abs(wanted).max(initial=0.0)
@@ -101,7 +101,7 @@ def test_rows_are_those_of_the_samples(spring: Spring, n_directions: int) -> Non
     ("taps", "samples_per_row"),
     [([np.ones(8)] * 3, 4), ([np.ones(8)] * 3 + [np.ones(4)], 4), ([np.ones(8)] * 4, 3)],
 )
-def test_taps_that_do_not_fit_are_refused(taps: list[FloatArray], samples_per_row: int) -> None:
+def test_invalid_taps_are_rejected(taps: list[FloatArray], samples_per_row: int) -> None:
     with pytest.raises(ValueError, match="expected taps for each quantity"):
         ARM.sensitivities(
             VALUES,

@@ -1,4 +1,4 @@
-"""Chains of links against MuJoCo, and the names of their parameters."""
+"""Serial chains compared with MuJoCo, and the names of their parameters."""
 
 from typing import Any
 
@@ -18,8 +18,8 @@ Joint = tuple[str, list[float], list[float], list[float]]
 Array = NDArray[np.float64]
 
 
-def drawn_joints(rng: np.random.Generator, n_joints: int, types: str) -> list[Joint]:
-    """Joints without any two axes parallel; r for revolute, p for prismatic."""
+def random_joints(rng: np.random.Generator, n_joints: int, types: str) -> list[Joint]:
+    """Random joints without parallel axes; r is revolute, p is prismatic."""
     names = {"r": "revolute", "p": "prismatic"}
     return [
         (
@@ -32,8 +32,8 @@ def drawn_joints(rng: np.random.Generator, n_joints: int, types: str) -> list[Jo
     ]
 
 
-def drawn_body(rng: np.random.Generator) -> dict[str, Any]:
-    """Mass, centre and inertia about it of a box that is turned somehow."""
+def random_body(rng: np.random.Generator) -> dict[str, Any]:
+    """Mass, centre and central inertia of a randomly oriented box."""
     mass = rng.uniform(0.5, 8.0)
     a, b, c = rng.uniform(0.05, 0.4, 3)
     turned = np.linalg.qr(rng.normal(size=(3, 3)))[0]
@@ -46,7 +46,7 @@ def drawn_body(rng: np.random.Generator) -> dict[str, Any]:
 
 
 def parameters_of(body: dict[str, Any]) -> list[float]:
-    """m, m c and the inertia about the frame's origin (Huygens and Steiner)."""
+    """Mass, first moments, and inertia about the origin of the frame (Huygens-Steiner)."""
     m, c = body["mass"], body["centre"]
     about = body["inertia"] + m * (c @ c * np.eye(3) - np.outer(c, c))
     pairs = [(0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)]
@@ -54,7 +54,7 @@ def parameters_of(body: dict[str, Any]) -> list[float]:
 
 
 def rotation(rpy: list[float]) -> Array:
-    """Rz(yaw) Ry(pitch) Rx(roll), by turns about one axis after the other."""
+    """Rz(yaw) Ry(pitch) Rx(roll) from single rotations."""
     whole = np.eye(3)
     for axis, angle in zip((2, 1, 0), reversed(rpy), strict=True):
         i, j = [(1, 2), (2, 0), (0, 1)][axis]
@@ -66,14 +66,14 @@ def rotation(rpy: list[float]) -> Array:
 
 
 def in_plane(axis: Array) -> tuple[Array, Array]:
-    """The two directions across an axis in which a link's sensors are given."""
+    """The two directions perpendicular to an axis in which a link's sensors are given."""
     x = np.array([1.0, 0.0, 0.0]) - axis[0] * axis
     x /= np.linalg.norm(x)
     return x, np.cross(axis, x)
 
 
 def mujoco_model(joints: list[Joint], bodies: list[dict[str, Any]], distance: float) -> Any:
-    """The same chain, with an accelerometer, a gyro and an angular accelerometer on each link."""
+    """The same chain in MuJoCo with accelerometer, gyro and angular accelerometer on each link."""
     spec = mujoco.MjSpec()
     spec.compiler.balanceinertia = False
     spec.option.gravity = GRAVITY
@@ -104,9 +104,9 @@ def mujoco_model(joints: list[Joint], bodies: list[dict[str, Any]], distance: fl
     return spec.compile()
 
 
-def assert_close(found: Array, expected: Array) -> None:
-    """Both are exact; torques are of the order of 100 N m."""
-    np.testing.assert_allclose(found, expected, rtol=1e-11, atol=1e-10)
+def assert_close(actual: Array, expected: Array) -> None:
+    """Compare exact results; torques are of the order of 100 N m."""
+    np.testing.assert_allclose(actual, expected, rtol=1e-11, atol=1e-10)
 
 
 def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
@@ -117,11 +117,11 @@ def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
 
 
 @pytest.mark.parametrize("types", ["r", "p", "rr", "rp", "rpr", "rrrrrr", "rrprpr"])
-def test_dynamics_are_those_of_mujoco(types: str) -> None:
+def test_dynamics_match_mujoco(types: str) -> None:
     rng = np.random.default_rng(len(types))
     n = len(types)
-    joints = drawn_joints(rng, n, types)
-    bodies = [drawn_body(rng) for _ in range(n)]
+    joints = random_joints(rng, n, types)
+    bodies = [random_body(rng) for _ in range(n)]
     arm = chain(joints)
     base = np.concatenate([parameters_of(body) for body in bodies])
     parameters = np.concatenate([base, MOTOR * n])
@@ -150,12 +150,12 @@ def test_dynamics_are_those_of_mujoco(types: str) -> None:
     assert_close(regressor @ base, torque)
 
 
-def test_sensors_read_as_those_of_mujoco() -> None:
+def test_sensors_match_mujoco() -> None:
     rng = np.random.default_rng(3)
     types = "rrpr"
     n, distance = len(types), 0.3
-    joints = drawn_joints(rng, n, types)
-    bodies = [drawn_body(rng) for _ in range(n)]
+    joints = random_joints(rng, n, types)
+    bodies = [random_body(rng) for _ in range(n)]
     arm = chain(joints, accelerometer_distance=[distance] * n)
     parameters = np.concatenate([parameters_of(body) for body in bodies] + [MOTOR] * n)
     motion = ["link_angle", "link_velocity", "link_acceleration"]
@@ -183,11 +183,11 @@ def test_sensors_read_as_those_of_mujoco() -> None:
             across = unit if kind == "prismatic" else y
             expected = [across @ at_sensor, unit @ rate, x @ at_origin, y @ at_origin]
             names = ["accelerometer", "gyro", "specific_force_x", "specific_force_y"]
-            found = [record[name][0, k, i] for name in names]
-            np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-9)
+            simulated = [record[name][0, k, i] for name in names]
+            np.testing.assert_allclose(simulated, expected, rtol=1e-10, atol=1e-9)
 
 
-def test_parameters_are_ten_per_link_and_then_the_joints_own() -> None:
+def test_parameters_are_ten_per_link_then_those_of_joints() -> None:
     arm = chain([("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])] * 2)
     names = arm.parameter_names
     assert [name for name, _ in names[:10]] == [
@@ -206,7 +206,7 @@ def test_parameters_are_ten_per_link_and_then_the_joints_own() -> None:
     assert names[20] == ("motor_inertia", 1)
 
 
-def test_what_is_no_chain_is_refused() -> None:
+def test_invalid_chains_are_rejected() -> None:
     joint = ("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])
     with pytest.raises(ValueError, match="a chain has 1 to 6 joints, got 7"):
         chain([joint] * 7)

@@ -49,12 +49,12 @@ def test_a_constant_voltage_accelerates_the_whole_arm() -> None:
         samples=2001,
         record=["link_angle"],
     )
-    # Motor 1 pulls with 0.24 N m less 0.06 N m friction, a hundredfold at the link: it has swung.
+    # motor 1 drives with 0.24 N m minus 0.06 N m friction, 18 N m at the link
     assert run["link_angle"][-1, 0] > 1.0
     assert run.time[-1] == pytest.approx(2.0)
 
 
-def test_the_parameters_of_an_arm_go_by_name() -> None:
+def test_missing_parameters_are_rejected_by_name() -> None:
     study = scara.study(Path())
     arm = Arm.of(study.arm)
     vector = arm.parameter_vector(scara.parameters())
@@ -67,16 +67,16 @@ def test_the_parameters_of_an_arm_go_by_name() -> None:
         arm.parameter_vector(incomplete)
 
 
-def test_an_impossible_arm_is_refused_by_name() -> None:
+def test_impossible_parameters_are_rejected_by_name() -> None:
     study = scara.study(Path())
     cases: list[tuple[Values, str]] = [
         ({("motor_inertia", 1): -1.0}, "motor_inertia of joint 1 is -1, but must be positive"),
         ({("gamma", None): 5.0}, "gamma is 5, but must be smaller"),
         ({("gear_knee_t2", 1): 1.0}, "gear_knee_t2 of joint 1 is 1, but must be above"),
     ]
-    for change, said in cases:
+    for change, message in cases:
         values = scara.parameters() | change
-        with pytest.raises(InvalidInput, match=said):
+        with pytest.raises(InvalidInput, match=message):
             simulate(
                 Arm.of(study.arm),
                 values,
@@ -87,7 +87,7 @@ def test_an_impossible_arm_is_refused_by_name() -> None:
             )
 
 
-def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
+def test_a_rigid_arm_is_simulated_from_its_rigid_model() -> None:
     study = scara.study(Path(), "rigid")
     whole = scara.parameters(spring="rigid")
     known = virtual.derived(whole, study.arm)
@@ -107,16 +107,16 @@ def test_a_rigid_arm_runs_on_what_its_rigid_model_knows() -> None:
     np.testing.assert_allclose(runs[0]["link_angle"], runs[1]["link_angle"], atol=1e-10)
 
 
-def test_the_payload_makes_the_inertia() -> None:
-    # Base parameters of the rig at 0, 3 and 5 kg as they are known beforehand.
+def test_the_payload_determines_the_inertia() -> None:
+    # base parameters of the rig at 0, 3 and 5 kg
     for disks, alpha, beta, gamma in [
         (0, 0.9972, 0.188, 0.2625),
         (3, 1.3647, 0.46175, 0.5775),
         (5, 1.6097, 0.64425, 0.7875),
     ]:
         values = scara.parameters(disks)
-        found = [values[name, None] for name in ("alpha", "beta", "gamma")]
-        np.testing.assert_allclose(found, [alpha, beta, gamma], rtol=1e-12)
+        base = [values[name, None] for name in ("alpha", "beta", "gamma")]
+        np.testing.assert_allclose(base, [alpha, beta, gamma], rtol=1e-12)
     with pytest.raises(InvalidInput, match="6 disks"):
         scara.parameters(6)
 
@@ -134,8 +134,8 @@ def test_the_step_divides_every_clock(clocks: list[float], step: float) -> None:
     assert common_step(clocks) == pytest.approx(step)
 
 
-def test_the_fastest_resonance_is_that_of_the_equations() -> None:
-    """One joint in closed form; two against the eigenvalues of the whole arm, stretched or not."""
+def test_the_fastest_resonance_matches_the_eigenvalues() -> None:
+    """One joint in closed form; two joints against the eigenvalues of the stretched and folded arm."""
     study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
     one = replace(study, arm=replace(study.arm, kind="single-joint", joints=study.arm.joints[:1]))
     motor, link, k, n = 1.5e-3, 3.0, 2e4, study.arm.joints[0].gear_ratio
@@ -160,8 +160,8 @@ def test_the_fastest_resonance_is_that_of_the_equations() -> None:
     assert arm.fastest_resonance({}) == 0.0
 
 
-def test_steps_follow_the_fastest_resonance() -> None:
-    """Ten times the stiffness: records stay within what a sensor resolves of far shorter steps'."""
+def test_the_time_step_resolves_the_fastest_resonance() -> None:
+    """Ten times the stiffness; the error against much shorter steps is below the sensor resolution."""
     study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
     arm = Arm.of(study.arm)
     assert arm.longest_step(values) == LONGEST_STEP
@@ -174,7 +174,7 @@ def test_steps_follow_the_fastest_resonance() -> None:
     pushed = drive(200)
 
     def run(longest: float) -> dict[Quantity, FloatArray]:
-        found = simulate_arms(
+        recorded = simulate_arms(
             Arm.of(study.arm),
             [stiff],
             pushed,
@@ -183,19 +183,19 @@ def test_steps_follow_the_fastest_resonance() -> None:
             record=record,
             longest_step=longest,
         )
-        return {name: found[name][0] for name in record}
+        return {name: recorded[name][0] for name in record}
 
     exact = run(2e-6)
 
-    def off(found: Trajectory | dict[Quantity, FloatArray]) -> float:
-        sizes = (np.std(found[name] - exact[name], axis=0) for name in record)
+    def error(simulated: Trajectory | dict[Quantity, FloatArray]) -> float:
+        sizes = (np.std(simulated[name] - exact[name], axis=0) for name in record)
         return max(
             float(np.max(size / np.std(exact[name], axis=0)))
             for size, name in zip(sizes, record, strict=True)
         )
 
-    own, shorter = (
-        off(
+    default, shorter = (
+        error(
             simulate(
                 Arm.of(study.arm),
                 stiff,
@@ -208,14 +208,14 @@ def test_steps_follow_the_fastest_resonance() -> None:
         )
         for longest in (LONGEST_STEP, 1e-5)
     )
-    assert own < 5e-4
-    assert own < 0.2 * off(run(LONGEST_STEP))
-    assert shorter < 0.2 * own
-    # the sensors' filters are of second order: four times less for half the step
-    assert 1.7 < np.log2(off(run(4e-5)) / off(run(2e-5))) < 2.3
+    assert default < 5e-4
+    assert default < 0.2 * error(run(LONGEST_STEP))
+    assert shorter < 0.2 * default
+    # the second-order sensor filters have a quarter of the error at half the step
+    assert 1.7 < np.log2(error(run(4e-5)) / error(run(2e-5))) < 2.3
 
 
-def test_clocks_without_a_common_step_are_refused() -> None:
+def test_clocks_without_a_common_step_are_rejected() -> None:
     with pytest.raises(InvalidInput, match="no common step"):
         common_step([1e-3, 1e-3 * np.pi])
 
@@ -253,7 +253,7 @@ def test_sensors_add_bias_noise_and_rounding() -> None:
     np.testing.assert_allclose(
         read["accelerometer"] / count, np.round(read["accelerometer"] / count)
     )
-    # white noise of that density in the band up to half the sampling rate, and rounding's share
+    # white noise up to half the sampling rate, and quantisation noise
     expected = np.hypot(noise.accelerometer_density * np.sqrt(500.0), count / np.sqrt(12.0))
     assert read["accelerometer"].std(axis=0) == pytest.approx(expected, rel=0.05)
     assert read["gyro"].std(axis=0) == pytest.approx(noise.gyro_deviation, rel=0.05)
@@ -261,7 +261,7 @@ def test_sensors_add_bias_noise_and_rounding() -> None:
     np.testing.assert_array_equal(read["encoder"], run["encoder"])
 
 
-def test_every_use_gets_its_excitation_without_a_log(tmp_path: Path) -> None:
+def test_every_use_has_a_default_excitation(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     assert virtual.simulate_study(study, scara.parameters(), tmp_path, seed=3) == len(
         study.experiments
@@ -279,7 +279,7 @@ def test_every_use_gets_its_excitation_without_a_log(tmp_path: Path) -> None:
             assert 0.5 < link < 2.5
 
 
-def test_the_seed_draws_the_motion_and_the_noise(tmp_path: Path) -> None:
+def test_the_seed_determines_motion_and_noise(tmp_path: Path) -> None:
     study = replace(scara.study(tmp_path), experiments=scara.study(tmp_path).experiments[:1])
     for name, seed, noise in [("a", 1, None), ("b", 1, SensorNoise()), ("c", 2, None)]:
         virtual.simulate_study(study, scara.parameters(), tmp_path / name, seed=seed, noise=noise)
@@ -289,7 +289,7 @@ def test_the_seed_draws_the_motion_and_the_noise(tmp_path: Path) -> None:
     assert not np.array_equal(a.channels["theta_m1"], c.channels["theta_m1"])
 
 
-def test_an_upright_arm_begins_held(tmp_path: Path) -> None:
+def test_an_arm_under_gravity_starts_in_equilibrium(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     upright = replace(study, arm=replace(study.arm, gravity=9.81))
     values = scara.parameters(0) | {
@@ -304,7 +304,7 @@ def test_an_upright_arm_begins_held(tmp_path: Path) -> None:
     assert log.channels["a1"][0] == pytest.approx(9.81, rel=1e-5)  # specific force
 
 
-def test_open_motion_without_a_log_is_refused(tmp_path: Path) -> None:
+def test_open_loop_motion_without_a_log_is_rejected(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     free = Experiment("free", "free.csv", "motion", ("open", "open"))
     with pytest.raises(InvalidInput, match="moves joint 1 in open loop and has no log"):
@@ -324,10 +324,10 @@ def _lab(shared_data: Path, name: str) -> Study:
         ("vertical-linear-0kg", ["motion", "step-j2"]),
     ],
 )
-def test_an_independent_engine_moves_alike(
+def test_logs_of_an_independent_engine_are_reproduced(
     name: str, experiments: list[str], shared_data: Path, tmp_path: Path
 ) -> None:
-    """Logs of another engine, run again here with the true parameters, servo and all."""
+    """Logs of another engine, simulated again with the true parameters and the servo."""
     study = _lab(shared_data, name)
     chosen = tuple(e for e in study.experiments if e.name in experiments)
     values = read_parameters(shared_data / "lab" / name / "truth.json")
@@ -345,8 +345,8 @@ def test_an_independent_engine_moves_alike(
             assert fit(theirs.channels[f"u{joint}"], ours.channels[f"u{joint}"]) > 95.0
 
 
-def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
-    """Its law, dataset_of on logged encoder and reference, gives the logged voltage to the last digit."""
+def test_the_servo_reproduces_the_logged_voltage(shared_data: Path) -> None:
+    """The control law on logged encoder and reference gives the logged voltage exactly."""
     study = _lab(shared_data, "scara-linear-5kg")
     servo = study.arm.servo
     assert servo is not None
@@ -361,7 +361,7 @@ def test_the_servo_is_the_one_that_made_the_logs(shared_data: Path) -> None:
 
 
 def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
-    """Its law on the simulated encoder and reference gives the simulated voltage."""
+    """The control law on simulated encoder and reference gives the simulated voltage."""
     study = scara.study(tmp_path)
     servo = study.arm.servo
     assert servo is not None
@@ -394,14 +394,14 @@ def test_a_position_loop_corrects_the_reference(tmp_path: Path) -> None:
         np.testing.assert_allclose(ran["voltage"][:, i], expected, atol=1e-9)
 
 
-def test_a_prbs_rides_on_the_servo(tmp_path: Path) -> None:
+def test_a_prbs_adds_to_the_servo_voltage(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     prbs = Prbs(order=8, clock=1e-3, periods=2, amplitude=8.0)
     ridden = Experiment("p", "p.parquet", "frequency", ("servo", "servo"), joint=1, prbs=prbs)
     virtual.simulate_study(replace(study, experiments=(ridden,)), scara.parameters(), tmp_path)
     log = logs.read_logs(read_study(tmp_path / "study.toml"))[0]
     u = log.channels["u1"]
-    assert np.abs(u).max() > 8.0  # the servo's part on top
+    assert np.abs(u).max() > 8.0  # PRBS and servo
     assert np.abs(u).max() <= 10.0
     assert np.ptp(log.channels["u2"]) > 0.0
 

@@ -1,4 +1,4 @@
-"""The two inertias by themselves: modes, reciprocity, (17), (18) and back."""
+"""Two-inertia model: modes, reciprocity, (17), (18) and their inverse."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def responses(p: TwoInertia, s: ComplexArray) -> ComplexArray:
 
 
 @given(joints)
-def test_without_damping_it_rings_where_the_textbook_says(p: TwoInertia) -> None:
+def test_undamped_modes_match_the_closed_form(p: TwoInertia) -> None:
     """omega_a = sqrt(k/m_L), omega_r = sqrt(k/m_L + n^2 k/m_M)."""
     still = p.with_vector(p.vector * [1.0, 0.0, 1.0, 0.0, 1.0, 0.0])
     of_link = still.gear_stiffness / still.link_inertia
@@ -57,7 +57,7 @@ def test_without_damping_it_rings_where_the_textbook_says(p: TwoInertia) -> None
 
 
 @given(joints)
-def test_g11_is_17_and_the_joint_is_reciprocal(p: TwoInertia) -> None:
+def test_g11_matches_17_and_the_joint_is_reciprocal(p: TwoInertia) -> None:
     s: ComplexArray = np.asarray(1j * np.geomspace(1.0, 1e3, 9))
     G = responses(p, s)
     b, a = coefficients(p)
@@ -67,13 +67,13 @@ def test_g11_is_17_and_the_joint_is_reciprocal(p: TwoInertia) -> None:
 
 
 @given(joints)
-def test_the_poles_are_those_of_17(p: TwoInertia) -> None:
+def test_the_poles_match_17(p: TwoInertia) -> None:
     _, a = coefficients(p)
     assert np.poly(state_space(p)[0]) == pytest.approx(a[::-1] / a[3], rel=1e-8)
 
 
 @given(joints)
-def test_18_and_its_inverse_make_a_round_trip(p: TwoInertia) -> None:
+def test_18_inverts_17(p: TwoInertia) -> None:
     """a3 = c1 d2, a2 = c1 d1 + c0 d2 with c1 = m_M + n^2 m_L: exact both ways."""
     b, a = coefficients(p)
     n2 = p.gear_ratio**2
@@ -90,8 +90,8 @@ def test_18_and_its_inverse_make_a_round_trip(p: TwoInertia) -> None:
 
 
 @given(joints)
-def test_what_is_read_off_the_response_leads_back(p: TwoInertia) -> None:
-    """With zeros and poles themselves, and c1 of rigid bodies, (18) leaves what theory says."""
+def test_poles_and_zeros_give_the_parameters(p: TwoInertia) -> None:
+    """Exact zeros and poles with c1 of the rigid model give the parameters up to the error of (18)."""
     zero, pole = anti_resonance(p).value, resonance(p).value
     b, d = (np.array([-2.0 * r.real / abs(r) ** 2, abs(r) ** -2]) for r in (zero, pole))
     n2 = p.gear_ratio**2
@@ -100,15 +100,15 @@ def test_what_is_read_off_the_response_leads_back(p: TwoInertia) -> None:
     back = from_coefficients(b, d, np.array([c0, c1]), p.gear_ratio)
     slow = c0 / c1 / abs(zero)
     off = back.vector[[0, 2, 4]] / p.vector[[0, 2, 4]] - 1.0
-    # the slow lag bends with what the gear gives way to it, the more so the more it damps; and an
-    # error in the heavier body is a larger one in the lighter
+    # gear compliance changes the slow pole, more so with more damping, and an error of the larger
+    # inertia is a larger relative error of the smaller one
     share = c1 / min(p.motor_inertia, n2 * p.link_inertia)
     damping = -pole.real / abs(pole) - zero.real / abs(zero)
     assert np.abs(off).max() < 5.0 * share * slow * (slow + damping) + 1e-9
 
 
-def test_deviations_follow_the_square_root() -> None:
-    """f = sqrt(k/m_L)/2 pi: one per cent of k is half a per cent of f."""
+def test_standard_deviations_follow_the_square_root() -> None:
+    """f = sqrt(k/m_L)/2 pi: 1 % of k is 0.5 % of f."""
     p = joint_of(np.array([1.5e-4, 0.0, 3.8, 0.0, 2.5e4, 0.0]), 0.01)
     covariance = np.zeros((6, 6))
     covariance[4, 4] = (0.01 * p.gear_stiffness) ** 2
@@ -117,12 +117,12 @@ def test_deviations_follow_the_square_root() -> None:
     assert anti_resonance(p).frequency_std_hz is None
 
 
-def test_jacobian_of_a_square() -> None:
+def test_jacobian_of_a_quadratic_function() -> None:
     at = np.array([2.0, 0.0, -3.0])
-    found = jacobian(lambda x: np.array([x @ x, x[1]]), at)
-    assert found == pytest.approx(np.array([2.0 * at, [0.0, 1.0, 0.0]]), abs=1e-6)
+    derivatives = jacobian(lambda x: np.array([x @ x, x[1]]), at)
+    assert derivatives == pytest.approx(np.array([2.0 * at, [0.0, 1.0, 0.0]]), abs=1e-6)
 
 
-def test_names_are_the_vectors() -> None:
+def test_names_have_the_order_of_the_vector() -> None:
     p = joint_of(np.arange(1.0, 7.0), 0.01)
     assert [getattr(p, name) for name in NAMES] == p.vector.tolist()

@@ -1,7 +1,7 @@
-"""Designed experiments: they keep to their limits, and tell the arm they were designed for.
+"""Designed experiments satisfy their limits and identify the arm for which they were designed.
 
-The arm that answers is this package's own simulator, with the guess itself as the truth or an arm
-that differs from it; so these tests say that designs are sound, not that a rig is as simulated.
+The simulator of this package stands for the rig, with the guessed parameters or with different
+ones. The tests show that designs are sound, not that a rig behaves as simulated.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def designed() -> design.Design:
 
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Coarser plans, for tests of what is said of one: few periods, and a short search."""
+    """Coarser designs for tests of their messages: few periods and a short search."""
     monkeypatch.setattr(voltages, "_MAX_PERIODS", 12)
     monkeypatch.setattr(rigid_motion, "_N_RANDOM_SERIES", 12)
     monkeypatch.setattr(rigid_motion, "_MAX_ITERATIONS", 5)
@@ -80,7 +80,7 @@ def drive(**changes: float) -> tuple[Study, Values]:
 
 
 def worst_use(study: Study, values: Values, limits: Limits, record: design.Planned) -> float:
-    """The largest share of a limit that a record takes, seen four times as often as designed."""
+    """Largest value of a record over its limit, at four times the sampling rate of the design."""
     names: tuple[simulation.Quantity, ...] = (
         "link_angle",
         "motor_velocity",
@@ -105,7 +105,7 @@ def worst_use(study: Study, values: Values, limits: Limits, record: design.Plann
 # --- the rigid motion ---------------------------------------------------------------------------
 
 
-def test_the_motion_is_conditioned_three_times_as_well_as_the_built_in_one(
+def test_the_condition_number_is_a_third_of_that_of_the_built_in_motion(
     designed: design.Design,
 ) -> None:
     def built_in(seed: int) -> float:
@@ -128,20 +128,20 @@ def test_the_motion_is_conditioned_three_times_as_well_as_the_built_in_one(
         motion = angle, velocity, acceleration
         return float(rigid_motion.condition_number(Arm.of(STUDY.arm), LIMITS, motion))
 
-    found = designed.records[0].condition_number
-    assert found is not None
-    # of ten seeds the built-in motion's lies between 10 and 24
-    assert 3.0 * found < min(built_in(seed) for seed in range(10))
+    condition_number = designed.records[0].condition_number
+    assert condition_number is not None
+    # the built-in motions of ten seeds have 10 to 24
+    assert 3.0 * condition_number < min(built_in(seed) for seed in range(10))
 
 
-def test_a_series_has_the_derivatives_it_says() -> None:
+def test_derivatives_of_a_series_match_differences() -> None:
     rng = np.random.default_rng(3)
     series = rigid_motion.Fourier(
         4.0, rng.normal(size=2), rng.normal(size=(5, 2)), rng.normal(size=(5, 2))
     )
     time: FloatArray = np.linspace(0.0, 4.0, 40001)
     angle, velocity, acceleration = series.at(time)
-    # central differences of step 1e-4 s are wrong by h^2/6 times a third derivative of 1e3
+    # the error of central differences is h^2/6 times a third derivative of 1e3, h = 1e-4 s
     np.testing.assert_allclose(np.gradient(angle, 1e-4, axis=0)[1:-1], velocity[1:-1], atol=1e-5)
     np.testing.assert_allclose(
         np.gradient(velocity, 1e-4, axis=0)[1:-1], acceleration[1:-1], atol=1e-4
@@ -149,14 +149,14 @@ def test_a_series_has_the_derivatives_it_says() -> None:
     np.testing.assert_allclose(angle[0], angle[-1], atol=1e-12)
 
 
-def test_a_way_in_meets_both_ends() -> None:
+def test_a_lead_in_connects_both_states() -> None:
     rng = np.random.default_rng(4)
     start, stop = rng.normal(size=(3, 2)), rng.normal(size=(3, 2))
     time: FloatArray = 1e-3 * np.arange(1500.0)
     way = motions.quintic(list(start), list(stop), time)
     for k in range(3):
         np.testing.assert_allclose(way[k][0], start[k], atol=1e-12)
-        # the last tick is one before the end: the state moves on by a tick's worth
+        # the last tick is one tick before the end state
         np.testing.assert_allclose(way[k][-1], stop[k], atol=0.1)
     moved = np.cumsum(way[1], axis=0)[-1] * 1e-3
     np.testing.assert_allclose(start[0] + moved, stop[0], atol=5e-3)
@@ -174,7 +174,7 @@ def test_every_point_of_the_search_is_feasible(volts: float) -> None:
         room = np.abs(motion[0]).max(0) / (0.95 * np.array(limits.angle))
         pace = np.abs(motion[1]).max(0) / (0.9e-2 * np.array(limits.velocity))
         limited += bool((np.maximum(room, pace) < 0.999).any())
-    # with 40 V angle and velocity bind, with 2 V the voltage
+    # with 40 V angle and velocity are limiting, with 2 V the voltage
     assert (limited == 0) == (volts == 40.0)
 
 
@@ -187,7 +187,7 @@ def test_a_prbs_covers_the_band(designed: design.Design, joint: int) -> None:
     prbs, band = record.experiment.prbs, band_of(Arm.of(STUDY.arm), GUESS, joint)
     assert prbs is not None
     assert band is not None
-    # as the drive holds it: ten points a clock
+    # held by the drive: ten samples per clock
     held = np.repeat(excitation.prbs(replace(prbs, periods=1)), 10)
     power = np.abs(np.fft.rfft(held)) ** 2
     frequency = np.fft.rfftfreq(len(held), prbs.clock / 10.0)
@@ -197,7 +197,7 @@ def test_a_prbs_covers_the_band(designed: design.Design, joint: int) -> None:
     assert frequency[1] <= band.low_hz
 
 
-def test_a_band_is_what_the_two_inertias_say() -> None:
+def test_the_band_matches_the_two_inertia_model() -> None:
     study, values = drive(motor_viscous_friction=0.0, gear_damping=1e-6)
     band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
@@ -212,7 +212,7 @@ def test_a_band_is_what_the_two_inertias_say() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
+def test_a_multisine_is_flat_in_the_band_and_zero_outside() -> None:
     study, values = drive()
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
     band = band_of(Arm.of(study.arm), values, 1)
@@ -231,7 +231,7 @@ def test_a_multisine_is_flat_in_the_band_and_silent_outside() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_coarse_sensors_ask_for_more_periods() -> None:
+def test_coarse_sensors_need_more_periods() -> None:
     study, values = drive()
     limits = Limits((3.0,), (200.0,), (2.0,), ANY[:1])
     band = band_of(Arm.of(study.arm), values, 1)
@@ -265,20 +265,20 @@ def test_under_gravity_servos_hold_the_arm() -> None:
 def test_all_limits_hold(designed: design.Design) -> None:
     for record in designed.records:
         use = worst_use(STUDY, GUESS, LIMITS, record)
-        # between two looks of 1 ms a vibration of 30 Hz hides 0.5 % of its peak
+        # samples of 1 ms miss up to 0.5 % of the peak of a vibration of 30 Hz
         assert use < 1.005, record.experiment.name
-        # and what may be used is used
+        # records at full amplitude use their limits
         at_full = record.experiment.use in ("motion", "frequency")
         assert use > 0.8 or not at_full, record.experiment.name
     assert {w.code for w in designed.warnings} <= {"standing", "limit-broken"}
     assert all(w.where.startswith("sweep") for w in designed.warnings)
 
 
-def names(found: design.Design) -> list[str]:
-    return [record.experiment.name for record in found.records]
+def names(plan: design.Design) -> list[str]:
+    return [record.experiment.name for record in plan.records]
 
 
-def test_every_use_is_planned_with_a_check_of_each_model(designed: design.Design) -> None:
+def test_every_use_and_validation_record_is_planned(designed: design.Design) -> None:
     uses = [(r.experiment.use, r.experiment.joint) for r in designed.records]
     assert uses.count(("motion", None)) == uses.count(("check", None)) == 1
     for joint in (1, 2):
@@ -302,8 +302,10 @@ def test_every_use_is_planned_with_a_check_of_each_model(designed: design.Design
         )
         assert step.drive.reference[:, 2 - joint].any() == np.False_
         level, other = (np.abs(r.drive.reference).max() for r in (step, check))
-        assert other == pytest.approx(0.7 * level, rel=0.2)  # each is cut to the limits by itself
-        # the servo acts: it is nowhere at its limit
+        assert other == pytest.approx(
+            0.7 * level, rel=0.2
+        )  # each is reduced to the limits separately
+        # the servo does not saturate
         assert max(step.predicted.voltage) < 10.0
 
 
@@ -311,7 +313,7 @@ def names_of(record: design.Planned) -> str:
     return record.experiment.name
 
 
-def test_steps_shrink_to_the_limits_or_are_left_out() -> None:
+def test_steps_are_reduced_to_the_limits_or_omitted() -> None:
     study, values = drive()
     band = band_of(Arm.of(study.arm), values, 1)
     assert band is not None
@@ -328,7 +330,7 @@ def test_steps_shrink_to_the_limits_or_are_left_out() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_what_gears_bear_is_said_where_no_limit_was_given() -> None:
+def test_gear_torques_without_limit_give_a_warning() -> None:
     study, values = drive()
     free, limited = (
         design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (torque,)))
@@ -341,7 +343,7 @@ def test_what_gears_bear_is_said_where_no_limit_was_given() -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_intervals_are_those_of_the_sensors_that_the_study_declares(
+def test_intervals_depend_on_the_declared_sensors(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     bare, values = drive()
@@ -360,12 +362,12 @@ def test_intervals_are_those_of_the_sensors_that_the_study_declares(
     limits = Limits((1.5,), (200.0,), (10.0,), ANY[:1])
     widths, printed = [], []
     for study in (bare, sensed):
-        found = design.design(study, values, limits)
-        widths.append({p.name: p.std for p in found.precision})
-        print_design(found, Path("designed"))
+        plan = design.design(study, values, limits)
+        widths.append({p.name: p.std for p in plan.precision})
+        print_design(plan, Path("designed"))
         printed.append(" ".join(capsys.readouterr().out.split()))
     for name in ("gear_stiffness", "gear_damping"):
-        alone, more = (found[name] for found in widths)
+        alone, more = (width[name] for width in widths)
         assert alone is not None
         assert more is not None
         assert alone > 1.3 * more
@@ -373,7 +375,7 @@ def test_intervals_are_those_of_the_sensors_that_the_study_declares(
     assert "sensors: joint 1's encoder of 1000 counts and accelerometer" in printed[1]
 
 
-def test_a_virtual_arm_has_the_sensors_that_are_declared(tmp_path: Path) -> None:
+def test_a_virtual_arm_has_the_declared_sensors(tmp_path: Path) -> None:
     first, second = STUDY.arm.joints
     first = replace(first, accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None)
     one = tuple(e for e in STUDY.experiments if e.name == "step-j1")
@@ -386,82 +388,83 @@ def test_a_virtual_arm_has_the_sensors_that_are_declared(tmp_path: Path) -> None
 
 
 @pytest.mark.usefixtures("quick")
-def test_narrow_limits_are_warned_of() -> None:
+def test_narrow_limits_give_a_warning() -> None:
     study, values = drive()
     study = replace(
         study, arm=replace(study.arm, joints=(replace(study.arm.joints[0], spring="three-slope"),))
     )
     values |= {("gear_knee_t1", 1): 5.0, ("gear_knee_t2", 1): 20.0}
-    # 0.4 V overcome the friction, and a fifth is kept back
-    found = design.design(study, values, Limits((1.5,), (200.0,), (0.8,), ANY[:1]))
-    codes = {(w.code, w.where) for w in found.warnings}
+    # 0.4 V overcome the friction, and 20 % is margin
+    plan = design.design(study, values, Limits((1.5,), (200.0,), (0.8,), ANY[:1]))
+    codes = {(w.code, w.where) for w in plan.warnings}
     assert ("knee-not-reached", "prbs-j1") in codes
     assert ("standing", "motion") in codes
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_motion_that_shows_little_is_warned_of() -> None:
+def test_a_poorly_conditioned_motion_gives_a_warning() -> None:
     study, values = drive(gravity_torque_1=1.0)
     study = replace(study, arm=replace(study.arm, gravity=9.81))
-    # over a fiftieth of a radian gravity looks like an offset of the friction
-    found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), ANY[:1]))
-    assert ("poor-excitation", "motion") in {(w.code, w.where) for w in found.warnings}
+    # within 0.02 rad gravity is similar to a friction offset
+    plan = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), ANY[:1]))
+    assert ("poor-excitation", "motion") in {(w.code, w.where) for w in plan.warnings}
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_slow_servo_is_warned_of() -> None:
+def test_a_slow_servo_gives_a_warning() -> None:
     study, values = drive(gear_stiffness=3e5)
-    found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), ANY[:1]))
-    assert "slow-clock" in {w.code for w in found.warnings}
+    plan = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), ANY[:1]))
+    assert "slow-clock" in {w.code for w in plan.warnings}
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_record_that_breaks_a_limit_is_left_out_and_reported() -> None:
-    """The motor's friction alone puts 1 N m into the gear; fast voltages mostly miss it."""
+def test_a_record_that_violates_a_limit_is_omitted_with_a_warning() -> None:
+    """The motor's friction alone causes a gear torque of 1 N m, which fast voltages mostly avoid."""
     study, values = drive()
-    found = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.5,)))
-    assert names(found)[0] == "prbs-j1"
-    assert not {"motion", "step-j1"} & set(names(found))
-    broken = [(w.code, w.where) for w in found.warnings if w.code == "limit-broken"]
+    plan = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.5,)))
+    assert names(plan)[0] == "prbs-j1"
+    assert not {"motion", "step-j1"} & set(names(plan))
+    broken = [(w.code, w.where) for w in plan.warnings if w.code == "limit-broken"]
     assert ("limit-broken", "motion") in broken
     assert ("limit-broken", "step-j1") in broken
-    said = next(w.message for w in found.warnings if w.where == "motion")
+    message = next(w.message for w in plan.warnings if w.where == "motion")
     assert re.search(
-        r"gear torque of joint 1 would be \S+ N m, above the limit of 0.5 \(--limit-torque\)", said
+        r"gear torque of joint 1 would be \S+ N m, above the limit of 0.5 \(--limit-torque\)",
+        message,
     )
-    assert "widen the limit" in said
-    assert worst_use(study, values, found.limits, found.records[0]) < 1.005
+    assert "widen the limit" in message
+    assert worst_use(study, values, plan.limits, plan.records[0]) < 1.005
 
 
 @pytest.mark.usefixtures("quick")
-def test_an_excitation_that_only_friction_holds_is_left_out_and_reported() -> None:
+def test_an_excitation_below_friction_is_omitted_with_a_warning() -> None:
     study, values = drive()
-    found = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), (0.01,)))
-    reported = {w.where: w.message for w in found.warnings if w.code == "limit-broken"}
+    plan = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), (0.01,)))
+    reported = {w.where: w.message for w in plan.warnings if w.code == "limit-broken"}
     assert re.search(r"with \S+ V the gear torque of joint 1 would be", reported["prbs-j1"])
 
 
 @pytest.mark.usefixtures("quick")
-def test_without_a_servo_voltages_are_planned_in_open_loop() -> None:
+def test_designs_without_a_servo_are_in_open_loop() -> None:
     study, values = drive()
     limits = limits_of(
         replace(study, arm=replace(study.arm, servo=None)).arm, "1.5", "200", "10", None
     )
-    found = design.design(replace(study, arm=replace(study.arm, servo=None)), values, limits)
-    assert {r.experiment.use for r in found.records} == {"frequency", "sweep"}
-    assert {r.experiment.control for r in found.records} == {("open",)}
-    assert "no-servo" in {w.code for w in found.warnings}
-    assert 'kind = "pi-velocity", period [s], kp' in found.warnings[0].message
+    plan = design.design(replace(study, arm=replace(study.arm, servo=None)), values, limits)
+    assert {r.experiment.use for r in plan.records} == {"frequency", "sweep"}
+    assert {r.experiment.control for r in plan.records} == {("open",)}
+    assert "no-servo" in {w.code for w in plan.warnings}
+    assert 'kind = "pi-velocity", period [s], kp' in plan.warnings[0].message
 
 
 def only(designed: design.Design, *chosen: str) -> design.Design:
-    """A design of some of its records, so that a test simulates no more than it needs."""
+    """Design with some of its records, to simulate only what a test needs."""
     records = tuple(r for r in designed.records if names_of(r) in chosen)
     study = replace(designed.study, experiments=tuple(r.experiment for r in records))
     return replace(designed, study=study, records=records)
 
 
-def test_a_planned_study_is_simulated_as_planned(designed: design.Design, tmp_path: Path) -> None:
+def test_planned_inputs_are_simulated(designed: design.Design, tmp_path: Path) -> None:
     designed = only(designed, "motion", "motion-check", "prbs-j1", "step-j1", "step-check-j2")
     write(designed, tmp_path / "plan")
     study = read_study(tmp_path / "plan" / "study.toml", logs_exist=False)
@@ -476,8 +479,7 @@ def test_a_planned_study_is_simulated_as_planned(designed: design.Design, tmp_pa
             for i in range(2):
                 meant = record.motor_angle[:, i]
                 followed = log.channels[f"theta_m{i + 1}"][ticks]
-                # the servo lags; an invented motion would be as far off as the motion is wide.
-                # Behind steps it lags by the time its integrator takes
+                # the servo lags, more so after steps; another motion would differ by its full range
                 share = 0.05 if record.experiment.joint is None else 0.5
                 if meant.any():
                     assert np.abs(followed - meant).max() < share * np.ptp(meant)
@@ -489,23 +491,23 @@ def test_a_planned_study_is_simulated_as_planned(designed: design.Design, tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("t [s],u1 [V]\n0,1\n0.001,2\n0.005,1\n", r"no column t \[s\]"),
         ("u1 [V],x\n1,2\n2,1\n", r"no column t \[s\]"),
         ("t [s],x\n0,1\n0.001,2\n", "no non-zero input"),
     ],
 )
-def test_a_plan_that_was_spoilt_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_damaged_tables_are_rejected(text: str, expected: str, tmp_path: Path) -> None:
     study, values = drive()
     experiment = Experiment("p", "p.csv", "frequency", ("open",), joint=1)
     study = replace(study, path=tmp_path / "study.toml", experiments=(experiment,))
     (tmp_path / "apply-p.csv").write_text(text)
-    with pytest.raises(InvalidInput, match=said):
+    with pytest.raises(InvalidInput, match=expected):
         virtual.simulate_study(study, values, tmp_path / "out")
 
 
-def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) -> None:
+def test_written_designs_read_back(designed: design.Design, tmp_path: Path) -> None:
     write(designed, tmp_path)
     again = read_study(tmp_path / "study.toml", logs_exist=False)
     assert again.experiments == designed.study.experiments
@@ -540,10 +542,10 @@ def test_what_was_written_reads_back(designed: design.Design, tmp_path: Path) ->
             np.testing.assert_array_equal(listed, values)
 
 
-def test_the_records_show_another_arm_than_the_guess(
+def test_the_records_identify_an_arm_other_than_the_guess(
     designed: design.Design, tmp_path: Path
 ) -> None:
-    """Simulated, noisy sensors: rigid parameters within 1 % of an arm 5 to 15 % off the guess."""
+    """Rigid parameters within 1 % with noisy sensors, on an arm that differs by 5 to 15 % from the guess."""
     rng = np.random.default_rng(7)
     truth = {key: value * float(rng.uniform(0.85, 1.15)) for key, value in GUESS.items()}
     for name in ("alpha", "beta", "gamma"):
@@ -560,15 +562,15 @@ def test_the_records_show_another_arm_than_the_guess(
             samples=samples,
             record=["voltage", "encoder", "accelerometer"],
         )
-        seen = simulation.measure(run, simulation.SensorNoise(), np.random.default_rng(number))
+        readings = simulation.measure(run, simulation.SensorNoise(), np.random.default_rng(number))
         columns = {"t": run.time}
         for i in range(2):
-            columns[f"u{i + 1}"] = seen["voltage"][:, i]
-            columns[f"theta_m{i + 1}"] = seen["encoder"][:, i]
-            columns[f"a{i + 1}"] = seen["accelerometer"][:, i]
+            columns[f"u{i + 1}"] = readings["voltage"][:, i]
+            columns[f"theta_m{i + 1}"] = readings["encoder"][:, i]
+            columns[f"a{i + 1}"] = readings["accelerometer"][:, i]
         logs.write_log(tmp_path / record.experiment.file, columns)
-    found = pipeline.identify(tmp_path / "study.toml", stages=("rigid",))
-    assert found.rigid is not None
+    result = pipeline.identify(tmp_path / "study.toml", stages=("rigid",))
+    assert result.rigid is not None
     rigid = truth["alpha", None] + truth["motor_inertia", 1] / 0.01**2
     expected: Values = {("rigid_inertia", 1): rigid}
     expected["motor_inertia", 2] = truth["motor_inertia", 2]
@@ -580,10 +582,10 @@ def test_the_records_show_another_arm_than_the_guess(
         expected["total_viscous_friction", joint] = viscous
         expected["motor_coulomb_friction", joint] = truth["motor_coulomb_friction", joint]
     for key, value in expected.items():
-        assert found.rigid.value(*key) == pytest.approx(value, rel=0.01), key
+        assert result.rigid.value(*key) == pytest.approx(value, rel=0.01), key
 
 
-def test_the_table_says_how_long_and_why(
+def test_the_summary_states_durations_and_reasons(
     designed: design.Design, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     print_design(designed, tmp_path)
@@ -614,7 +616,7 @@ def no_servo_of_a_rigid_arm() -> None:
     design.design(study, scara.parameters(spring="rigid"), LIMITS)
 
 
-def unheld() -> None:
+def too_weak_to_hold() -> None:
     study, values = upright()
     design.design(study, values, replace(LIMITS, voltage=(2.0, 2.0)))
 
@@ -624,21 +626,21 @@ def immovable() -> None:
     design.design(study, values, Limits((1.5,), (200.0,), (10.0,), (0.1,)))
 
 
-def unstiff() -> None:
+def missing_stiffness() -> None:
     lacking = {key: value for key, value in GUESS.items() if key != ("gear_stiffness_k2", 1)}
     design.design(STUDY, lacking, LIMITS)
 
 
 @pytest.mark.usefixtures("quick")
 @pytest.mark.parametrize(
-    ("ask", "said"),
+    ("ask", "expected"),
     [
         (no_voltage, r"--limit-voltage: .*add the \[servo\]"),
         (no_servo_under_gravity, r"under gravity needs a servo.*add the \[servo\]"),
         (no_servo_of_a_rigid_arm, r"a rigid arm is identified from motions.*add the \[servo\]"),
-        (unheld, "hold"),
+        (too_weak_to_hold, "hold"),
         (immovable, r"satisfies the limits.*gear torque of joint 1 would be .* limit of 0.1"),
-        (unstiff, "gear_stiffness_k2 of joint 1"),
+        (missing_stiffness, "gear_stiffness_k2 of joint 1"),
         (lambda: limits_of(STUDY.arm, "1,2,3", "1", None, None), "--limit-angle"),
         (lambda: limits_of(STUDY.arm, "69", "180", None, None), "69 degrees are 1.204 rad"),
         (lambda: limits_of(STUDY.arm, "1,0.9", "3000", None, None), "3000 rpm are 314.2"),
@@ -647,11 +649,12 @@ def unstiff() -> None:
         (lambda: limits_of(STUDY.arm, "1", "1", None, "nan"), "--limit-torque"),
     ],
 )
-def test_what_cannot_be_designed_is_refused(ask: Callable[[], object], said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
+def test_impossible_designs_are_rejected(ask: Callable[[], object], expected: str) -> None:
+    with pytest.raises(InvalidInput, match=expected):
         ask()
 
 
-def test_limits_are_one_or_one_a_joint_and_the_servo_s_at_most() -> None:
-    found = limits_of(STUDY.arm, "1.2,0.9", "180", "24,8", None)
-    assert found == Limits((1.2, 0.9), (180.0, 180.0), (10.0, 8.0), ANY)
+def test_limits_are_for_all_joints_or_one_each() -> None:
+    assert limits_of(STUDY.arm, "1.2,0.9", "180", "24,8", None) == Limits(
+        (1.2, 0.9), (180.0, 180.0), (10.0, 8.0), ANY
+    )

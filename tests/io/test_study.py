@@ -14,7 +14,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, write_study
 
 
-def test_reads_what_is_written(tmp_path: Path) -> None:
+def test_a_study_file_is_read(tmp_path: Path) -> None:
     study = read_study(studies.write(tmp_path))
     assert (study.arm.kind, study.arm.link_length) == ("planar-two-link", 0.35)
     assert study.arm.joints[1] == Joint("linear", 0.01, torque_per_volt=0.03)
@@ -24,7 +24,7 @@ def test_reads_what_is_written(tmp_path: Path) -> None:
     assert len(study.sha256) == 64
 
 
-def test_channels_take_a_name_or_a_table(tmp_path: Path) -> None:
+def test_channels_are_names_or_tables(tmp_path: Path) -> None:
     text = (
         studies.STUDY + '\n[channels]\nt = "time"\nu1 = { column = "v", scale = 2, offset = -1 }\n'
     )
@@ -32,7 +32,7 @@ def test_channels_take_a_name_or_a_table(tmp_path: Path) -> None:
     assert study.channels == {"t": Channel("time"), "u1": Channel("v", 2.0, -1.0)}
 
 
-def test_control_is_open_where_it_is_not_said(tmp_path: Path) -> None:
+def test_the_default_control_is_open(tmp_path: Path) -> None:
     text = studies.STUDY.replace('control = ["servo", "servo"]\n', "")
     assert read_study(studies.write(tmp_path, text)).experiments[0].control == ("open", "open")
 
@@ -171,7 +171,7 @@ FAULTS = {
 }
 
 
-def test_six_joints_are_reported_what_can_be_identified(tmp_path: Path) -> None:
+def test_six_joints_are_rejected_with_the_supported_arms(tmp_path: Path) -> None:
     joints = 6 * '[[joint]]\nspring = "rigid"\ngear_ratio = 0.01\ntorque_per_volt = 0.08\n'
     control = ", ".join(6 * ['"servo"'])
     experiment = f'name = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = [{control}]\n'
@@ -183,11 +183,11 @@ def test_six_joints_are_reported_what_can_be_identified(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
-    old, new, times, said = FAULTS[fault]
+def test_every_fault_is_reported_with_its_place(fault: str, tmp_path: Path) -> None:
+    old, new, times, expected = FAULTS[fault]
     assert old in studies.STUDY
     path = studies.write(tmp_path, studies.STUDY.replace(old, new, times))
-    with pytest.raises(InvalidInput, match=said) as caught:
+    with pytest.raises(InvalidInput, match=expected) as caught:
         read_study(path)
     message = str(caught.value)
     assert str(path) in message
@@ -195,7 +195,7 @@ def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
     assert "\n" not in message
 
 
-def test_a_slider_does_not_feel_gravity(tmp_path: Path) -> None:
+def test_a_prismatic_joint_rejects_gravity(tmp_path: Path) -> None:
     text = '[arm]\nkind = "single-joint"\ngravity = 9.81\n[[joint]]\nmotion = "prismatic"\n'
     text += 'spring = "rigid"\ngear_ratio = 1.0\n[[experiment]]\nname = "a"\nfile = "motion.csv"\nuse = "motion"\n'
     with pytest.raises(InvalidInput, match="perpendicular to gravity"):
@@ -204,18 +204,20 @@ def test_a_slider_does_not_feel_gravity(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("table", ["arm", "joint", "experiment"])
 def test_a_study_needs_its_tables(table: str, tmp_path: Path) -> None:
-    kept = [part for part in studies.STUDY.split("\n\n") if not part.lstrip("[").startswith(table)]
+    remaining = [
+        part for part in studies.STUDY.split("\n\n") if not part.lstrip("[").startswith(table)
+    ]
     with pytest.raises(InvalidInput, match=f"there is no .*{table}"):
-        read_study(studies.write(tmp_path, "\n\n".join(kept)))
+        read_study(studies.write(tmp_path, "\n\n".join(remaining)))
 
 
-def test_a_third_joint_is_refused(tmp_path: Path) -> None:
+def test_a_third_joint_is_rejected(tmp_path: Path) -> None:
     text = studies.STUDY + '\n[[joint]]\nspring = "rigid"\ngear_ratio = 0.01\n'
     with pytest.raises(InvalidInput, match=r"there are 3"):
         read_study(studies.write(tmp_path, text))
 
 
-def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+def test_unreadable_files_are_rejected(tmp_path: Path) -> None:
     (tmp_path / "study.toml").write_bytes(b"")
     with pytest.raises(InvalidInput, match=r"does not exist.*mean 'study.toml'"):
         read_study(tmp_path / "stady.toml")
@@ -227,7 +229,7 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root reads anything")
-def test_a_file_without_permission(tmp_path: Path) -> None:
+def test_a_file_without_read_permission_is_rejected(tmp_path: Path) -> None:
     path = studies.write(tmp_path)
     path.chmod(0)
     with pytest.raises(InvalidInput, match="Permission denied"):
@@ -291,7 +293,7 @@ whole = st.builds(
 
 
 @given(study=whole)
-def test_what_is_written_reads_back_equal(
+def test_written_studies_read_back_equal(
     study: Study, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     path = tmp_path_factory.mktemp("study") / "study.toml"
@@ -300,7 +302,7 @@ def test_what_is_written_reads_back_equal(
     assert dataclasses.replace(back, path=study.path, sha256="") == study
 
 
-def test_reads_every_study_of_the_measured_data(shared_data: Path) -> None:
+def test_all_studies_of_the_measured_data_are_read(shared_data: Path) -> None:
     paths = sorted(shared_data.glob("*/*/study.toml"))
     assert len(paths) >= 6
     for path in paths:

@@ -1,4 +1,4 @@
-"""[options] of a study and --set: what is read, and what is refused and how."""
+"""[options] of a study and --set: valid options and error messages."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def with_text(folder: Path, text: str) -> Study:
     return read_study(studies.write(folder, studies.STUDY + text))
 
 
-def test_tables_of_stages_are_read(tmp_path: Path) -> None:
+def test_tables_of_options_are_read(tmp_path: Path) -> None:
     options = with_text(tmp_path, INLINE).options
     assert options.links == LinkOptions(0.1, 1)
     assert options.statespace == LinearOptions(
@@ -54,7 +54,7 @@ def test_tables_of_stages_are_read(tmp_path: Path) -> None:
     assert with_text(tmp_path, TABLES).options == Options(links=LinkOptions(0.1, 1))
 
 
-def test_without_options_all_are_the_defaults(tmp_path: Path) -> None:
+def test_options_have_defaults(tmp_path: Path) -> None:
     options = read_study(studies.write(tmp_path)).options
     assert options == Options()
     assert chosen_options(options) == []
@@ -121,7 +121,7 @@ def test_flags_override_the_file(tmp_path: Path) -> None:
             "tuning.as_published=false",
         ],
     )
-    assert study.options.links == LinkOptions(0.1, 2)  # the other key of the file stays
+    assert study.options.links == LinkOptions(0.1, 2)  # the other key of the file is unchanged
     assert study.options.statespace.method == "moesp"
     assert study.options.physical.route == "transfer-function"
     assert study.options.tuning.ranges == {"gear_stiffness 2": (0.9, 1.1)}
@@ -148,7 +148,7 @@ def test_faults_of_a_flag_name_the_flag(flag: str, expected: str, tmp_path: Path
     assert fault.value.remedy
 
 
-def test_callers_give_records_or_tables(tmp_path: Path) -> None:
+def test_options_can_be_records_or_tables(tmp_path: Path) -> None:
     study = with_text(tmp_path, INLINE)
     other = Options(links=LinkOptions(0.3))
     assert with_options(study, other).options == other
@@ -161,7 +161,7 @@ def test_callers_give_records_or_tables(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
-def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
+def test_options_accept_all_parameters_of_the_fit(spring: str) -> None:
     from strainwave.identification.whole_arm.parametrisation import space_of, with_curves
 
     study, known = truth(spring)
@@ -174,6 +174,6 @@ def test_parameters_of_the_fit_are_those_options_may_name(spring: str) -> None:
     known_to_options = set(whole_arm_parameters(study.arm))
     assert fitted <= known_to_options
     everywhere = {name for name, _ in search.keys}
-    if spring == "three-slope":  # one word for all slopes
+    if spring == "three-slope":  # one name for all slopes
         everywhere |= {"gear_stiffness"} | {f"gear_stiffness {joint}" for joint in (1, 2)}
     assert known_to_options == fitted | everywhere

@@ -1,4 +1,4 @@
-"""One short round of all comparisons for every test."""
+"""Shared comparisons of a short run."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ SHORT = ComparisonOptions(amplitudes=(4.0, 10.0), payloads=(5, 3), records=2)
 
 @pytest.fixture(scope="session")
 def tallies() -> tuple[Tally, ...]:
-    """By our own settings."""
+    """Comparisons with default settings."""
     return compare_seeds([SEED], options=SHORT)
 
 
 @pytest.fixture(scope="session")
 def comparisons(tallies: tuple[Tally, ...]) -> dict[int, Comparison]:
-    """By figure."""
+    """Comparisons by figure."""
     return {tally.first.figure: tally.first for tally in tallies}

@@ -1,4 +1,4 @@
-"""What physics says must hold on an arm whose truth is known, and numbers that make sense."""
+"""Physical consistency of the comparisons on an arm with known true values."""
 
 from __future__ import annotations
 
@@ -29,26 +29,26 @@ from strainwave.paper.settings import CLASSICAL
 from strainwave.paper.truth import joint_with
 from strainwave.virtual import scara
 
-Found = dict[int, Comparison]
+ByFigure = dict[int, Comparison]
 
 
 def value(comparison: Comparison, name: str) -> float:
-    """Of the criterion whose name begins so."""
+    """Value of the criterion whose name starts with `name`."""
     return next(c.value for c in comparison.criteria if c.name.startswith(name))
 
 
-def test_every_figure_of_the_source_is_there(comparisons: Found) -> None:
+def test_every_figure_has_criteria_claim_and_plots(comparisons: ByFigure) -> None:
     assert list(comparisons) == [2, *range(4, 16)]
     assert all(c.criteria and c.claim and c.message for c in comparisons.values())
     assert all(c.plots for figure, c in comparisons.items() if figure != 2)
 
 
 @pytest.mark.parametrize("figure", [4, 8, 10, 12, 14, 15])
-def test_the_claim_is_shown(comparisons: Found, figure: int) -> None:
+def test_claims_are_shown(comparisons: ByFigure, figure: int) -> None:
     assert comparisons[figure].outcome == "shown", comparisons[figure].reasons
 
 
-def test_every_model_shown_carries_its_status(comparisons: Found) -> None:
+def test_every_model_has_a_status(comparisons: ByFigure) -> None:
     for figure in (2, 6, 7, 8, 9, 10, 11, 13, 14, 15):
         assert comparisons[figure].evidence
     for c in comparisons.values():
@@ -57,65 +57,65 @@ def test_every_model_shown_carries_its_status(comparisons: Found) -> None:
             assert all(e.sound for e in c.evidence if e.decisive)
 
 
-def test_state_space_models_are_the_products(comparisons: Found) -> None:
-    # by the filter that leaves the noise unpredictable they converge, all of them
+def test_state_space_models_converge(comparisons: ByFigure) -> None:
+    # the estimation filter keeps the noise white, so all models converge
     pem = [e for c in comparisons.values() for e in c.evidence if e.method == "pem"]
     assert len(pem) > 10
     assert {e.status for e in pem} == {"converged"}
 
 
-def test_a_prbs_is_flat_up_to_its_hold(comparisons: Found) -> None:
-    # sinc^2(100 Hz x 1 ms) is -0.14 dB; 1 ms holds of a maximum-length sequence have no other
+def test_the_prbs_spectrum_is_flat_up_to_its_hold(comparisons: ByFigure) -> None:
+    # sinc^2(100 Hz x 1 ms) is -0.14 dB, the only ripple of a maximum-length sequence with 1 ms hold
     assert value(comparisons[4], "ripple") == pytest.approx(0.14, abs=0.02)
 
 
 @pytest.mark.parametrize("figure", [5, 12])
-def test_the_computed_torque_is_the_true_one(comparisons: Found, figure: int) -> None:
+def test_the_computed_torque_matches_the_true_torque(comparisons: ByFigure, figure: int) -> None:
     assert value(comparisons[figure], "fit of the computed") > 98.0
 
 
 @pytest.mark.parametrize("figure", [6, 9])
-def test_the_rigid_lag_corrects_low_frequencies(comparisons: Found, figure: int) -> None:
+def test_the_rigid_lag_corrects_low_frequencies(comparisons: ByFigure, figure: int) -> None:
     off = comparisons[figure].values
     assert off["modified_slow_db"] < 0.05
     assert off["modified_slow_db"] < off["initial_slow_db"] or figure == 9
     assert off["tuned_db"] < 0.05
 
 
-def test_without_the_torque_the_resonances_are_others(comparisons: Found) -> None:
+def test_models_without_the_torque_have_other_resonances(comparisons: ByFigure) -> None:
     for joint in (1, 2):
         for mode in ("anti-resonance", "resonance"):
             assert value(comparisons[10], f"joint {joint}, error of the {mode}") < 5.0
         assert value(comparisons[10], f"joint {joint} by motor input only") > 5.0
 
 
-def test_feedback_biases_the_classical_method_and_not_pem(comparisons: Found) -> None:
-    found = comparisons[13]
-    servoed = value(found, "subspace, joint 2 servoed")
-    assert value(found, "PEM, joint 2 servoed") < 5.0 < servoed
-    assert {e.order for e in found.evidence} == {3}
-    # and it is the feedback: without it, the same records give less than half of the error
-    assert value(found, "share of the subspace") < 0.5
+def test_feedback_biases_the_classical_method_and_not_pem(comparisons: ByFigure) -> None:
+    result = comparisons[13]
+    servoed = value(result, "subspace, joint 2 servoed")
+    assert value(result, "PEM, joint 2 servoed") < 5.0 < servoed
+    assert {e.order for e in result.evidence} == {3}
+    # without feedback the same records give less than half of the error
+    assert value(result, "share of the subspace") < 0.5
 
 
-def test_cutting_the_loop_keeps_inputs_and_the_spectrum_of_the_disturbance() -> None:
+def test_removing_feedback_keeps_inputs_and_disturbance_spectrum() -> None:
     run = Rig(1).prbs(1, other="servo")
     linear = feedback.linear_outputs(run)
     one, other = (feedback.without_feedback(run, share) for share in (0.0, 0.3))
     assert one.inputs is run.decoupled.inputs
     spectra = [np.abs(np.fft.rfft(cut.outputs - linear, axis=0)) for cut in (one, other)]
     assert spectra[0] == pytest.approx(spectra[1], rel=1e-6, abs=1e-9)
-    # backwards, less a straight line, which differences hardly show
+    # reversed and detrended, which hardly changes differences
     steps_of = [np.diff(record.outputs - linear, axis=0) for record in (run.decoupled, one)]
     assert np.std(steps_of[1], axis=0) == pytest.approx(np.std(steps_of[0], axis=0), rel=0.01)
 
 
-def test_the_stiffness_is_the_mean_slope_and_not_k3(comparisons: Found) -> None:
+def test_the_equivalent_stiffness_is_the_mean_slope(comparisons: ByFigure) -> None:
     values = comparisons[15].values
     for joint in (1, 2):
         for volt in (4, 10):
             name = f"joint {joint} at {volt} V, square"
-            # 5 %: Coulomb friction and the knees are no part of a linear joint
+            # 5 %: Coulomb friction and the knees are nonlinear
             true = values[f"{name}, truth [rad²/s²]"]
             assert values[f"{name} [rad²/s²]"] == pytest.approx(true, rel=0.05)
     assert comparisons[2].outcome == "does-not-hold"
@@ -129,9 +129,9 @@ def sound(name: str = "given") -> tuple[Evidence, ...]:
 def test_claims_of_tuning_can_fail() -> None:
     rig = Rig(1)
     truth = Tuned(scara.parameters(), sound())
-    found = refinement.responses(rig, 1, truth)
-    assert found.outcome == "shown"
-    assert found.values["tuned_db"] == pytest.approx(0.0, abs=1e-9)
+    result = refinement.responses(rig, 1, truth)
+    assert result.outcome == "shown"
+    assert result.values["tuned_db"] == pytest.approx(0.0, abs=1e-9)
     stiff = Tuned(scara.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound())
     missed = refinement.responses(rig, 1, stiff)
     assert missed.outcome == "does-not-hold"
@@ -143,27 +143,27 @@ def test_claims_of_tuning_can_fail() -> None:
 
 
 @pytest.mark.parametrize("status", ["iteration-limit", "stalled", "at-bounds", "failed"])
-def test_a_model_that_has_not_converged_shows_nothing(status: str) -> None:
+def test_models_that_did_not_converge_show_nothing(status: str) -> None:
     doubtful = Tuned(scara.parameters(), (Evidence("whole arm", "whole-arm fit", status),))
-    found = steps.validation(Rig(1), doubtful)
-    assert found.outcome == "not-shown"
-    assert found.reasons == (f"whole arm: {status}",)
+    result = steps.validation(Rig(1), doubtful)
+    assert result.outcome == "not-shown"
+    assert result.reasons == (f"whole arm: {status}",)
 
 
-def test_an_unstable_model_shows_nothing(comparisons: Found) -> None:
+def test_unstable_models_show_nothing(comparisons: ByFigure) -> None:
     good = comparisons[10]
     assert good.outcome == "shown"
     first, *rest = good.evidence
     unstable = replace(good, evidence=(replace(first, growth=1.03), *rest))
     assert unstable.outcome == "not-shown"
     assert "unstable, pole of modulus 1.030" in unstable.reasons[0]
-    # but what is only drawn beside takes nothing away
+    # a model that is not decisive has no effect
     beside = replace(good, evidence=(replace(first, growth=1.03, decisive=False), *rest))
     assert beside.outcome == "shown"
 
 
 @pytest.mark.parametrize("figure", [4, 8, 10, 12, 14, 15])
-def test_no_claim_is_shown_by_corrupt_values(comparisons: Found, figure: int) -> None:
+def test_corrupt_values_show_no_claim(comparisons: ByFigure, figure: int) -> None:
     good = comparisons[figure]
     for k, criterion in enumerate(good.criteria):
         for bad in (
@@ -177,7 +177,7 @@ def test_no_claim_is_shown_by_corrupt_values(comparisons: Found, figure: int) ->
 
 def test_claims_over_the_amplitude_can_fail() -> None:
     rig = Rig(1)
-    low, high = amplitude.levels(rig, 1, (6.0, 10.0), 1)
+    low, high = amplitude.estimate_levels(rig, 1, (6.0, 10.0), 1)
     assert amplitude.responses({1: (low, high)}).outcome == "shown"
     falling = amplitude.responses({1: (high, low)})
     assert falling.outcome == "does-not-hold"
@@ -194,22 +194,22 @@ def test_a_failed_estimation_is_not_shown(monkeypatch: pytest.MonkeyPatch) -> No
         raise NotIdentifiable("no stretch is long enough")
 
     monkeypatch.setattr(feedback, "methods", fail)
-    (found,) = compare(seed=1, options=ComparisonOptions(figures=(13,)))
-    assert found.outcome == "not-shown"
-    assert "no stretch" in found.reasons[0]
+    (result,) = compare(seed=1, options=ComparisonOptions(figures=(13,)))
+    assert result.outcome == "not-shown"
+    assert "no stretch" in result.reasons[0]
 
 
-def test_verdicts_do_not_depend_on_blas_threads() -> None:
+def test_outcomes_do_not_depend_on_blas_threads() -> None:
     options = ComparisonOptions(figures=(10,))
-    found = []
+    result = []
     for threads in (1, 2):
         with threadpool_limits(limits=threads, user_api="blas"):
             tally = Tally(compare(seed=1, options=options))
-            found.append(to_json(document_of([tally], [1])))
-    assert found[0] == found[1]
+            result.append(to_json(document_of([tally], [1])))
+    assert result[0] == result[1]
 
 
-def test_the_published_settings_are_the_sources() -> None:
+def test_the_published_settings_match_the_source() -> None:
     rig = Rig(1, PUBLISHED)
     run = rig.prbs(1)
     assert run.log.sample_time == 2.5e-5
@@ -230,14 +230,14 @@ def test_the_published_claims_can_be_shown_and_fail() -> None:
     assert {e.method for e in stiffest.evidence} == {"pem"}
 
 
-def test_held_inputs_would_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    # what the page says of the published settings: held for 2 ms, order 4 leaves the unit circle
+def test_held_inputs_give_unstable_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    # a statement of the page: with inputs held for 2 ms, models of order 4 are unstable
     def held(
         record: Decoupled, band: tuple[float, float], options: LinearOptions
     ) -> list[InputOutput]:
-        return [replace(piece, hold=("zero", "zero")) for piece in made(record, band, options)]
+        return [replace(piece, hold=("zero", "zero")) for piece in decimate(record, band, options)]
 
-    made = linear._decimated
+    decimate = linear._decimated
     run = Rig(0, PUBLISHED).prbs(1)
     monkeypatch.setattr(linear, "_decimated", held)
     model = linear.state_space_of(run.decoupled, PUBLISHED.linear)
@@ -249,7 +249,7 @@ def test_seeds_differ_in_noise_and_in_the_sequence() -> None:
     assert not np.array_equal(voltages[0], voltages[1])
 
 
-def test_distance_is_that_of_a_gain() -> None:
+def test_distance_of_a_gain() -> None:
     joint: TwoInertia = joint_with(scara.parameters(), 1, 20000.0, 0.01)
     one = response_of(joint).response[:, 0, 0]
     assert distance_db(2.0 * one, one) == pytest.approx(20.0 * np.log10(2.0))

@@ -1,4 +1,4 @@
-"""What each effect says of itself agrees with itself, with the core and with the documentation."""
+"""Each effect: consistency of its declarations with the core, its simulation and the documentation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def arm(*names: str, spring: str = "linear") -> Arm:
 
 
 def motion(names: tuple[str, ...], own: Values) -> FloatArray:
-    """Motor and link of one joint whose motor turns to and fro by its torque, and stands."""
+    """Motor and link velocity of one joint under a reversing torque with a pause."""
     values = ELASTIC_JOINT | {(name, 1): value for name, value in own.items()}
     torque = np.repeat([1.0, -1.5, 0.04, 2.0, 0.0], 60)[:, None]
     drive = Drive(1e-3, torque, np.zeros_like(torque), (False,), (0.0,), (0.0,))
@@ -91,7 +91,7 @@ def study(path: Path, named: str, spring: str = "linear") -> Path:
 
 
 @EACH_OF_THE_CORE
-def test_names_are_the_core_s_in_its_order_sizes_first(effect: Effect) -> None:
+def test_parameter_names_match_the_core(effect: Effect) -> None:
     known = {name: own for name, *own in _core.joint_effects()}
     assert effect.core_name is not None
     assert known[effect.core_name] == [
@@ -101,12 +101,12 @@ def test_names_are_the_core_s_in_its_order_sizes_first(effect: Effect) -> None:
     ]
 
 
-def test_the_core_has_no_other_effects() -> None:
+def test_all_effects_of_the_core_are_registered() -> None:
     assert {name for name, *_ in _core.joint_effects()} == {one.core_name for one in OF_THE_CORE}
 
 
 @EACH
-def test_a_size_may_be_zero_and_is_signed_where_the_core_says_so(effect: Effect) -> None:
+def test_sizes_have_the_range_that_the_core_declares(effect: Effect) -> None:
     for name in effect.sizes:
         assert is_physical(name, 0.0)
         assert effect.is_signed(name) == is_physical(name, -1.0)
@@ -120,7 +120,7 @@ def test_a_size_may_be_zero_and_is_signed_where_the_core_says_so(effect: Effect)
     [KNOWN, replace(KNOWN, stiffness=math.inf, largest_torque=0.1, largest_voltage=0.5)],
     ids=["elastic", "stiff"],
 )
-def test_starts_are_finite_and_inside_their_ranges(effect: Effect, known: KnownJoint) -> None:
+def test_starting_values_are_within_their_ranges(effect: Effect, known: KnownJoint) -> None:
     if effect.needs_elastic_gear and math.isinf(known.stiffness):
         return
     typical, starts = effect.typical_sizes(known), effect.starts(known)
@@ -131,12 +131,12 @@ def test_starts_are_finite_and_inside_their_ranges(effect: Effect, known: KnownJ
         assert starts[name] == (0.0 if effect.is_signed(name) else typical[name])
     for name, value in starts.items():
         assert is_physical(name, value)
-        # the search goes by the logarithm of what has no sign
+        # the search uses the logarithm of positive parameters
         assert value > 0.0 or effect.is_signed(name)
 
 
 @EACH
-def test_it_is_tested_at_shapes_of_its_own(effect: Effect) -> None:
+def test_tested_shapes_contain_all_shapes(effect: Effect) -> None:
     sets = effect.tested_shapes(KNOWN)
     assert all(list(shapes) == list(effect.shapes) for shapes in sets)
     assert len({tuple(shapes.values()) for shapes in sets}) == len(sets) > 0
@@ -145,30 +145,30 @@ def test_it_is_tested_at_shapes_of_its_own(effect: Effect) -> None:
 
 
 @EACH_OF_THE_CORE
-def test_of_size_zero_it_moves_nothing(effect: Effect) -> None:
+def test_size_zero_does_not_change_the_motion(effect: Effect) -> None:
     np.testing.assert_array_equal(motion((effect.name,), effect.absent), motion((), {}))
 
 
 @EACH_OF_THE_CORE
-def test_of_its_typical_size_it_changes_the_motion(effect: Effect) -> None:
+def test_the_typical_size_changes_the_motion(effect: Effect) -> None:
     shapes = effect.tested_shapes(replace(KNOWN, largest_voltage=2.0))[0]
     own = effect.typical_sizes(KNOWN) | shapes
     assert np.max(np.abs(motion((effect.name,), own) - motion((), {}))) > 1e-6
 
 
 @EACH_OF_THE_CORE
-def test_a_rigid_gear_has_it_or_is_refused_it(effect: Effect, tmp_path: Path) -> None:
+def test_rigid_gears_reject_effects_of_elastic_gears(effect: Effect, tmp_path: Path) -> None:
     path = study(tmp_path, f'["{effect.name}"]', RIGID)
     if effect.needs_elastic_gear:
         with pytest.raises(InvalidInput, match=f"'{effect.name}' needs an elastic gear"):
             read_study(path, logs_exist=False)
     else:
-        found = read_study(path, logs_exist=False).arm
-        assert (effect.sizes[0], 1) in Arm.of(found).parameter_names
+        description = read_study(path, logs_exist=False).arm
+        assert (effect.sizes[0], 1) in Arm.of(description).parameter_names
 
 
 @EACH
-def test_it_is_documented(effect: Effect) -> None:
+def test_every_effect_is_documented(effect: Effect) -> None:
     trouble = (DOCS / "troubleshooting.md").read_text(encoding="utf-8")
     (section,) = (s for s in trouble.split("\n### ") if s.startswith(f"`{effect.warning_code}`"))
     assert f'effects = ["{effect.name}"]' in " ".join(section.split())
@@ -178,19 +178,19 @@ def test_it_is_documented(effect: Effect) -> None:
 
 
 @EACH
-def test_its_warning_names_the_experiment_and_the_remedy(effect: Effect) -> None:
+def test_the_warning_contains_experiment_and_remedy(effect: Effect) -> None:
     fitted = tuple(Parameter(n, 1, 1.0, 0.1, "rad", "tuned", (0.8, 1.2)) for n in effect.names)
     moved = ParameterShift("motor_inertia", 1, 2e-5, -1e-6, -8.0)
     likeliest = Cause(1, effect.name, fitted, 100.0, 0.4, (moved,))
     other = Cause(2, "stribeck", fitted, 60.0, 0.2, ())
-    (found,) = cause_warnings([likeliest, other])
-    assert found.code == effect.warning_code
-    assert effect.experiment in found.message
-    assert remedies()[found.code] == effect.remedy
-    assert "would explain 40 % of the residuals" in found.message
-    assert "motor_inertia of joint 1 by -5 %" in found.message
-    assert "less likely, stribeck of joint 2" in found.message
-    assert "leaves most of them unexplained" in found.message
+    (warning,) = cause_warnings([likeliest, other])
+    assert warning.code == effect.warning_code
+    assert effect.experiment in warning.message
+    assert remedies()[warning.code] == effect.remedy
+    assert "would explain 40 % of the residuals" in warning.message
+    assert "motor_inertia of joint 1 by -5 %" in warning.message
+    assert "less likely, stribeck of joint 2" in warning.message
+    assert "leaves most of them unexplained" in warning.message
     assert not list(cause_warnings([]))
     for words in (effect.description, effect.consequence, effect.experiment, effect.record):
         assert words
@@ -198,20 +198,20 @@ def test_its_warning_names_the_experiment_and_the_remedy(effect: Effect) -> None
 
 
 @pytest.mark.parametrize("named", ['["creep"]', '["stribeck", 3]', "[[]]"])
-def test_a_study_must_name_effects_that_there_are(named: str, tmp_path: Path) -> None:
+def test_unknown_effects_are_rejected(named: str, tmp_path: Path) -> None:
     with pytest.raises(
         InvalidInput, match=r"'effects' is .*, but it should be 'stribeck', "
-    ) as why:
+    ) as error:
         read_study(study(tmp_path, named), logs_exist=False)
-    assert why.value.problem.endswith(f" or {effects.names()[-1]!r}")
-    assert "line 8" in str(why.value)
+    assert error.value.problem.endswith(f" or {effects.names()[-1]!r}")
+    assert "line 8" in str(error.value)
 
 
 OF_FIRST = [effect.name for effect in EFFECTS if effect.first_joint_only]
 
 
 @pytest.mark.parametrize("name", OF_FIRST)
-def test_what_bears_the_first_joint_is_refused_to_others(name: str, tmp_path: Path) -> None:
+def test_only_joint_1_accepts_effects_of_the_base(name: str, tmp_path: Path) -> None:
     gear = '[[joint]]\nspring = "linear"\ngear_ratio = 0.01\n'
     arm = '[arm]\nkind = "planar-two-link"\nlink_length = 0.35\n'
     experiment = STUDY[STUDY.index("[[experiment]]") :]
@@ -221,13 +221,13 @@ def test_what_bears_the_first_joint_is_refused_to_others(name: str, tmp_path: Pa
     path.write_text(arm + gear + gear + own + experiment, encoding="utf-8")
     with pytest.raises(
         InvalidInput, match=f"joint 2 has the effect '{name}', which only joint 1 can have"
-    ) as why:
+    ) as error:
         read_study(path, logs_exist=False)
-    assert why.value.remedy == f"move '{name}' to the effects of joint 1"
+    assert error.value.remedy == f"move '{name}' to the effects of joint 1"
 
 
 @pytest.mark.parametrize("channel", ["theta_l1", "deflection1"])
-def test_what_moves_a_link_encoder_is_refused_one(channel: str, tmp_path: Path) -> None:
+def test_a_soft_base_rejects_link_encoders(channel: str, tmp_path: Path) -> None:
     path = study(tmp_path, '["soft-base"]')
     text = path.read_text(encoding="utf-8")
     path.write_text(text + f'\n[channels]\n{channel} = "angle"\n', encoding="utf-8")
@@ -235,7 +235,7 @@ def test_what_moves_a_link_encoder_is_refused_one(channel: str, tmp_path: Path) 
         read_study(path, logs_exist=False)
 
 
-def test_effects_may_be_what_the_records_demand(tmp_path: Path) -> None:
+def test_effects_can_be_auto(tmp_path: Path) -> None:
     for spring in ("linear", RIGID):
         (joint,) = read_study(study(tmp_path, '"auto"', spring), logs_exist=False).arm.joints
         assert joint.selects_effects
@@ -244,7 +244,7 @@ def test_effects_may_be_what_the_records_demand(tmp_path: Path) -> None:
         assert list(joint.possible_effects) == possible
 
 
-def test_an_arm_that_selects_its_effects_moves_without_any() -> None:
+def test_auto_effects_are_not_simulated() -> None:
     auto = arm().with_joints(replace(joint, effects="auto") for joint in arm().joints)
     np.testing.assert_array_equal(
         auto.parameter_vector(ELASTIC_JOINT), arm().parameter_vector(ELASTIC_JOINT)
@@ -253,7 +253,7 @@ def test_an_arm_that_selects_its_effects_moves_without_any() -> None:
     assert (inputs.values, inputs.offsets, inputs.slopes) == (ELASTIC_JOINT, {}, {})
 
 
-def test_effects_are_a_list(tmp_path: Path) -> None:
+def test_effects_must_be_a_list(tmp_path: Path) -> None:
     with pytest.raises(
         InvalidInput,
         match=r"'effects' is 'stribeck', but it should be a list of effects or \"auto\"",
@@ -262,7 +262,7 @@ def test_effects_are_a_list(tmp_path: Path) -> None:
 
 
 class Breakaway(Stribeck):
-    """The same friction, which begins larger and falls sooner."""
+    """Stribeck friction with other typical values."""
 
     name = "breakaway"
     shapes: Mapping[str, float] = {"stribeck_velocity": 2.0}
@@ -284,10 +284,10 @@ def registered() -> Iterator[Effect]:
     effects.unregister(effect.name)
 
 
-def test_an_effect_from_elsewhere_is_an_effect(registered: Effect, tmp_path: Path) -> None:
-    found = Arm.of(read_study(study(tmp_path, '["breakaway"]'), logs_exist=False).arm)
-    assert found.joints[0].effects == ("breakaway",)
-    assert ("stribeck_friction", 1) in found.parameter_names
+def test_a_registered_effect_is_simulated(registered: Effect, tmp_path: Path) -> None:
+    registered_arm = Arm.of(read_study(study(tmp_path, '["breakaway"]'), logs_exist=False).arm)
+    assert registered_arm.joints[0].effects == ("breakaway",)
+    assert ("stribeck_friction", 1) in registered_arm.parameter_names
     assert remedies()["breakaway-likely"].startswith('Set effects = ["breakaway"]')
     own = registered.starts(KNOWN)
     np.testing.assert_array_equal(motion(("breakaway",), own), motion(("stribeck",), own))
@@ -296,7 +296,7 @@ def test_an_effect_from_elsewhere_is_an_effect(registered: Effect, tmp_path: Pat
 
 
 @pytest.mark.usefixtures("registered")
-def test_an_effect_from_elsewhere_is_fitted() -> None:
+def test_a_registered_effect_is_fitted() -> None:
     _, true, _ = records(("stribeck",))
     model = tuned.__wrapped__(("stribeck",), ("breakaway",))
     assert model.status == "converged"
@@ -308,7 +308,7 @@ def test_an_effect_from_elsewhere_is_fitted() -> None:
     assert (2, "breakaway") in tested
 
 
-def test_an_effect_that_is_gone_is_refused(registered: Effect, tmp_path: Path) -> None:
+def test_an_unregistered_effect_is_rejected(registered: Effect, tmp_path: Path) -> None:
     effects.unregister("breakaway")
     with pytest.raises(InvalidInput, match="should be 'stribeck', "):
         read_study(study(tmp_path, '["breakaway"]'), logs_exist=False)
@@ -318,7 +318,7 @@ def test_an_effect_that_is_gone_is_refused(registered: Effect, tmp_path: Path) -
     effects.register(registered)
 
 
-def test_an_effect_must_not_change_what_is_known(registered: Effect) -> None:
+def test_conflicting_effects_are_not_registered(registered: Effect) -> None:
     with pytest.raises(InvalidInput, match="exists already"):
         effects.register(registered)
 

@@ -1,4 +1,4 @@
-"""What each gear law says of itself agrees with itself, with the core and with its entries."""
+"""Each gear law: consistency of its functions, agreement with the core, and its registration."""
 
 from __future__ import annotations
 
@@ -49,20 +49,20 @@ joint = 1
 """
 
 
-def drawn(law: GearLaw, seed: int) -> dict[str, float]:
-    """Parameters about those that a fit starts from."""
+def random_values(law: GearLaw, seed: int) -> dict[str, float]:
+    """Random parameters around the starting values of a fit."""
     rng = np.random.default_rng(seed)
     values: dict[str, float] = {}
     starts = law.starts(float(10.0 ** rng.uniform(3.0, 5.0)), LARGEST)
     for p in law.parameters:
         below = 0.0 if p.above is None else starts[p.above]
-        own = (starts[p.name] - below) * float(rng.uniform(0.6, 1.5))
-        values[p.name] = own if p.above is None else values[p.above] + own
+        excess = (starts[p.name] - below) * float(rng.uniform(0.6, 1.5))
+        values[p.name] = excess if p.above is None else values[p.above] + excess
     return values
 
 
 def torsions(law: GearLaw, values: dict[str, float]) -> FloatArray:
-    """On both sides of zero, and not on a knee."""
+    """Torsions of both signs that avoid the knees."""
     torque = np.linspace(-1.1 * LARGEST, 1.1 * LARGEST, 97)
     for knee in law.knees(values):
         torque = torque[np.abs(np.abs(torque) - knee) > 0.05]
@@ -82,7 +82,7 @@ def registered() -> Iterator[GearLaw]:
 
 
 class Toy(Linear):
-    """A linear law of another name."""
+    """A linear law with another name."""
 
     name = "toy"
 
@@ -93,8 +93,8 @@ class Toy(Linear):
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 @given(seed=st.integers(0, 2**31))
-def test_a_curve_is_odd(law: GearLaw, seed: int) -> None:
-    values, at = drawn(law, seed), np.linspace(0.0, 3e-3, 20)
+def test_the_torque_is_odd(law: GearLaw, seed: int) -> None:
+    values, at = random_values(law, seed), np.linspace(0.0, 3e-3, 20)
     np.testing.assert_array_equal(law.torque(values, -at), -law.torque(values, at))
     np.testing.assert_array_equal(law.stiffness(values, -at), law.stiffness(values, at))
     np.testing.assert_array_equal(law.jacobian(values, -at), -law.jacobian(values, at))
@@ -102,11 +102,13 @@ def test_a_curve_is_odd(law: GearLaw, seed: int) -> None:
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
 @given(seed=st.integers(0, 2**31))
-def test_the_stiffness_is_the_torque_s_derivative(law: GearLaw, seed: int) -> None:
-    values = drawn(law, seed)
+def test_the_stiffness_is_the_derivative_of_the_torque(law: GearLaw, seed: int) -> None:
+    values = random_values(law, seed)
     at, off = torsions(law, values), 1e-9
     slope = (law.torque(values, at + off) - law.torque(values, at - off)) / (2.0 * off)
-    np.testing.assert_allclose(law.stiffness(values, at), slope, rtol=1e-4)  # of rounding
+    np.testing.assert_allclose(
+        law.stiffness(values, at), slope, rtol=1e-4
+    )  # rounding of the differences
     low, high = law.stiffness_range(values)
     assert 0.0 < low <= high
     assert np.all(law.stiffness(values, at) >= 0.999 * low)
@@ -114,17 +116,17 @@ def test_the_stiffness_is_the_torque_s_derivative(law: GearLaw, seed: int) -> No
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
 @given(seed=st.integers(0, 2**31))
-def test_derivatives_by_the_parameters_are_those_of_differences(law: GearLaw, seed: int) -> None:
-    values = drawn(law, seed)
+def test_jacobians_match_differences(law: GearLaw, seed: int) -> None:
+    values = random_values(law, seed)
     at = torsions(law, values)
     J, K = law.jacobian(values, at), law.stiffness_jacobian(values, at)
     assert J.shape == K.shape == (len(at), len(values))
     for k, name in enumerate(values):
-        off = 1e-6 * values[name]  # no knee comes as near as this moves it
+        off = 1e-6 * values[name]  # smaller than the distance to a knee
         ends = [{**values, name: values[name] + side * off} for side in (1.0, -1.0)]
         torque = np.subtract(*(law.torque(end, at) for end in ends)) / (2.0 * off)
         stiffness = np.subtract(*(law.stiffness(end, at) for end in ends)) / (2.0 * off)
-        # differences of numbers that agree in six digits, or have hardly any part in the torque
+        # differences of numbers that agree in six digits or hardly affect the torque
         np.testing.assert_allclose(J[:, k], torque, rtol=1e-6, atol=1e-7 * LARGEST / values[name])
         scale = float(np.max(law.stiffness(values, at))) / values[name]
         np.testing.assert_allclose(K[:, k], stiffness, rtol=1e-6, atol=1e-7 * scale)
@@ -132,23 +134,23 @@ def test_derivatives_by_the_parameters_are_those_of_differences(law: GearLaw, se
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
 @given(seed=st.integers(0, 2**31))
-def test_the_torsion_is_where_the_torque_is(law: GearLaw, seed: int) -> None:
-    values, torque = drawn(law, seed), np.linspace(-LARGEST, LARGEST, 41)
-    found = law.torque(values, law.torsion(values, torque))
-    np.testing.assert_allclose(found, torque, rtol=1e-12, atol=1e-12)
+def test_torsion_inverts_torque(law: GearLaw, seed: int) -> None:
+    values, torque = random_values(law, seed), np.linspace(-LARGEST, LARGEST, 41)
+    inverted = law.torque(values, law.torsion(values, torque))
+    np.testing.assert_allclose(inverted, torque, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-def test_names_are_the_core_s_in_its_order(law: GearLaw) -> None:
+def test_parameter_names_match_the_core(law: GearLaw) -> None:
     assert len(set(law.names)) == len(law.names)
     core = Arm.of(ArmDescription("single-joint", (joint_of(law),))).core.parameter_names
-    own = [name for name, _ in core if name in gear_laws.gear_parameters()]
-    assert own == list(law.names)
+    core_names = [name for name, _ in core if name in gear_laws.gear_parameters()]
+    assert core_names == list(law.names)
     assert (("gear_damping", 1) in core) == law.elastic
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-def test_the_core_has_the_same_table(law: GearLaw) -> None:
+def test_the_table_matches_the_core(law: GearLaw) -> None:
     core = [name for owner, name, *_ in _core.parameter_table() if owner == law.name]
     assert list(law.names) == core
     assert (law.name, list(law.names), law.elastic) in _core.gear_laws()
@@ -156,11 +158,11 @@ def test_the_core_has_the_same_table(law: GearLaw) -> None:
 
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
-def test_the_core_s_gear_has_the_curve(law: GearLaw) -> None:
-    """A motor that turns to and fro by its torque, and what its gear bears."""
-    own = law.starts(2.5e4, 30.0)
+def test_the_simulated_gear_follows_the_law(law: GearLaw) -> None:
+    """A motor under a reversing torque, and the torque of its gear."""
+    starts = law.starts(2.5e4, 30.0)
     values = {key: value for key, value in ELASTIC_JOINT.items() if key[0] != STIFFNESS}
-    values |= {(name, 1): value for name, value in own.items()}
+    values |= {(name, 1): value for name, value in starts.items()}
     arm = Arm.of(ArmDescription("single-joint", (joint_of(law),)))
     torque = 2.0 * np.sign(np.sin(np.arange(400) / 20.0))[:, None]
     drive = Drive(1e-3, torque, np.zeros_like(torque), (False,), (0.0,), (0.0,))
@@ -171,13 +173,13 @@ def test_the_core_s_gear_has_the_curve(law: GearLaw) -> None:
     rate = 0.01 * run["motor_velocity"] - run["link_velocity"]
     elastic = run["gear_torque"] - values["gear_damping", 1] * rate
     assert np.max(np.abs(elastic)) > 20.0  # beyond every knee
-    # by a quarter of what the slope changes by, times the corner's width
-    rounded = 0.25 * _core.GEAR_CORNER * sum(own[name] for name in law.slopes)
-    np.testing.assert_allclose(law.torque(own, torsion[:, 0]), elastic[:, 0], atol=rounded)
+    # rounding of the knees: a quarter of the change of the slope times the width of the corner
+    rounded = 0.25 * _core.GEAR_CORNER * sum(starts[name] for name in law.slopes)
+    np.testing.assert_allclose(law.torque(starts, torsion[:, 0]), elastic[:, 0], atol=rounded)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-def test_parameters_have_units_words_and_a_place_in_options(law: GearLaw) -> None:
+def test_parameters_have_units_and_descriptions_and_are_options(law: GearLaw) -> None:
     arm = ArmDescription("single-joint", (joint_of(law),))
     listed = whole_arm_parameters(arm)
     assert len(set(listed)) == len(listed)
@@ -190,19 +192,19 @@ def test_parameters_have_units_words_and_a_place_in_options(law: GearLaw) -> Non
 
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
-def test_a_fit_starts_within_the_ranges(law: GearLaw) -> None:
+def test_starting_values_are_within_their_ranges(law: GearLaw) -> None:
     starts = law.starts(2e4, LARGEST)
     assert tuple(starts) == law.names
     assert all(is_physical(name, value) and value != 0.0 for name, value in starts.items())
     assert all(starts[p.above] < starts[p.name] for p in law.parameters if p.above is not None)
-    # and not far from the one stiffness
+    # and close to the equivalent linear stiffness
     low, high = law.stiffness_range(starts)
     assert 0.5 * 2e4 < low <= high < 2.0 * 2e4
     assert {law.linearised_by, *law.slopes} <= set(law.names)
 
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
-def test_one_stiffness_makes_a_straight_curve(law: GearLaw) -> None:
+def test_straight_gives_a_linear_law(law: GearLaw) -> None:
     values, at = law.straight(2e4), np.linspace(-3e-3, 3e-3, 31)
     np.testing.assert_allclose(law.torque(values, at), 2e4 * at, rtol=1e-12)
     assert tuple(values) == law.names
@@ -212,17 +214,17 @@ def test_one_stiffness_makes_a_straight_curve(law: GearLaw) -> None:
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
-def test_lists_of_a_parameter_file_are_read(law: GearLaw, tmp_path: Path) -> None:
-    numbers = {key: [float(k) for k, _ in enumerate(own)] for key, own in law.lists.items()}
+def test_lists_in_parameter_files_are_read(law: GearLaw, tmp_path: Path) -> None:
+    numbers = {key: [float(k) for k, _ in enumerate(names)] for key, names in law.lists.items()}
     path = tmp_path / "p.json"
     path.write_text(json.dumps({"joints": [numbers]}), encoding="utf-8")
-    expected = {(name, 1): float(k) for own in law.lists.values() for k, name in enumerate(own)}
+    expected = {(name, 1): float(k) for names in law.lists.values() for k, name in enumerate(names)}
     assert read_parameters(path) == expected
     assert {name for name, _ in expected} <= set(law.names)
 
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
-def test_parallel_springs_add_up_to_the_curve(law: GearLaw) -> None:
+def test_parallel_springs_sum_to_the_law(law: GearLaw) -> None:
     values = law.starts(2e4, LARGEST)
     springs = law.parallel_springs(values.__getitem__)
     if springs is None:
@@ -235,7 +237,7 @@ def test_parallel_springs_add_up_to_the_curve(law: GearLaw) -> None:
 
 @pytest.mark.parametrize("law", ELASTIC, ids=lambda law: law.name)
 @pytest.mark.parametrize("count", [None, 1])
-def test_a_curve_is_drawn_as_far_as_it_is_known(law: GearLaw, count: int | None) -> None:
+def test_the_known_part_of_a_curve_is_drawn(law: GearLaw, count: int | None) -> None:
     values = law.starts(2e4, LARGEST)
     known = law.drawn(tuple(values)[:count])
     assert set(known) <= set(tuple(values)[:count])
@@ -252,7 +254,7 @@ def test_a_curve_is_drawn_as_far_as_it_is_known(law: GearLaw, count: int | None)
     assert " ± " in describe(curve)
 
 
-def test_a_law_from_elsewhere_is_a_law(registered: GearLaw, tmp_path: Path) -> None:
+def test_a_registered_law_is_simulated(registered: GearLaw, tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
     arm = read_study(path, logs_exist=False).arm
@@ -265,20 +267,22 @@ def test_a_law_from_elsewhere_is_a_law(registered: GearLaw, tmp_path: Path) -> N
     assert torsion_figure(curve).panels
 
 
-def test_a_law_that_is_gone_is_refused(registered: GearLaw, tmp_path: Path) -> None:
+def test_an_unregistered_law_is_rejected(registered: GearLaw, tmp_path: Path) -> None:
     gear_laws.unregister("toy")
     path = tmp_path / "study.toml"
     path.write_text(STUDY.format(spring="toy"), encoding="utf-8")
-    with pytest.raises(InvalidInput, match="'spring' is 'toy', but it should be 'linear', ") as why:
+    with pytest.raises(
+        InvalidInput, match="'spring' is 'toy', but it should be 'linear', "
+    ) as error:
         read_study(path, logs_exist=False)
-    assert f" or {gear_laws.names()[-1]!r}" in why.value.problem
-    assert "line 6" in str(why.value)
+    assert f" or {gear_laws.names()[-1]!r}" in error.value.problem
+    assert "line 6" in str(error.value)
     with pytest.raises(InvalidInput, match="no gear law 'toy'"):
         gear_law("toy")
     gear_laws.register(registered)
 
 
-def test_a_law_must_not_change_what_is_known(registered: GearLaw) -> None:
+def test_conflicting_laws_are_not_registered(registered: GearLaw) -> None:
     with pytest.raises(InvalidInput, match="exists already"):
         gear_laws.register(registered)
 

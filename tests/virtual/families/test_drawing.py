@@ -1,4 +1,4 @@
-"""Arms of a family: reproducible, within what they are drawn from, every key with an effect."""
+"""Arms of a family are reproducible and within their distribution; every key has an effect."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def arms(family: Family, numbers: range = range(6)) -> list[VirtualArm]:
     return [draw(family, number) for number in numbers]
 
 
-def same(one: Recorded, other: Recorded) -> bool:
-    """Whether the logs agree to the last bit."""
+def is_identical(one: Recorded, other: Recorded) -> bool:
+    """Whether the logs are identical."""
     return all(
         np.array_equal(one.data[name][channel], other.data[name][channel])
         for name in one.data
@@ -45,15 +45,15 @@ def same(one: Recorded, other: Recorded) -> bool:
     )
 
 
-def test_an_arm_and_its_logs_follow_from_seed_and_number() -> None:
+def test_seed_and_number_determine_an_arm_and_its_logs() -> None:
     family = replace(BASE, faults=1.0, effects=0.5, gravity=0.5)
     assert draw(family, 3) == draw(replace(family, arms=1000), 3)
     assert draw(family, 3) != draw(family, 4)
     assert draw(family, 3) != draw(replace(family, seed=1), 3)
-    assert same(record(draw(family, 3)), record(draw(family, 3)))
+    assert is_identical(record(draw(family, 3)), record(draw(family, 3)))
 
 
-def test_every_key_has_a_change_here() -> None:
+def test_all_keys_are_tested() -> None:
     assert {field.name for field in fields(Family)} == {*CHANGED, "arms"}
 
 
@@ -74,13 +74,13 @@ def test_every_key_of_inner_tables_changes_the_arms(key: str, changed: Any) -> N
     assert arms(replace(BASE, **{key: changed})) != arms(BASE)
 
 
-def test_faults_and_effects_leave_the_arms_as_they_are() -> None:
+def test_faults_and_effects_do_not_change_the_arms() -> None:
     with_both = replace(BASE, faults=1.0, effects=1.0)
     for one, other in zip(arms(BASE), arms(with_both), strict=True):
         assert one.rig == other.rig
 
 
-def test_arms_are_within_what_they_are_drawn_from() -> None:
+def test_arms_are_within_their_distribution() -> None:
     family = Family(
         arms=len(SOME),
         sizes=(20, 14),
@@ -103,61 +103,64 @@ def test_arms_are_within_what_they_are_drawn_from() -> None:
             assert joint.accelerometer_distance
 
 
-def test_factors_are_within_their_ranges() -> None:
+def test_factors_are_within_their_bounds() -> None:
     friction = Friction(coulomb=(2.0, 3.0), viscous=(0.2, 0.5))
     sensors = Sensors(noise=(4.0, 5.0))
     family = replace(BASE, friction=friction, sensors=sensors)
     alone = replace(BASE, friction=replace(friction, coulomb=(1.0, 1.0)))
     for number in range(6):
-        plain, own, other = draw(BASE, number), draw(family, number), draw(alone, number)
-        noise = own.noise.accelerometer_density / plain.noise.accelerometer_density
+        plain, scaled, other = draw(BASE, number), draw(family, number), draw(alone, number)
+        noise = scaled.noise.accelerometer_density / plain.noise.accelerometer_density
         assert 4.0 <= noise <= 5.0
-        assert own.noise.accelerometer_range <= 5.0 * plain.noise.accelerometer_range
-        # what is drawn first does not depend on the factors
+        assert scaled.noise.accelerometer_range <= 5.0 * plain.noise.accelerometer_range
+        # earlier random numbers do not depend on the factors
         key = ("motor_viscous_friction", 1)
         assert 0.2 <= other.values[key] / plain.values[key] <= 0.5
         key = ("motor_coulomb_friction", 1)
-        assert 2.0 <= own.values[key] / plain.values[key] <= 3.0
+        assert 2.0 <= scaled.values[key] / plain.values[key] <= 3.0
 
 
 def test_a_payload_is_a_point_mass_at_the_tip() -> None:
     loaded = replace(BASE, payload=(2.0, 2.0))
     for number in range(6):
-        plain, own = draw(BASE, number).values, draw(loaded, number).values
-        added = {name: own[name, None] - plain[name, None] for name in ("alpha", "beta", "gamma")}
+        plain, with_payload = draw(BASE, number).values, draw(loaded, number).values
+        added = {
+            name: with_payload[name, None] - plain[name, None]
+            for name in ("alpha", "beta", "gamma")
+        }
         assert added["gamma"] ** 2 == pytest.approx(added["alpha"] * added["beta"])
         length = draw(BASE, number).study.arm.link_length or 0.0
         assert added["alpha"] == pytest.approx(2.0 * length**2)
 
 
-def test_shares_are_those_asked_for() -> None:
+def test_shares_match_the_description() -> None:
     family = Family(arms=100, gravity=0.3, faults=0.5)
-    found = arms(family, range(100))
-    upright = sum(arm.study.arm.gravity is not None for arm in found)
-    assert 15 <= upright <= 45  # three deviations of a binomial count
-    assert 35 <= sum(arm.fault is not None for arm in found) <= 65
+    drawn = arms(family, range(100))
+    upright = sum(arm.study.arm.gravity is not None for arm in drawn)
+    assert 15 <= upright <= 45  # three standard deviations of a binomial count
+    assert 35 <= sum(arm.fault is not None for arm in drawn) <= 65
     assert all(arm.fault is None for arm in arms(BASE))
 
 
-def test_kinds_listed_are_the_only_ones_drawn() -> None:
+def test_only_listed_kinds_are_drawn() -> None:
     family = replace(BASE, faults=("spikes", "gear-ratio"), effects=("stribeck", "dead-zone"))
-    found = arms(family, SOME)
-    assert {arm.fault for arm in found} == {"spikes", "gear-ratio"}
-    assert {arm.cause.name for arm in found} == {"stribeck", "dead-zone"}
+    drawn = arms(family, SOME)
+    assert {arm.fault for arm in drawn} == {"spikes", "gear-ratio"}
+    assert {arm.cause.name for arm in drawn} == {"stribeck", "dead-zone"}
 
 
-def test_all_kinds_are_drawn_where_none_are_listed() -> None:
-    found = arms(Family(arms=400, faults=1.0), range(400))
-    assert {arm.fault for arm in found} == set(FAULTS)
+def test_all_kinds_are_drawn_by_default() -> None:
+    drawn = arms(Family(arms=400, faults=1.0), range(400))
+    assert {arm.fault for arm in drawn} == set(FAULTS)
 
 
 @pytest.mark.parametrize("name", causes_of_the_plant())
-def test_an_effect_changes_the_logs_and_not_the_study(name: str) -> None:
-    plain, own = draw(BASE, 1), draw(replace(BASE, effects=(name,)), 1)
-    recorded = record(own)
+def test_effects_change_the_logs_but_not_the_study(name: str) -> None:
+    plain, with_effect = draw(BASE, 1), draw(replace(BASE, effects=(name,)), 1)
+    recorded = record(with_effect)
     assert recorded.study == plain.study
     assert recorded.classes["effect"] == name
-    assert not same(recorded, record(plain))
+    assert not is_identical(recorded, record(plain))
 
 
 @pytest.mark.parametrize(
@@ -170,15 +173,15 @@ def test_an_effect_changes_the_logs_and_not_the_study(name: str) -> None:
         ("none", set()),
     ],
 )
-def test_link_sensors_are_those_drawn(link: Any, channels: set[str]) -> None:
+def test_channels_match_the_drawn_link_sensors(link: Any, channels: set[str]) -> None:
     recorded = record(draw(replace(BASE, sensors=Sensors(link=(link,))), 0))
-    own = {"t", "u1", "u2", "theta_m1", "theta_m2", "ref1", "ref2"}
-    assert set(recorded.data["motion"]) == own | channels
+    common = {"t", "u1", "u2", "theta_m1", "theta_m2", "ref1", "ref2"}
+    assert set(recorded.data["motion"]) == common | channels
     assert recorded.classes["link sensors"] == link
     assert {name for name in channels if name.startswith("theta_l")} == set(recorded.study.channels)
 
 
-def test_truth_has_what_identification_reports() -> None:
+def test_true_values_include_reported_combinations() -> None:
     arm = draw(replace(BASE, effects=("friction-by-record",)), 0)
     assert ("rigid_inertia", 1) in arm.truth
     assert ("motor_coulomb_friction", arm.cause.joint) not in arm.truth

@@ -1,4 +1,4 @@
-"""`[family]` of a campaign.toml: what it may say, and what is refused in one sentence."""
+"""`[family]` of a campaign.toml: valid keys and error messages."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def read(text: str) -> Family:
     return family_of(tomllib.loads(whole)["family"], PATH, whole)
 
 
-def test_a_family_of_one_key_has_defaults() -> None:
+def test_keys_have_defaults() -> None:
     assert read("arms = 3") == Family(arms=3)
 
 
-def test_a_family_is_the_table_that_it_was_read_from() -> None:
+def test_a_family_converts_back_to_its_table() -> None:
     family = read(
         'arms = 3\nsizes = [14, 20]\nfaults = ["late-sensors"]\n'
         'sensors = { noise = [0.5, 2.0], link = ["none"] }\nfriction = { viscous = [1.0, 3.0] }'
@@ -34,7 +34,7 @@ def test_a_family_is_the_table_that_it_was_read_from() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("", "the key 'arms' is missing"),
         ("arms = 0", "'arms' is 0"),
@@ -59,11 +59,11 @@ def test_a_family_is_the_table_that_it_was_read_from() -> None:
         ("arms = 3\nseed = -1", "'seed' is -1"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_with_its_place(text: str, said: str) -> None:
+def test_errors_name_place_and_cause(text: str, expected: str) -> None:
     with pytest.raises(InvalidInput) as refused:
         read(text)
     message = str(refused.value)
-    assert said in message
+    assert expected in message
     assert "campaign.toml, line" in message
     assert "[family]" in message
     assert refused.value.remedy

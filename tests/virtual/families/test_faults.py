@@ -1,4 +1,4 @@
-"""Each kind of fault changes what it says, and nothing else."""
+"""Each kind of fault changes only the stated channel or key."""
 
 from __future__ import annotations
 
@@ -15,37 +15,34 @@ from strainwave.virtual.families.description import FAULTS, LinkSensors, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
 
 BASE = Family(arms=1, sizes=(14,), sample_times=(1e-3,), springs=("linear",))
-Pair = tuple[FloatArray, FloatArray]  # without the fault and with it
+Pair = tuple[FloatArray, FloatArray]  # without and with the fault
 
 
 def both(kind: str) -> tuple[VirtualArm, Recorded, Recorded]:
-    clean, own = draw(BASE, 0), draw(replace(BASE, faults=(kind,)), 0)
-    return clean, record(clean), record(own)
+    clean, faulty = draw(BASE, 0), draw(replace(BASE, faults=(kind,)), 0)
+    return clean, record(clean), record(faulty)
 
 
 def changed(kind: str) -> dict[str, list[Pair]]:
-    """Channels that differ: of each record the values without the fault and with it.
-
-    Reading a log makes its time uniform, which rounds it.
-    """
-    _, clean, own = both(kind)
-    found: dict[str, list[Pair]] = {}
+    """Values of the changed channels of each record, without and with the fault."""
+    _, clean, faulty = both(kind)
+    pairs: dict[str, list[Pair]] = {}
     for name, channels in clean.data.items():
         for channel, values in channels.items():
-            if not np.allclose(values, own.data[name][channel], rtol=1e-12, atol=1e-12):
-                found.setdefault(channel, []).append((values, own.data[name][channel]))
-    return found
+            if not np.allclose(values, faulty.data[name][channel], rtol=1e-12, atol=1e-12):
+                pairs.setdefault(channel, []).append((values, faulty.data[name][channel]))
+    return pairs
 
 
 def factor(pairs: list[Pair]) -> float:
-    """What all values were multiplied by."""
+    """Common factor between all values."""
     one, other = (np.concatenate(each) for each in zip(*pairs, strict=True))
     ratio = float(one @ other / (one @ one))
     assert np.allclose(other, ratio * one, rtol=1e-9, atol=1e-9 * float(np.abs(other).max()))
     return ratio
 
 
-def test_all_kinds_are_tested() -> None:
+def test_all_kinds_are_covered() -> None:
     assert {*LOGS, *STUDY} == set(FAULTS)
 
 
@@ -56,7 +53,7 @@ def of_one(channels: dict[str, list[Pair]], name: str) -> list[Pair]:
 
 
 def is_scaled(name: str, *factors: float) -> Callable[[dict[str, list[Pair]]], bool]:
-    """Whether one channel of the name was multiplied by one of the factors."""
+    """Whether one channel of the name is multiplied by one of the factors."""
     return lambda channels: any(
         factor(of_one(channels, name)) == pytest.approx(each) for each in factors
     )
@@ -117,28 +114,28 @@ STUDY = {
 
 
 @pytest.mark.parametrize("kind", LOGS)
-def test_a_fault_of_logs_changes_what_it_says(kind: str) -> None:
-    arm, _, own = both(kind)
-    assert own.study == arm.study
-    assert own.classes["fault"] == kind
-    assert own.classes["fault_size"]
+def test_faults_of_logs_change_the_stated_channels(kind: str) -> None:
+    arm, _, faulty = both(kind)
+    assert faulty.study == arm.study
+    assert faulty.classes["fault"] == kind
+    assert faulty.classes["fault_size"]
     assert LOGS[kind](changed(kind))
 
 
 @pytest.mark.parametrize("kind", STUDY)
-def test_a_fault_of_the_study_changes_one_key_of_one_joint(kind: str) -> None:
-    arm, _, own = both(kind)
+def test_faults_of_the_study_change_one_key_of_one_joint(kind: str) -> None:
+    arm, _, faulty = both(kind)
     assert not changed(kind)
     differs = [
         (one, other)
-        for one, other in zip(arm.study.arm.joints, own.study.arm.joints, strict=True)
+        for one, other in zip(arm.study.arm.joints, faulty.study.arm.joints, strict=True)
         if one != other
     ]
     ((one, other),) = differs
     assert replace(one, **{STUDY[kind]: getattr(other, STUDY[kind])}) == other
 
 
-def test_arms_have_no_faults_of_sensors_that_they_lack() -> None:
+def test_missing_sensors_have_no_faults() -> None:
     bare = Sensors(link=("none",))
     family = Family(arms=200, faults=1.0, sensors=bare)
     kinds = {draw(family, number).fault for number in range(200)}
@@ -147,7 +144,7 @@ def test_arms_have_no_faults_of_sensors_that_they_lack() -> None:
     assert "swapped-joints" in kinds
 
 
-def test_any_arm_of_a_faulty_family_can_be_recorded() -> None:
+def test_faulty_arms_can_be_recorded() -> None:
     link = get_args(LinkSensors)
     for kind in FAULTS:
         family = Family(arms=4, faults=(kind,), sensors=Sensors(link=link), gravity=0.5)
