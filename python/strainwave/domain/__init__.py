@@ -33,6 +33,7 @@ from strainwave.domain.arm_model import (
     ScoreTest,
     SensorGain,
     StageDifference,
+    SuspectConstant,
     TorqueHistogram,
 )
 from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray, IntArray
@@ -200,6 +201,7 @@ __all__ = [
     "StateSpace",
     "Status",
     "Study",
+    "SuspectConstant",
     "Suspicion",
     "Sweep",
     "SweepPoint",

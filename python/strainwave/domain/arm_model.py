@@ -166,6 +166,26 @@ def contradictions(tests: Sequence[AgreementTest]) -> tuple[AgreementTest, ...]:
     return tuple(own)
 
 
+@dataclass(frozen=True, slots=True)
+class SuspectConstant:
+    """A constant of the study, or a change between records, that would explain a disagreement."""
+
+    name: str  # key of the study, "payload" or "friction"
+    joint: int | None  # from 1; None for the arm's own
+    share: float  # of the cost of the fit that it explains, by one linear step
+    value: float | None = None  # that explains most, of a key of the study
+    unit: str = ""
+    experiment: str = ""  # that separates it from the others, a clause
+
+    @property
+    def text(self) -> str:
+        """What it is, how much it explains, and the experiment."""
+        subject = self.name if self.joint is None else f"{self.name} of joint {self.joint}"
+        if self.value is not None:
+            subject = f"{subject} (then {self.value:.4g} {self.unit})"
+        return f"{subject}, which would explain {100.0 * self.share:.3g} %: {self.experiment}"
+
+
 Condition = Literal["alone", "others-free", "others-servoed"]
 """What the other joints do while one is driven: there are none, they are free, or servoed."""
 
@@ -243,4 +263,5 @@ class ArmModel(Displayed):
     at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
     agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups
+    suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, the likeliest first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that are not there

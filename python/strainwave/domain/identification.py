@@ -165,14 +165,22 @@ def _reasons(
     yield from _stages_missing(found, called)
     yield from (f"{defect.where}: {defect.message}" for defect in model_defects(found))
     yield from (size.text for size in implausible_joints(found.study.arm, found.parameters))
-    for test in contradictions(found.tuned.agreement) if found.tuned else ():
-        yield f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
+    if found.tuned is not None:
+        yield from _contradictions(found.tuned)
     wrong = [label for label in called.primary if label in rejected]
     if wrong:
         yield f"rejected: {', '.join(wrong)}"
     missing = [name for name in called.primary if name not in identified and name not in wrong]
     if missing:
         yield f"not identified: {', '.join(missing)}"
+
+
+def _contradictions(tuned: ArmModel) -> Iterator[str]:
+    """On what the stages disagree, and the likely causes with the experiments that tell."""
+    for test in contradictions(tuned.agreement):
+        text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
+        causes = ", or ".join(each.text for each in tuned.suspects)
+        yield f"{text}, likely causes in this order: {causes}" if causes else text
 
 
 def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
@@ -222,7 +230,8 @@ def _validated(found: Identification) -> Validated:
         rigid=moving and not any(check.unexplained for check in drives),
         elastic=bool(elastic)
         and shown >= elastic
-        and not any(check.unexplained for check in motions),
+        and not any(check.unexplained for check in motions)
+        and _worst_residual(found) is None,
     )
 
 

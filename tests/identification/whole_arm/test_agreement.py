@@ -21,7 +21,7 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm.agreement import (
-    DISAGREES,
+    MAX_NOISE_DEVIATIONS,
     _as_normal,
     _chi_square,
     disagreement,
@@ -92,13 +92,16 @@ def test_a_clean_arms_statistic_is_chi_square(seed: int) -> None:
 def test_it_is_a_finding_from_three_deviations_on() -> None:
     near = StageDifference("beta", None, 0.6, 0.601, 0.01, "kg m^2")
     far = StageDifference("motor_inertia", 2, 5e-5, 5.8e-5, 1e-6, "kg m^2")
-    quiet = AgreementTest("all", None, 20.0, 10, 0.99 * DISAGREES)
+    quiet = AgreementTest("all", None, 20.0, 10, 0.99 * MAX_NOISE_DEVIATIONS)
     high_variance = AgreementTest("inertias", None, 70.0, 4, 7.4)
     assert list(disagreement((near, far), ())) == []
     assert list(disagreement((near, far), (quiet,))) == []
     (said,) = disagreement((near, far), (quiet, high_variance))
     assert said.code == "stages-disagree"
-    assert "taken together, inertias differ by 7.4 standard deviations" in said.message
+    assert (
+        "taken together, inertias and gravity torques differ by 7.4 standard deviations"
+        in said.message
+    )
     assert "chi-square 70 of 4 degrees" in said.message
     largest = "motor_inertia of joint 2 5e-05 by the rigid and 5.8e-05"
     assert said.message.index(largest) < said.message.index("beta")
@@ -151,7 +154,7 @@ def test_on_a_clean_arm_the_stages_agree(tmp_path: Path) -> None:
     tests = found.tuned.agreement
     scopes = [(test.scope, test.joint) for test in tests]
     assert scopes == [("all", None), ("inertias", None), ("friction", 1), ("friction", 2)]
-    assert all(test.deviations < DISAGREES for test in tests), tests
+    assert all(test.deviations < MAX_NOISE_DEVIATIONS for test in tests), tests
     assert found.verdict.status == "determined"
 
 

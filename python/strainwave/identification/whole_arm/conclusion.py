@@ -15,7 +15,9 @@ from strainwave.identification.closed_loop import (
 from strainwave.identification.whole_arm.agreement import (
     agreement_tests,
     disagreement,
+    is_disagreement,
     stage_differences,
+    suspects_of,
 )
 from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.causes import (
@@ -86,6 +88,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         tuple(one.test for one in tested),
         tuple(causes_of(refits.fits, arm)),
     )
+    suspects = suspects_of(fit, arm, criticism.causes) if is_disagreement(agreement) else ()
     repeated = [
         log
         for log in start.logs
@@ -110,7 +113,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, arm, parameters, ended),
-            *disagreement(differences, agreement),
+            *disagreement(differences, agreement, suspects),
             *left_out(fit.objective.space, arm),
             *taken_up(fit, arm),
             *sensor_warnings(parameters),
@@ -124,5 +127,6 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         at_bounds=ended,
         differences=differences,
         agreement=agreement,
+        suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
     )

@@ -1,29 +1,30 @@
-"""How sure a fit's parameters are: what its own noise, its stretches and its records say.
+"""Covariance of a fit's parameters: from its information, its residuals and its records.
 
-Four covariances describe each parameter's deviation:
+Four covariances describe the error of each parameter:
 
-- local, (J'J)^-1 of rows in deviations: an upper end if the model is right, as rows are weighed by
-  how slow errors repeat, and those of a velocity are quick;
-- sandwich, in which stretches of a record are as independent as they show themselves: right where
-  errors come and go, or go on for longer than the rows' weights allow for; but some fifty stretches
-  know a variance only so well;
-- steady, a sandwich of errors that are alike from a record's first row to its last: a thousand rows
-  show how each channel's repeat, and so how little of quick ones a slow effect sees;
-- scatter of the records, each judged by what it wants of the fit: it sees what is wrong with the
-  model in different ways in different experiments.
+- local, (J'J)^-1 of rows in standard deviations: an upper limit if the model is right, as rows are
+  weighted by how long errors repeat, and those of a velocity are quick;
+- sandwich: the gradients of stretches of a record are as independent as they turn out. It is right
+  where errors come and go, but fifty stretches determine a variance only so well;
+- steady: a sandwich of errors that are stationary in a record. A thousand rows show their spectrum,
+  and so how little of quick errors a slow effect sees;
+- scatter of the records, each judged by what it demands of the fit. It shows errors of the model
+  that differ between experiments.
 
-A variance is the larger one of both sandwiches, with what the scatter adds to it. Correlations are
-those of the steady one, as a sum of parameters sees other errors than each of them: that of a
-joint's viscous frictions is slow, and what is slow is better known than the rows' weights say.
+A variance is the larger one of sandwich and steady, plus what the scatter adds. Correlations are
+those of steady, as a sum of parameters sees other errors than each of its terms.
 
-What the rigid step knows is weighed by deviations that are never small, so that the records have
-the last word. That makes its errors no larger: in both sandwiches they are what the rigid step
-reports, and more only where the fit contradicts it.
+The rigid model is weighted by standard deviations with a lower limit, so that the records decide.
+Its errors in both sandwiches are those that the rigid step reports, and larger only where the fit
+contradicts it.
 
-None of them sees what is wrong with the model in the same way everywhere. Its size shows all the
-same, as residuals larger than the sensors' own noise explains. Such an error does not average away
-over the records: the share of a variance that the noise surely does not explain is counted once
-more as if all records had it in common, which is as often as there are records.
+None of the four shows an error of the model that is the same in every record, as of the friction
+law, the drive or the plant's own integrator. Its size shows in residuals that exceed the sensors'
+noise, and it does not average out over records: the share of a variance that the noise does not
+explain counts once more for each record. That share is the parameter's own, by the spectra of its
+derivatives, of the residuals and of the noise. The noise of a difference of rounded angles rises
+with the square of the frequency, so that at the resonances an error of the model exceeds the noise
+many times although it is small in the sum over all frequencies.
 """
 
 from __future__ import annotations
@@ -35,7 +36,14 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
-from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Rows, lagged_products
+from strainwave.identification.whole_arm.dataset import Dataset
+from strainwave.identification.whole_arm.objective import (
+    BLOCKS,
+    Objective,
+    Rows,
+    lagged,
+    lagged_products,
+)
 from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import side_by_side
 
@@ -44,7 +52,10 @@ LEAST_SHARE = 1e-3
 
 _NOTHING = 1e-30  # information of what no record shows
 _LEAST_KEPT = 1e-6  # of a variance that is left in the prior's residuals
-_UNSURE = 0.2  # share of a variance by which the noise behind it may be misjudged
+_HERMITE = {1: 0.927, 3: 0.056, 5: 0.017}
+"""Shares of the variance of r (1 + r^2)^(-1/2), r standard normal, by degree; the last has all
+higher ones. The slope of the loss makes quick noise a little whiter."""
+_NOISE_TOLERANCE = 0.2  # share of a variance by which the noise behind it may be misjudged
 _FEWEST = 3  # records that can scatter
 _NORMAL = 1.96  # deviations of 95 %
 _LEAST_LEFT = 1e-3  # of a gradient where one record alone identifies a parameter
@@ -97,7 +108,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
         np.minimum(1.0, record.noise / weights.deviation)
         for record, weights in zip(objective.records, objective.weights, strict=True)
     ]
-    each = zip(objective.rows(z), objective.blocks(), noise, strict=True)
+    each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
     records = side_by_side([partial(_evidence, *one) for one in each])
     space, prior = objective.space, objective.space.prior
     slope = space.slope(z)
@@ -127,8 +138,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     variance = np.maximum(sandwiched, steadied)
     if n_records >= _FEWEST:
         variance = variance + _excess(own, scattered, pooled, n_records)
-    products = [record.product for record in records]
-    variance = variance * (1.0 + n_records * _beyond_noise(objective, z, products, inverse))
+    variance = variance * (1.0 + n_records * _beyond_noise(slope @ unbread, records))
     ones = np.ones_like(variance)
     raised = np.sqrt(np.divide(variance, steadied, out=ones, where=steadied > 0.0))
     by_errors = sum((record.steady for record in records), np.zeros_like(known))
@@ -167,10 +177,11 @@ class _Evidence:
     gradients: FloatArray  # (n_stretches, n_unknowns) of the loss
     product: FloatArray  # (n_unknowns, n_unknowns) its part of J'J
     curvature: FloatArray  # (n_unknowns, n_unknowns) how the loss bends
-    steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient, its errors alike throughout
+    steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient if errors are stationary
+    noise: FloatArray  # (n_unknowns, n_unknowns) the same of the sensors' noise alone
 
 
-def _evidence(rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
+def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
     """Of one record, its own unknowns at their best; its sensors' noise is in deviations.
 
     Weights (1 + r^2)^(-1/2) give the gradient of the soft L1 loss; it bends as (1 + r^2)^(-3/2).
@@ -189,35 +200,31 @@ def _evidence(rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
     bend = np.sqrt(1.0 + rows.residual**2)
     bent = shared / bend.reshape(-1, 1)
     columns = shared.reshape(-1, width, n) * (rows.root * bend)[..., None]
-    return _Evidence(sums, shared.T @ shared, bent.T @ bent, _steady(columns, rows.residual, noise))
+    steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
+    for k, channel in enumerate(record.channels):
+        errors = _autocovariance(rows.residual[:, k], float(noise[k]))
+        own_noise = np.zeros_like(errors)
+        filtered = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:rows_in]
+        share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
+        own_noise[: len(filtered)] = errors[0] * share * _softened(filtered / filtered[0])
+        both = gradient_covariances(columns[:, k], (errors, own_noise))
+        steady, of_noise = steady + both[0], of_noise + both[1]
+    return _Evidence(sums, shared.T @ shared, bent.T @ bent, steady, of_noise)
 
 
-def _steady(columns: FloatArray, residual: FloatArray, noise: FloatArray) -> FloatArray:
-    """Covariance of a record's gradient if each channel's errors are alike in all its rows.
-
-    Autocovariances up to a stretch's length, tapered (Newey and West, 1987), make a power spectrum,
-    which weighs the columns' own.
-    """
-    found = np.zeros((columns.shape[2], columns.shape[2]))
-    for k in range(columns.shape[1]):
-        found += gradient_covariance(
-            columns[:, k], _autocovariance(residual[:, k], float(noise[k]))
-        )
-    return found
+def _softened(correlation: FloatArray) -> FloatArray:
+    """Autocorrelations of the loss's slope r (1 + r^2)^(-1/2) for normal r of these: Hermite's."""
+    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE.items()))
 
 
-def gradient_covariance(columns: FloatArray, autocovariance: FloatArray) -> FloatArray:
-    """Covariance of columns' products with stationary errors, whose spectrum weighs the columns'.
+def gradient_covariances(
+    columns: FloatArray, autocovariances: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Covariances of the products of columns, (n_rows, n_unknowns), with stationary errors.
 
-    Parameters
-    ----------
-    columns : (n_rows, n_unknowns)
-    autocovariance : (n_rows,)
-        Of the errors, from lag zero on; tapered beyond a stretch's length.
-
-    Returns
-    -------
-    (n_unknowns, n_unknowns)
+    Autocovariances of the errors, (n_rows,) each from lag zero on, are tapered beyond the length of
+    a stretch (Newey and West, 1987). Their power spectrum weighs that of the columns. One
+    (n_unknowns, n_unknowns) for each kind of errors.
     """
     n = len(columns)
     reach = max(1, n // BLOCKS)
@@ -225,13 +232,16 @@ def gradient_covariance(columns: FloatArray, autocovariance: FloatArray) -> Floa
     taper = 1.0 - np.arange(reach) / reach
     twice = np.full(around // 2 + 1, 2.0)  # lines above and below zero
     twice[[0, -1]] = 1.0
-    lags = np.zeros(around)
-    lags[:reach] = taper * autocovariance[:reach]
-    lags[around - reach + 1 :] = lags[1:reach][::-1]
-    power = np.maximum(np.fft.rfft(lags).real, 0.0)
     lines = np.fft.rfft(columns, around, axis=0)
-    lines *= np.sqrt(twice * power / around)[:, None]
-    return np.asarray(lines.real.T @ lines.real + lines.imag.T @ lines.imag)
+    covariances = []
+    for autocovariance in autocovariances:
+        lags = np.zeros(around)
+        lags[:reach] = taper * autocovariance[:reach]
+        lags[around - reach + 1 :] = lags[1:reach][::-1]
+        power = np.maximum(np.fft.rfft(lags).real, 0.0)
+        weighted = lines * np.sqrt(twice * power / around)[:, None]
+        covariances.append(weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
+    return covariances
 
 
 def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
@@ -289,14 +299,17 @@ def residual_covariance(
     return np.asarray(kept @ errors @ kept.T + answer @ meat @ answer.T)
 
 
-def _beyond_noise(
-    objective: Objective, z: FloatArray, products: Sequence[FloatArray], inverse: FloatArray
-) -> FloatArray:
-    """The share of each local variance that the sensors' noise does not explain."""
-    excess = np.zeros_like(inverse)
-    for share, product in zip(objective.noise_shares(z), products, strict=True):
-        excess += max(0.0, 1.0 - share - _UNSURE) * product
-    return np.asarray(np.diag(inverse @ excess @ inverse) / np.diag(inverse))
+def _beyond_noise(answer: FloatArray, records: Sequence[_Evidence]) -> FloatArray:
+    """The share of each parameter's variance that the sensors' noise does not explain.
+
+    `answer` is the derivative of the parameters by the gradient, (n_unknowns, n_unknowns).
+    """
+    shown, noise = (
+        np.einsum("ij,jk,ik->i", answer, sum(parts, np.zeros_like(answer)), answer)
+        for parts in zip(*((record.steady, record.noise) for record in records), strict=True)
+    )
+    explained = np.divide(noise, shown, out=np.ones_like(shown), where=shown > 0.0)
+    return np.asarray(np.maximum(0.0, 1.0 - explained - _NOISE_TOLERANCE))
 
 
 def _scatter(

@@ -15,7 +15,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.covariance import (
     LEAST_SHARE,
-    gradient_covariance,
+    gradient_covariances,
     inverse_information,
 )
 from strainwave.identification.whole_arm.dataset import Dataset
@@ -120,7 +120,7 @@ def _evidence(
         own_lags = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:n_rows]
         # a gradient has rows and errors, both over the root of the repetitions
         lags[: len(own_lags)] = own_lags / own_lags[0] * _SLOPE / repeats[k]
-        covariance += gradient_covariance(shared[:, k], lags)
+        covariance += gradient_covariances(shared[:, k], (lags,))[0]
     return _BEND * R.T @ R, covariance
 
 
