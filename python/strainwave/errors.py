@@ -59,8 +59,9 @@ class Cancelled(StrainwaveError):  # noqa: N818
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Hint at the known name closest to a misspelled one: `; did you mean '...'?`, or ""."""
-    matches = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
-    return f"; did you mean '{matches[0]}'?" if matches else ""
+    spellings = {each.casefold(): each for each in known}
+    matches = difflib.get_close_matches(name.casefold(), list(spellings), n=1, cutoff=0.6)
+    return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
 
 
 def require(module: str, purpose: str, requirement: str) -> Any:

@@ -47,6 +47,7 @@ from strainwave.domain.comparison import (
     Tally,
     outcomes_text,
 )
+from strainwave.domain.corrections import Correction
 from strainwave.domain.estimates import Consistency, Diagnostic, Parameter, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, half_width
 from strainwave.domain.identification import Identification
@@ -112,6 +113,7 @@ from strainwave.domain.study import (
     TopicChannel,
     Use,
     channel_names,
+    channel_parts,
 )
 from strainwave.domain.verdict import Status, Validated, Verdict
 
@@ -134,6 +136,7 @@ __all__ = [
     "Consistency",
     "ContinuousStateSpace",
     "Control",
+    "Correction",
     "Criterion",
     "Criticism",
     "Decision",
@@ -214,6 +217,7 @@ __all__ = [
     "Verdict",
     "all_words",
     "channel_names",
+    "channel_parts",
     "half_width",
     "is_physical",
     "outcomes_text",

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
+from strainwave.domain.corrections import Correction
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +30,7 @@ class Suspicion:
     remedy: str  # the line of study.toml, or the step at the rig, that would mend it
     factor: float | None = None  # by which the data differ from what the study implies
     delay_s: float | None = None  # by which the channel lags [s]
+    corrections: tuple[Correction, ...] = ()  # the remedy as data; (): none is known
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,3 +98,9 @@ CHANNELS = (
 def channel_names(count: int) -> tuple[str, ...]:
     """All channels that an arm of `count` joints can have."""
     return ("t", *(f"{name}{i}" for name in CHANNELS for i in range(1, count + 1)))
+
+
+def channel_parts(name: str) -> tuple[str, int]:
+    """Kind and joint of a channel: ("theta_m", 2) of "theta_m2"; joint 0 of "t"."""
+    kind = name.rstrip("0123456789")
+    return kind, int(name[len(kind) :] or 0)

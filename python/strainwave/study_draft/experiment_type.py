@@ -35,6 +35,7 @@ class Proposed:
     joint: int | None = None
     control: tuple[Control, ...] = ()
     prbs: Prbs | None = None
+    has_known_amplitude: bool = True  # False: the scale of the voltage is to be filled in
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +106,10 @@ def _one(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
         sequence = random.sequence
         what = "a pseudo-random sequence" if sequence else "fast and broad"
         why = f"the input of joint {random.joint} is {what}"
-        return Proposed(record, "frequency", why, random.joint, control, sequence)
+        names = (f"u{random.joint}", f"torque{random.joint}")
+        guesses = [mapping.guesses[name] for name in names if name in mapping.guesses]
+        known = all(guess.scale is not None for guess in guesses)
+        return Proposed(record, "frequency", why, random.joint, control, sequence, known)
     if len(stepped) == 1 and elastic and len(seen) > 1 and not _moves_all(record, mapping):
         why = f"joint {stepped[0].joint} is stepped"
         return Proposed(record, "tuning", why, stepped[0].joint, control)
@@ -149,10 +153,11 @@ def _moves_all(record: Record, mapping: Mapping) -> bool:
 
 
 def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | None:
+    """The first of some channels that the record has, in SI units where its scale is known."""
     for channel in channels:
         guess = mapping.guesses.get(channel)
         if guess is not None and guess.column in record.columns:
-            return record.columns[guess.column]
+            return (1.0 if guess.scale is None else guess.scale) * record.columns[guess.column]
     return None
 
 

@@ -277,9 +277,10 @@ def _experiment(each: Proposed, out: Path) -> str:
     lines.append(f"control = [{control}]")
     if each.prbs is not None:
         p = each.prbs
+        amplitude = repr(p.amplitude) if each.has_known_amplitude else TODO
         value = f"{{ order = {p.order}, clock = {p.clock!r}, periods = {p.periods}, "
-        value += f"amplitude = {p.amplitude!r} }}"
-        lines.append(_line("prbs", value, "likely: by its runs and repetition"))
+        value += f"amplitude = {amplitude} }}"
+        lines.append(_line("prbs", value, "likely: by its runs and repetition; amplitude in V"))
     return "\n".join(lines)
 
 

@@ -193,7 +193,7 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
     ),
     "no input": (
         edited(1, "t,x,u2,theta_m1,theta_m2,a1"),
-        "no column 'u1' or 'torque1', the drive's input",
+        "no column 'u1', nor 'torque1', for the command of the drive",
     ),
     "NaN": (edited(9, "0.007,nan,0,0.07,-0.03,1"), r"line 9, column 'u1': the value is nan"),
     "infinite": (

@@ -15,23 +15,40 @@ from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study
 
 
-@pytest.fixture(scope="session", params=["horizontal", "vertical"])
-def arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Input:
-    """A motion and, open loop, a PRBS record of the built-in rig with linear springs."""
-    folder: Path = tmp_path_factory.mktemp(request.param)
+def _simulated(folder: Path, *, vertical: bool) -> Input:
+    """Motions and, of the horizontal arm, a PRBS record of the built-in rig with linear springs."""
     study = scara.study(folder, "linear")
     values = scara.parameters(3, "linear")
-    if request.param == "vertical":
+    if vertical:
         study = replace(study, arm=replace(study.arm, gravity=9.81))
         values["gravity_torque_1", None] = 45.0
         values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
-    wanted = {"motion", "motion-check"} | ({"prbs-j1"} if request.param == "horizontal" else set())
+    wanted = {"motion", "motion-check"} | (set() if vertical else {"prbs-j1", "prbs-j2"})
     kept = tuple(e for e in study.experiments if e.name in wanted)
     simulate_study(
         replace(study, experiments=kept), values, folder, noise=SensorNoise(), as_recorded=False
     )
     written = read_study(folder / "study.toml")
     return read_logs(written), written
+
+
+@pytest.fixture(scope="session")
+def horizontal_arm(tmp_path_factory: pytest.TempPathFactory) -> Input:
+    """Without gravity, with a PRBS record of either joint."""
+    return _simulated(tmp_path_factory.mktemp("horizontal"), vertical=False)
+
+
+@pytest.fixture(scope="session")
+def vertical_arm(tmp_path_factory: pytest.TempPathFactory) -> Input:
+    """Under gravity, with motions alone."""
+    return _simulated(tmp_path_factory.mktemp("vertical"), vertical=True)
+
+
+@pytest.fixture(scope="session", params=["horizontal", "vertical"])
+def arm(request: pytest.FixtureRequest) -> Input:
+    """Either arm."""
+    given: Input = request.getfixturevalue(f"{request.param}_arm")
+    return given
 
 
 @pytest.fixture(scope="session")

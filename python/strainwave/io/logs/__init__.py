@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, Study, channel_names
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, nearest
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, one_clock
 from strainwave.io.logs.in_memory import Data, is_path, table_of
@@ -173,7 +172,7 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
-            remedy=f"correct channels.{name}, or take it out",
+            remedy=f"correct channels.{name}, or take it out{nearest(channel.column, table.names)}",
         )
 
 
@@ -198,7 +197,7 @@ def _check_required(
             raise _no_column(name, "which every log needs", table, path)
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
-            raise _no_column(f"u{i}' or 'torque{i}", "the drive's input", table, path)
+            raise _no_column(f"u{i}", f"nor 'torque{i}', for the command of the drive", table, path)
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
             raise InvalidInput(
                 f"joint {i} has a voltage log but no torque_per_volt",
@@ -210,13 +209,12 @@ def _check_required(
 def _no_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
     if isinstance(table, Bag):
         return table.no_column(column, what)
-    near = difflib.get_close_matches(column, table.names, n=1, cutoff=0.6)
-    hint = f"; did you mean '{near[0]}'?" if near else ""
     shown = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
+    shown += nearest(column, table.names)
     return InvalidInput(
         f"there is no column '{column}', {what}",
         where=str(path),
-        remedy=f"map it in [channels] of the study; the file has: {shown}{hint}",
+        remedy=f"map it in [channels] of the study; the file has: {shown}",
     )
 
 

@@ -21,10 +21,14 @@ FEWEST_ROWS = 16
 """Fewer samples cannot even be filtered."""
 LARGEST_GAP = 10.0
 """[periods] What was between two samples further apart is beyond interpolation."""
+JITTER_STD = 0.2
+"""[periods] Standard deviation of stamps about a clock's ticks, up to which each belongs to one."""
 MOST_JITTER = 0.4
-"""[periods] Stamps this close to a clock's ticks belong to one tick each."""
+"""[periods] Distance by which a track's ends may miss those of the grid."""
 NEARLY = 1e-3
-"""Share of a period within which a round number is tried."""
+"""Relative distance of a clock's estimated period from a round number that is tried for it."""
+NOMINAL = 0.02
+"""Relative distance of the median step from the nominal period; random walks gave up to 1 %."""
 _SAME_PERIOD = 4.0  # deviations of a period that stamps give
 _SMOOTHER = float(np.log(2.0))  # noise over noise; interpolation alone takes up to 0.3 of it
 ROUNDING = 0.02
@@ -221,7 +225,8 @@ def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
     ticks: FloatArray | None = None
     jitter = _jitter(time)
     if jitter is None:
-        period = float(np.median(np.diff(time)))
+        # interpolation at the stamps allows any period: the nominal one is a servo's or a drive's
+        period = _round_period(float(np.median(np.diff(time))), NOMINAL)
         grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
         how = f"resampled to {len(grid)} samples every {period:.6g} s"
     else:
@@ -253,15 +258,17 @@ def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
     steps = np.diff(time)
     counted = float(np.sum(np.round(steps / np.median(steps))))  # rows may be missing
     for ticks in (len(steps), counted):
-        period = float(time[-1] - time[0]) / ticks
+        start, period = float(time[0]), float(time[-1] - time[0]) / ticks
         for _ in range(3):
-            number = np.round((time - time[0]) / period)
+            number = np.round((time - start) / period)
+            number -= number[0]
             if not np.any(number):
                 break
             start, period = _regressed(time, number)
-        off = float(np.max(np.abs(time - start - period * number))) / period
-        if off < MOST_JITTER and np.all(np.diff(number) >= 1.0):
-            return start, period, number, off
+        off = (time - start - period * number) / period
+        is_white = float(off[1:] @ off[:-1]) < 0.5 * float(off @ off)  # else the rate varies
+        if np.std(off) < JITTER_STD and is_white and np.all(np.diff(number) >= 1.0):
+            return start, period, number, float(np.max(np.abs(off)))
     return None
 
 
@@ -276,18 +283,19 @@ def _regressed(time: FloatArray, number: FloatArray) -> tuple[float, float]:
     period = float(centred @ (time - time.mean())) / weight
     off = time - time.mean() - period * centred
     uncertain = float(np.sqrt(off @ off / (len(time) * weight)))
-    near = _round_period(period)
+    near = _round_period(period, NEARLY)
     if abs(near - period) < _SAME_PERIOD * uncertain:
         period = near
     return float(np.mean(time - period * number)), period
 
 
-def _round_period(period: float) -> float:
-    """The roundest number near a period."""
+def _round_period(period: float, tolerance: float) -> float:
+    """The period of fewest digits, or of a rate of fewest digits, within a relative tolerance."""
     for digits in range(3):
-        near = float(f"{period:.{digits}e}")
-        if abs(near / period - 1.0) < NEARLY:
-            return near
+        near = float(f"{period:.{digits}e}"), 1.0 / float(f"{1.0 / period:.{digits}e}")
+        best = min(near, key=lambda each: abs(each / period - 1.0))
+        if abs(best / period - 1.0) < tolerance:
+            return best
     return period
 
 

@@ -5,13 +5,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import KINDS, kind_of
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
+from strainwave.domain.study_limits import (
+    ARM_LIMITS,
+    IMU_LIMITS,
+    JOINT_LIMITS,
+    PRBS_LIMITS,
+    SERVO_LIMITS,
+    SizeLimit,
+)
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.study.reader import Reader
 
@@ -215,65 +224,42 @@ def check_files(study: Study, reader: Reader) -> None:
             )
 
 
-# Limits beyond which a number has the wrong unit or is inverted; unusual machines lie within.
-# (key, smallest, largest, unit, factor of the likely unit error, wrong unit)
-_JOINT_SIZES = (
-    ("gear_ratio", 1e-4, 1.0, "link turns per motor turn", None, ""),
-    ("torque_per_volt", 1e-6, 1e4, "N m/V, motor side", 1e-3, "mN m/V"),
-    ("current_loop_hz", 5.0, 1e6, "Hz", 1e3, "kHz"),
-    ("encoder_counts", 4.0, 1e9, "counts per motor turn", None, ""),
-    ("accelerometer_distance", 1e-3, 10.0, "m", 1e-3, "mm"),
-    ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
-    ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
-)
-_IMU_SIZES = (
-    ("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
-    ("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),
-)
-_ARM_SIZES = (
-    ("link_length", 5e-3, 10.0, "m", 1e-3, "mm"),
-    ("gravity", 0.0, 30.0, "m/s^2", 1e-3, "mm/s^2"),
-)
-_SERVO_SIZES = (("period", 1e-6, 0.2, "s", 1e-3, "ms"), ("limit", 1e-3, 1e4, "V", 1e-3, "mV"))
-_PRBS_SIZES = (("clock", 1e-6, 5.0, "s", 1e-3, "ms"), ("order", 2, 24, "bits", None, ""))
-
-
 def check_sizes(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if a number is so large or small that its unit must be wrong."""
-    _check_record_sizes(study.arm, _ARM_SIZES, lambda key: reader.place("arm", None, key))
+    sizes = partial(_check_record_sizes, reader)
+    sizes(study.arm, ARM_LIMITS, "arm")
     for index, joint in enumerate(study.arm.joints):
-        _check_record_sizes(joint, _JOINT_SIZES, lambda key, i=index: reader.place("joint", i, key))
+        sizes(joint, JOINT_LIMITS, "joint", index)
         if joint.imu is not None:
-            _check_record_sizes(
-                joint.imu, _IMU_SIZES, lambda _, i=index: reader.place("joint", i, "imu")
-            )
+            sizes(joint.imu, IMU_LIMITS, "joint", index, "imu")
     if study.arm.servo is not None:
-        _check_record_sizes(
-            study.arm.servo, _SERVO_SIZES, lambda key: reader.place("servo", None, key)
-        )
+        sizes(study.arm.servo, SERVO_LIMITS, "servo")
     for index, experiment in enumerate(study.experiments):
         if experiment.prbs is not None:
-            place = reader.place("experiment", index, "prbs")
-            _check_record_sizes(experiment.prbs, _PRBS_SIZES, lambda _, place=place: place)
+            sizes(experiment.prbs, PRBS_LIMITS, "experiment", index, "prbs")
 
 
-def _check_record_sizes(record: Any, sizes: Any, place: Any) -> None:
-    for key, low, high, unit, factor, wrong_unit in sizes:
-        value = getattr(record, key)
-        if value is None or low <= value <= high:
+def _check_record_sizes(
+    reader: Reader,
+    record: Any,
+    limits: Sequence[SizeLimit],
+    table: str,
+    index: int | None = None,
+    key: str | None = None,
+) -> None:
+    for limit in limits:
+        value = getattr(record, limit.key)
+        if value is None or limit.least <= value <= limit.most:
             continue
-        if key == "gear_ratio" and value > high:
-            remedy = f"the value is probably inverted: set {1.0 / value:g} {unit}"
-        elif (
-            factor
-            and (low <= value * factor or wrong_unit.startswith("k"))
-            and (value * factor <= high)
-        ):
-            remedy = f"if {value:g} is in {wrong_unit}, set {value * factor:g}"
-        else:
-            remedy = f"set a value from {low:g} to {high:g}"
+        remedy = f"set a value from {limit.least:g} to {limit.most:g}"
+        if limit.key == "gear_ratio" and value > limit.most:
+            remedy = f"the value is probably inverted: set {1.0 / value:g} {limit.unit}"
+        elif limit.other_scale is not None:
+            other = value * limit.other_scale
+            if other <= limit.most and (limit.least <= other or limit.other_scale > 1.0):
+                remedy = f"if {value:g} is in {limit.other_unit}, set {other:g}"
         raise InvalidInput(
-            f"'{key}' is {value:g} {unit}, which is outside the range of any rig",
-            where=place(key),
+            f"'{limit.key}' is {value:g} {limit.unit}, which is outside the range of any rig",
+            where=reader.place(table, index, key or limit.key),
             remedy=remedy,
         )

@@ -17,27 +17,22 @@ from strainwave.signals.consistency.clipping import clipped
 from strainwave.signals.consistency.evidence import Evidence, evidence
 from strainwave.signals.consistency.observations import Observation, observe
 from strainwave.signals.consistency.torque_constants import doubted_torques, torque_constants
-from strainwave.signals.consistency.unexplained import unexplained
+from strainwave.signals.consistency.unexplained import is_reported, unexplained
 
 __all__ = ["check", "doubted_torques", "torque_constants"]
 
-_MOST_CAUSES = 6  # at once; an input with more faults is no measurement
-_MUST_STAY = ("followed", "scale", "inertia")  # kinds of observations that a mend may not lose
-_GAIN = 0.75  # weight of contradictions that a cause must explain
+_MAX_CAUSES = 3  # an input with more faults needs experiments, not guesses
+_MUST_STAY = ("followed", "scale", "inertia")  # kinds that a correction may not make disappear
+_MIN_GAIN = 0.75  # weight of contradictions that a cause must explain
+_FREE_PENALTY = 0.5  # weight of contradictions by which a free factor must explain more
+_MAX_LIKELY_CAUSES = 3  # named where no cause explains everything
 
 
 def check(logs: Sequence[Log], study: Study) -> Consistency:
     """Compare all channels of all logs with one another and with the study.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-    study : Study
-
-    Returns
-    -------
-    Consistency
-        With a suspicion for each cause that would explain contradictions.
+    A suspicion for each cause that explains contradictions; where none explains all of them, the
+    contradictions themselves, with the likely causes in order.
     """
     with one_blas_thread():
         found = list(clipped(logs, Arm.of(study.arm)))
@@ -47,35 +42,41 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
 
 
 def _explained(seen: Evidence) -> list[Suspicion]:
-    """Causes one after the other, each the one that explains most of what contradicts still."""
-    found: list[Suspicion] = []
+    """Causes one after the other, each the one that leaves the least contradictions."""
     now = observe(seen)
-    while any(o.contradicts for o in now) and len(found) < _MOST_CAUSES:
-        best = _best(seen, now)
-        if best is None:
+    chosen: list[Cause] = []
+    likely: list[Suspicion] = []
+    while any(o.contradicts for o in now) and len(chosen) < _MAX_CAUSES:
+        ranked = _ranked(seen, now)
+        if not chosen:
+            likely = [cause.suspicion for cause in ranked if not cause.is_free]
+        if not ranked:
             break
-        found.append(best.suspicion)
-        seen = best.mend()
+        chosen.append(ranked[0])
+        seen = seen.corrected(ranked[0].suspicion.corrections)
         now = observe(seen)
-    found.extend(unexplained([o for o in now if o.contradicts], seen.study))
-    return found
+    left = [o for o in now if o.contradicts and is_reported(o)]
+    if not left:
+        return [cause.suspicion for cause in chosen]
+    kept = [cause.suspicion for cause in chosen if not cause.is_free]
+    return [*kept, *unexplained(left, likely[:_MAX_LIKELY_CAUSES], seen.study)]
 
 
-def _best(seen: Evidence, now: Sequence[Observation]) -> Cause | None:
-    """The cause that leaves least contradicting; None where none explains anything.
+def _ranked(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
+    """The causes that explain something, that which leaves least first; of equals the simplest.
 
-    A cause without which there is nothing to compare any more explains nothing: what contradicted
-    before, or should always be seen, and is not seen any more counts as contradicting.
+    A cause without which nothing is left to compare explains nothing: what contradicted before, or
+    should always be observed, and is not observed any more counts as contradicting.
     """
-    best: Cause | None = None
-    least = _weight(now, now) - _GAIN
+    before = _weight(now, now)
+    weights: list[tuple[float, Cause]] = []
     for cause in causes(seen, [o for o in now if o.contradicts]):
-        after = _weight(observe(cause.mend()), now)
-        if after < least - 1e-9:
-            best, least = cause, after
-        if least == 0.0:
+        after = _weight(observe(seen.corrected(cause.suspicion.corrections)), now)
+        if after < before - _MIN_GAIN:
+            weights.append((after + _FREE_PENALTY * cause.is_free, cause))
+        if after == 0.0:
             break
-    return best
+    return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
 
 
 def _weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:

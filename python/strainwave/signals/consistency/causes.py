@@ -1,388 +1,590 @@
-"""Single causes that would explain contradictions, each with the evidence as it would then be."""
+"""Evidence -> causes: single faults of the input that would explain contradictions.
+
+Structured causes come first: an exchange of joints, gravity, a unit, a sign, a delay. Free factors
+are the last resort, and stay within the ranges that a study file may have.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Suspicion
+from strainwave.domain import Correction, Suspicion
+from strainwave.domain.corrections import correction_text
+from strainwave.domain.study_limits import accepted_range
 from strainwave.signals.consistency.evidence import Evidence
-from strainwave.signals.consistency.observations import Observation
-from strainwave.signals.consistency.sensors import LINK_CHANNELS, STANDARD_GRAVITY, turning
-from strainwave.signals.consistency.wording import column_line, number, scaled_line, swap_line
+from strainwave.signals.consistency.observations import Kind, Observation
+from strainwave.signals.consistency.sensors import (
+    LINK_CHANNELS,
+    STANDARD_GRAVITY,
+    high_pass_cutoff,
+    turning,
+)
+from strainwave.signals.consistency.wording import listed, number
 
 _DEGREE = float(np.pi / 180.0)
-_NAMED = 0.04  # of a known factor, within which a found one is that
-_WHOLE_TURNS = 0.01  # of a gear's reduction, within which it is a whole number
+_UNIT_TOLERANCE = 0.04  # between an estimated factor and a unit's; units differ by 5 % at least
+_REDUCTION_TOLERANCE = 0.01  # between an estimated reduction and a whole number
+_FEW_TURNS = 30  # reductions up to which estimates tell whole numbers apart
+_SAME_FACTOR = 0.02  # between two factors that are one
+_SAME_DELAY = 5e-4  # [s] between the delays of two channels with one cause
+_QUADRATURE = (4.0, 2.0, 0.5, 0.25)  # counts of an encoder over its lines, or the reverse
+_MIN_RATIO = 1e-6  # of a unit's factor: less is no signal
+_MAX_VOLTAGE = 1e3  # [V] above the supply of any servo drive: such a number is in millivolts
 
-_UNITS: dict[str, dict[str, float]] = {
+_ANGLES = {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3}
+_RATES = {"deg/s": _DEGREE, "rpm": np.pi / 30.0, "turns/s": 2.0 * np.pi}
+_UNITS: Mapping[str, Mapping[str, float]] = {
     "a": {"g": STANDARD_GRAVITY, "mm/s^2": 1e-3, "cm/s^2": 1e-2, "mg": 1e-3 * STANDARD_GRAVITY},
     "gyro": {"deg/s": _DEGREE, "mrad/s": 1e-3, "rpm": np.pi / 30.0},
-    "theta_l": {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3},
-    "theta_m": {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3},
-    "omega_m": {"deg/s": _DEGREE, "rpm": np.pi / 30.0, "turns/s": 2.0 * np.pi},
-    "ref": {"deg/s": _DEGREE, "rpm": np.pi / 30.0, "turns/s": 2.0 * np.pi},
+    "theta_l": _ANGLES,
+    "theta_m": _ANGLES,
+    "omega_m": _RATES,
+    "ref": _RATES,
     "u": {"mV": 1e-3},
     "torque": {"mN m": 1e-3},
 }
-"""Of each kind of channel: what else it may have been logged in, and the scale to SI."""
+"""Units of each kind of channel other than SI, and their scale to SI."""
 
 _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
+_MOTOR_SIDE = ("u", "torque", "theta_m", "omega_m", "ref")
+_PAIRED = (*_MOTOR_SIDE, *LINK_CHANNELS, "deflection")
+_BASIS = {  # kind of channel -> the signals that its scale is compared with
+    "a": "theta_m{0}",
+    "gyro": "theta_m{0}",
+    "theta_l": "theta_m{0}",
+    "omega_m": "theta_m{0}",
+    "ref": "theta_m{0}",
+    "u": "the servo or the motion",
+    "torque": "the motion",
+}
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Something that may be wrong, and what the evidence is without it."""
+    """A possible fault of the input, with the corrections that remove it."""
 
     suspicion: Suspicion
-    mend: Callable[[], Evidence]
+    is_free: bool = False  # its number is an estimate, not a unit, a sign or an exchange
 
 
 def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Every single cause worth trying, the likelier first.
-
-    Parameters
-    ----------
-    seen : Evidence
-    contradictions : sequence of Observation
-        Those of the evidence's observations that contradict.
-
-    Returns
-    -------
-    iterator of Cause
-    """
+    """Every single cause to try, the simpler first."""
     yield from _time(seen, contradictions)
-    yield from _swaps(seen)
-    yield from _late(seen, contradictions)
-    touched = {o.joint for o in contradictions if o.joint is not None}
+    yield from _input_delays(seen, contradictions)
+    yield from _test_signals(seen, contradictions)
+    yield from _gravity(seen)
+    yield from _exchanges(seen, contradictions)
+    yield from _angle_units(seen, contradictions)
+    yield from _coupling(seen, contradictions)
+    yield from _late_sensors(seen, contradictions)
+    joints = {o.joint for o in contradictions if o.joint is not None}
     if any(o.kind == "torque-ratio" for o in contradictions):
-        touched |= {1, 2}
-    elif touched and max(touched) > 1:
-        touched.add(1)  # what link 2 reads depends on joint 1
-    for joint in sorted(touched):
-        yield from _channels(seen, contradictions, joint)
-        turns = [*_link_scales(contradictions, joint), *turning(seen, joint)]
-        yield from _angle(seen, contradictions, joint, turns)
-        yield from _gear(seen, joint, turns)
-        yield from _geometry(seen, contradictions, joint)
-        yield from _gain(seen, contradictions, joint)
-        yield from _turned(seen, joint)
+        joints |= {1, 2}
+    elif joints and max(joints) > 1:
+        joints.add(1)  # what link 2 reads depends on joint 1
+    free: list[Cause] = []
+    for joint in sorted(joints):
+        for cause in _of_joint(seen, contradictions, joint):
+            if cause.is_free:
+                free.append(cause)
+            else:
+                yield cause
+    yield from free
 
 
-def _values(found: Sequence[Observation], kind: str, where: str | None = None) -> list[float]:
+def _of_joint(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
+    turns = [*_link_scales(contradictions, joint), *turning(seen, joint)]
+    yield from _channels(seen, contradictions, joint)
+    yield from _angle(seen, contradictions, joint, turns)
+    yield from _gear(seen, joint, turns)
+    yield from _geometry(seen, contradictions, joint)
+    yield from _reversed_gear(seen, joint)
+
+
+def _cause(
+    seen: Evidence,
+    code: str,
+    where: str,
+    message: str,
+    corrections: Sequence[Correction],
+    *,
+    factor: float | None = None,
+    delay_s: float | None = None,
+    more: str = "",
+    is_free: bool = False,
+) -> Cause:
+    text = correction_text(seen.study, corrections)
+    remedy = text[:1].upper() + text[1:] + more
+    suspicion = Suspicion(
+        code=code,
+        where=where,
+        message=message,
+        remedy=remedy,
+        factor=factor,
+        delay_s=delay_s,
+        corrections=tuple(corrections),
+    )
+    return Cause(suspicion, is_free)
+
+
+def _values(
+    contradictions: Sequence[Observation], kind: Kind, where: str | None = None
+) -> list[float]:
     return [
-        o.value for o in found if o.kind == kind and (where is None or o.where == where) and o.value
+        o.value
+        for o in contradictions
+        if o.kind == kind and (where is None or o.where == where) and o.value
     ]
 
 
-def _named(factor: float, names: dict[str, float]) -> tuple[str, float] | None:
-    """The known factor that a found one is, of either sign."""
+def _named(factor: float, names: Mapping[str, float]) -> tuple[str, float] | None:
+    """The known factor nearest to an estimated one of either sign, if it is near enough."""
     for name, known in names.items():
-        if abs(np.log(abs(factor) / known)) < _NAMED:
+        if abs(np.log(abs(factor) / known)) < _UNIT_TOLERANCE:
             return name, float(np.copysign(known, factor))
     return None
 
 
-def _time(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
-    clocks = _values(found, "prbs-clock") + _values(found, "servo-clock")
+def _scaled(seen: Evidence, name: str, factor: float) -> list[Correction]:
+    """The corrections that multiply a channel by a factor."""
+    before = seen.channel(name)
+    corrections = [Correction("channels", name, "scale", float(f"{before.scale * factor:.7g}"))]
+    if before.offset:
+        offset = float(f"{before.offset * factor:.7g}")
+        corrections.append(Correction("channels", name, "offset", offset))
+    return corrections
+
+
+def _time(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    clocks = _values(contradictions, "prbs-clock") + _values(contradictions, "servo-clock")
+    if not clocks and not any(o.kind in ("followed", "scale") for o in contradictions):
+        return
     tried = [1.0 / float(np.median(clocks))] if clocks else []
-    tried += list(_TIMES.values())
-    for ratio in tried:
-        name, factor = _named(ratio, _TIMES) or ("", ratio)
-        if name:
-            suspicion = Suspicion(
-                code="wrong-unit",
-                where="t",
-                message=(
-                    f"the time base is {number(1.0 / factor)} times what the other signals and "
-                    f"the study's clocks imply: t is logged in {name}, not in seconds"
-                ),
-                remedy=scaled_line(seen.study, "t", factor),
-                factor=1.0 / factor,
+    for ratio in (*tried, *_TIMES.values()):
+        unit, factor = _named(ratio, _TIMES) or ("", ratio)
+        corrections = _scaled(seen, "t", factor)
+        if unit:
+            message = (
+                f"the time base is {number(1.0 / factor)} times what the other signals and the "
+                f"clocks of the study imply: t is logged in {unit}, not in seconds"
             )
+            code, more = "wrong-unit", ""
         else:
-            suspicion = Suspicion(
-                code="clock-drift",
-                where="t",
-                message=(
-                    f"the logger's clock runs at {number(1.0 / factor, 6)} of the drive's: voltages"
-                    " change on a clock of that many times the study's PRBS or servo clock"
-                ),
-                remedy=scaled_line(seen.study, "t", factor)
-                + ", or mend prbs.clock and the servo's period if those are at fault",
-                factor=1.0 / factor,
+            message = (
+                f"voltages change on a clock of {number(1.0 / factor, 6)} times the PRBS or servo "
+                "clock of the study: the clock of the logger is wrong by that factor"
             )
-        yield Cause(suspicion, lambda f=factor: seen.retimed(f))  # type: ignore[misc]
+            code, more = "clock-drift", ", or correct prbs.clock and the period of the servo"
+        yield _cause(seen, code, "t", message, corrections, factor=1.0 / factor, more=more)
 
 
-def _late(seen: Evidence, found: Sequence[Observation]) -> Iterator[Cause]:
-    """Link sensors that lag, or whose lag grows: all together, those of a kind, or one."""
-    there = {name for record in seen.records for name in record.channels}
-    link = sorted(name for name in there if name[:-1] in (*LINK_CHANNELS, "deflection"))
-    for kind in ("drift", "delay"):
-        values = {o.where: o.value for o in found if o.kind == kind}
-        if not values:
+def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """Commands that are late or early against the encoders: together, or one."""
+    values = {o.where: o.value for o in contradictions if o.kind == "input-delay"}
+    groups = [[name] for name in values]
+    if len(values) > 1 and np.ptp(list(values.values())) < _SAME_DELAY:
+        groups.insert(0, list(values))
+    for group in groups:
+        delay = float(np.mean([values[name] for name in group]))
+        angles = [f"theta_m{name[-1]}" for name in group]
+        side = "later" if delay > 0.0 else "earlier"
+        message = (
+            f"{listed(group)}: the command in the log is {1e3 * abs(delay):.3g} ms {side} than "
+            f"the torque that moves {listed(angles)}, by the phase of the motor's response to the "
+            "test signals; damping, stiffness and inertias would absorb this delay"
+        )
+        corrections = [Correction("log", name, "delay_s", round(delay, 6)) for name in group]
+        more = ", or have one clock stamp commands and encoders"
+        yield _cause(
+            seen, "misaligned", ", ".join(group), message, corrections, delay_s=delay, more=more
+        )
+
+
+def _test_signals(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """Records whose excited joint or PRBS amplitude is not that of the study."""
+    for each in contradictions:
+        if each.kind == "excited-joint" and each.joint is not None:
+            record = next(r.experiment for r in seen.records if r.experiment.name == each.where)
+            excited = 3 - each.joint
+            message = (
+                f"{each.where}: the study states joint = {each.joint} as the excited joint, but "
+                f"the test signal is in the command of joint {excited}"
+            )
+            corrections = [Correction("experiment", record.name, "joint", excited)]
+            yield _cause(seen, "swapped-channels", f"{each.where} joint", message, corrections)
+    for name in dict.fromkeys(o.where for o in contradictions if o.kind == "level"):
+        yield from _amplitude(seen, name)
+
+
+def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
+    """A PRBS amplitude and a voltage of different units: first whichever no drive can have."""
+    joint = int(name[-1])
+    ratios = {
+        r.experiment.name: r.clocks.level[name] / r.experiment.prbs.amplitude
+        for r in seen.records
+        if name in r.clocks.level and r.experiment.joint == joint and r.experiment.prbs is not None
+    }
+    stated = {e.name: e.prbs.amplitude for e in seen.study.experiments if e.prbs is not None}
+    wrong = [record for record, ratio in ratios.items() if not 0.5 < ratio < 2.0]
+    if not wrong or min(ratios[record] for record in wrong) < _MIN_RATIO:
+        return  # the command is that of another joint
+    ratio = float(np.median([ratios[record] for record in wrong]))
+    amplitudes = [
+        Correction("experiment", each, "prbs.amplitude", float(f"{stated[each] * ratio:.4g}"))
+        for each in wrong
+    ]
+    most = max(stated[record] for record in wrong)
+    unit = _named(1.0 / ratio, _UNITS["u"])
+    scales = _scaled(seen, name, unit[1] if unit else 1.0 / ratio)
+    pair = [(f"{', '.join(wrong)} prbs", amplitudes, scales), (name, scales, amplitudes)]
+    if most * ratio > max(most, _MAX_VOLTAGE):
+        pair.reverse()
+    for where, corrections, other in pair:
+        message = (
+            f"{listed(wrong)}: the PRBS in {name} has an amplitude of {number(most * ratio)} V, "
+            f"and the study states {number(most)} V, a factor of {number(ratio)}: either the scale "
+            f"of {name} or the amplitude is wrong"
+        )
+        more = f"; or, if that is right, {correction_text(seen.study, other)}"
+        yield _cause(seen, "wrong-unit", where, message, corrections, factor=ratio, more=more)
+
+
+def _gravity(seen: Evidence) -> Iterator[Cause]:
+    """Gravity given for a horizontal arm, or left out for one in a vertical plane."""
+    given = seen.study.arm.gravity
+    if not given:
+        message = "the link sensors show gravity, and the study has none: the arm is vertical"
+        corrections = [Correction("arm", "", "gravity", 9.81)]
+    else:
+        message = (
+            f"the link sensors and the torques show no gravity, and the study has gravity = "
+            f"{number(given)}: the arm is horizontal"
+        )
+        corrections = [Correction("arm", "", "gravity", None)]
+    yield _cause(seen, "wrong-geometry", "gravity", message, corrections)
+
+
+def _exchanges(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """Columns of the two joints exchanged: all, those of one side, one kind, or all but one."""
+    kinds = [k for k in _PAIRED if {f"{k}1", f"{k}2"} <= seen.channels]
+    if seen.arm.n_joints != 2 or not kinds:
+        return
+    motors = [k for k in kinds if k in _MOTOR_SIDE]
+    groups = [kinds, motors, [k for k in kinds if k not in motors], *([k] for k in kinds)]
+    groups += [[k for k in kinds if k != left] for left in kinds]
+    for group in dict.fromkeys(tuple(group) for group in groups if group):
+        corrections = []
+        for kind in group:
+            for name, other in ((f"{kind}1", f"{kind}2"), (f"{kind}2", f"{kind}1")):
+                source = seen.channel(other)
+                corrections.append(Correction("channels", name, "column", source.column))
+                corrections.append(Correction("channels", name, "scale", source.scale))
+                corrections.append(Correction("channels", name, "offset", source.offset))
+        pairs = [f"{kind}1, {kind}2" for kind in group]
+        message = f"{listed(pairs)}: the channels of the two joints are exchanged"
+        if len(group) == 1:
+            kind = group[0]
+            message = f"{kind}1 follows joint 2 and {kind}2 joint 1: the two channels are exchanged"
+        yield _cause(seen, "swapped-channels", ", ".join(pairs), message, corrections)
+
+
+def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """The motor angles of all joints in another unit, alone or with their velocities."""
+    names = [f"theta_m{i}" for i in range(1, seen.arm.n_joints + 1)]
+    if len(names) < 2 or not any(o.joint is not None for o in contradictions):
+        return
+    rates = [f"{k}{i}" for k in ("omega_m", "ref") for i in (1, 2)]
+    rates = [name for name in rates if name in seen.channels]
+    for unit in _angle_names(seen, names[0]):
+        scales = [_angle_names(seen, name).get(unit, 0.0) for name in names]
+        if not all(scales):
             continue
+        corrections = [
+            each
+            for name, scale in zip(names, scales, strict=True)
+            for each in _scaled(seen, name, scale / seen.channel(name).scale)
+        ]
+        message = f"{listed(names)} are logged in {unit}, not in radians"
+        factor = seen.channel(names[0]).scale / scales[0]
+        where = ", ".join(names)
+        yield _cause(seen, "wrong-unit", where, message, corrections, factor=factor)
+        if rates and unit == "degrees":
+            more = [each for name in rates for each in _scaled(seen, name, _DEGREE)]
+            message = f"{listed([*names, *rates])} are logged in degrees, not in radians"
+            where = ", ".join([*names, *rates])
+            yield _cause(seen, "wrong-unit", where, message, corrections + more, factor=factor)
+
+
+def _angle_names(seen: Evidence, name: str) -> dict[str, float]:
+    """Scales from the units in which a motor angle may be logged."""
+    names = dict(_ANGLES)
+    per_turn = seen.arm.joints[int(name[-1]) - 1].encoder_counts
+    if per_turn:
+        names["encoder counts"] = 2.0 * np.pi / per_turn
+        names["quadrature counts"] = np.pi / 2.0 / per_turn
+        names["encoder lines"] = 8.0 * np.pi / per_turn
+    scale = seen.channel(name).scale
+    for factor in _QUADRATURE:
+        names[f"counts of {factor:g} times the scale (lines and quadrature)"] = factor * scale
+    return names
+
+
+def _coupling(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """Accelerometers behind a high-pass, as piezoelectric ones are."""
+    doubtful = {
+        o.where
+        for o in contradictions
+        if o.where in seen.channels and o.where.startswith("a") and o.kind != "count"
+    }
+    cutoffs = {name: hz for name in sorted(doubtful) if (hz := high_pass_cutoff(seen, name))}
+    groups = [list(cutoffs)] if len(cutoffs) > 1 else []
+    for group in [*groups, *([name] for name in cutoffs)]:
+        shown = ", ".join(f"{number(cutoffs[name], 2)} Hz" for name in group)
+        message = (
+            f"{listed(group)} follow the motion only behind a high-pass of {shown}: the sensor or "
+            "its amplifier is AC-coupled, as piezoelectric accelerometers are. It reads neither "
+            "gravity nor slow motion, and the model of a DC-coupled accelerometer would fit its "
+            "phase by wrong damping"
+        )
+        corrections = [Correction("log", name, "high_pass_hz", cutoffs[name]) for name in group]
+        yield _cause(seen, "ac-coupled", ", ".join(group), message, corrections)
+
+
+def _late_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """Link sensors that lag, or whose lag grows: all together, those of a kind, or one."""
+    link = sorted(n for n in seen.channels if n[:-1] in (*LINK_CHANNELS, "deflection"))
+    kinds: tuple[Kind, ...] = ("drift", "delay")
+    for kind in kinds:
+        values = {o.where: o.value for o in contradictions if o.kind == kind}
         groups = [link, *([n for n in link if n[:-1] == k] for k in LINK_CHANNELS)]
         groups += [[name] for name in values]
         for group in groups:
             own = [values[name] for name in group if name in values]
             if own:
-                value = float(np.median(own))
-                yield _timed(seen, group, kind, value)
+                yield _late_sensor(seen, group, kind, float(np.median(own)))
 
 
-def _timed(seen: Evidence, group: Sequence[str], kind: str, value: float) -> Cause:
+def _late_sensor(seen: Evidence, group: Sequence[str], kind: Kind, value: float) -> Cause:
     names = ", ".join(group)
     if kind == "delay":
-        late = Suspicion(
-            code="misaligned",
-            where=names,
-            message=(
-                f"{names}: {number(1e3 * abs(value), 3)} ms {'late' if value > 0.0 else 'early'} "
-                "against the motor angle, more than the whole-arm fit corrects"
-            ),
-            remedy=(
-                "Give the sensor's bandwidth (accelerometer_hz, gyro_hz) if it has a filter; "
-                "otherwise shift the channel, or have one clock stamp all channels"
-            ),
-            delay_s=value,
+        message = (
+            f"{names}: {number(1e3 * abs(value), 3)} ms {'late' if value > 0.0 else 'early'} "
+            "against the motor angle, more than the whole-arm fit corrects"
         )
-        return Cause(late, lambda: seen.shifted(group, value, 0.0))
-    drifting = Suspicion(
-        code="clock-drift",
-        where=names,
-        message=(
-            f"{names}: the delay against the motor angle changes by {number(1e3 * value, 3)} ms a "
-            f"second: they are sampled by another clock, {number(100.0 * abs(value), 3)} % "
-            f"{'slow' if value > 0.0 else 'fast'}"
-        ),
-        remedy=(
-            "Have one clock stamp all channels, or resample these at "
-            f"{number(1.0 + value, 7)} times their spacing before the log is written"
-        ),
-        factor=1.0 - value,
+        corrections = [Correction("log", name, "delay_s", value) for name in group]
+        more = "; or give the sensor's bandwidth (accelerometer_hz, gyro_hz) if it has a filter"
+        return _cause(seen, "misaligned", names, message, corrections, delay_s=value, more=more)
+    message = (
+        f"{names}: the delay against the motor angle changes by {number(1e3 * value, 3)} ms per "
+        f"second: they are sampled by another clock, {number(100.0 * abs(value), 3)} % "
+        f"{'slow' if value > 0.0 else 'fast'}"
     )
-    return Cause(drifting, lambda: seen.shifted(group, 0.0, value))
+    corrections = [Correction("log", name, "clock", value) for name in group]
+    more = ", or have one clock stamp all channels"
+    return _cause(seen, "clock-drift", names, message, corrections, factor=1.0 - value, more=more)
 
 
-def _swaps(seen: Evidence) -> Iterator[Cause]:
-    if seen.arm.n_joints != 2:
-        return
-    there = {name for record in seen.records for name in record.channels}
-    for kind in ("a", "u", "theta_m", "torque", "gyro", "theta_l", "ref", "omega_m"):
-        if f"{kind}1" in there and f"{kind}2" in there:
-            suspicion = Suspicion(
-                code="swapped-channels",
-                where=f"{kind}1, {kind}2",
-                message=(
-                    f"{kind}1 follows joint 2 and {kind}2 joint 1: the two channels are exchanged"
-                ),
-                remedy=swap_line(seen.study, kind),
-            )
-            yield Cause(suspicion, lambda k=kind: seen.swapped(k))  # type: ignore[misc]
-
-
-def _scaled(seen: Evidence, name: str, factor: float, unit: str | None, over: str) -> Cause:
+def _channel_scale(seen: Evidence, name: str, factor: float, unit: str | None, basis: str) -> Cause:
     """One channel in another unit or with another sign."""
     ratio = 1.0 / factor
+    code = "wrong-unit"
     if factor == -1.0:
-        code, said = "wrong-sign", "its sign is wrong"
+        code, explanation = "wrong-sign", "its sign is wrong"
     elif unit is not None:
         sign = ", and with the wrong sign" if factor < 0.0 else ""
-        code, said = "wrong-unit", f"logged in {unit}{sign}?"
+        explanation = f"logged in {unit}{sign}?"
     else:
-        code, said = "wrong-unit", "its scale is wrong"
-    suspicion = Suspicion(
-        code=code,
-        where=name,
-        message=f"{name} is {number(ratio)} of what {over} implies: {said}",
-        remedy=scaled_line(seen.study, name, factor),
-        factor=ratio,
+        explanation = "its scale is wrong"
+    message = f"{name} is {number(ratio)} of what {basis} implies: {explanation}"
+    free = unit is None and factor != -1.0
+    return _cause(
+        seen, code, name, message, _scaled(seen, name, factor), factor=ratio, is_free=free
     )
-    return Cause(suspicion, lambda: seen.scaled(name, factor))
 
 
-def _tried(ratios: Sequence[float], names: dict[str, float]) -> Iterator[tuple[float, str | None]]:
-    """Factors worth trying for a channel found at some ratios: a sign, a known unit, as found."""
+def _factors(
+    ratios: Iterable[float], names: Mapping[str, float]
+) -> Iterator[tuple[float, str | None]]:
+    """Factors for a channel of estimated ratios: a sign, known units, the estimates."""
     yield -1.0, None
-    seen: list[float] = []
+    tried: list[float] = []
     for ratio in ratios:
         known = _named(1.0 / ratio, names)
         factor, unit = (known[1], known[0]) if known else (1.0 / ratio, None)
-        if abs(abs(factor) - 1.0) > 1e-9 and not any(abs(factor / f - 1.0) < 0.02 for f in seen):
-            seen.append(factor)
+        again = any(abs(factor / other - 1.0) < _SAME_FACTOR for other in tried)
+        if abs(abs(factor) - 1.0) > 1e-9 and not again:
+            tried.append(factor)
             yield factor, unit
 
 
-def _channels(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
+def _channels(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
     """Voltages, link sensors, references and velocities of one joint."""
-    there = {name for record in seen.records for name in record.channels}
-    over = {
-        "a": f"theta_m{joint}",
-        "gyro": f"theta_m{joint}",
-        "theta_l": f"theta_m{joint}",
-        "omega_m": f"theta_m{joint}",
-        "ref": f"theta_m{joint}",
-        "u": "the servo or the motion",
-        "torque": "the motion",
-    }
-    for kind, cause in over.items():
+    for kind, basis in _BASIS.items():
         name = f"{kind}{joint}"
-        if name not in there:
+        if name not in seen.channels:
             continue
-        if kind in ("a", "gyro", "theta_l"):
-            ratios = _values(found, "scale", name) + _values(found, "gravity", name)
-            ratios = [r for r in ratios if kind != "a" or _is_unit(r, kind)]
+        if kind in LINK_CHANNELS:
+            ratios = _values(contradictions, "scale", name)
+            ratios += _values(contradictions, "gravity", name)
         elif kind == "ref":
-            ratios = [1.0 / r for r in _values(found, "reference", f"theta_m{joint}")]
+            ratios = [1.0 / r for r in _values(contradictions, "reference", f"theta_m{joint}")]
         elif kind == "omega_m":
-            ratios = _values(found, "velocity", name)
+            ratios = _values(contradictions, "velocity", name)
         else:
-            ratios = _values(found, "level", name) + _values(found, "servo", name)
-            ratios = [r for r in ratios if abs(r) > 1e-6]
-        if ratios or _doubted(found, name, joint):
-            for factor, unit in _tried(ratios, _UNITS[kind]):
-                yield _scaled(seen, name, factor, unit, cause)
+            kinds: tuple[Kind, ...] = ("level", "servo", "limit")
+            ratios = [r for k in kinds for r in _values(contradictions, k, name)]
+            ratios = [r for r in ratios if abs(r) > _MIN_RATIO]
+        if ratios or _is_doubted(contradictions, name, joint):
+            relative = {u: s / seen.channel(name).scale for u, s in _UNITS[kind].items()}
+            relative["SI units"] = 1.0 / abs(seen.channel(name).scale)
+            if kind == "a":  # another scale may be a distance: see _geometry
+                ratios = [r for r in ratios if _named(1.0 / r, relative)]
+            if kind in ("u", "torque"):
+                ratios += [1.0 / factor for factor in relative.values()]
+            for factor, unit in _factors(ratios, relative):
+                yield _channel_scale(seen, name, factor, unit, basis.format(joint))
 
 
-def _is_unit(ratio: float, kind: str) -> bool:
-    return _named(1.0 / ratio, _UNITS[kind]) is not None
-
-
-def _doubted(found: Sequence[Observation], name: str, joint: int) -> bool:
-    """Whether anything that depends on a channel contradicts."""
+def _is_doubted(contradictions: Sequence[Observation], name: str, joint: int) -> bool:
+    """Whether an observation that depends on a channel contradicts."""
     kinds = {"u": ("inertia", "servo"), "torque": ("inertia",)}.get(name[:-1], ())
-    return any(o.where == name or (o.joint == joint and o.kind in kinds) for o in found)
+    return any(o.where == name or (o.joint == joint and o.kind in kinds) for o in contradictions)
 
 
 def _angle(
-    seen: Evidence, found: Sequence[Observation], joint: int, turns: Sequence[float]
+    seen: Evidence, contradictions: Sequence[Observation], joint: int, turns: Sequence[float]
 ) -> Iterator[Cause]:
-    """The motor angle in another unit, or with the wrong sign."""
+    """One motor angle in another unit, of other counts, or with the wrong sign."""
     name = f"theta_m{joint}"
-    names = dict(_UNITS["theta_m"])
     per_turn = seen.arm.joints[joint - 1].encoder_counts
-    if per_turn:
-        names["encoder counts"] = 2.0 * np.pi / per_turn
-        names["quadrature counts"] = np.pi / 2.0 / per_turn
-    ratios = _values(found, "count", name) + _values(found, "reference", name)
-    if not any(o.joint == joint for o in found):
+    if not any(o.joint == joint for o in contradictions):
         return
-    ratios += [1.0 / r for r in turns]
-    ratios = [r for r in ratios if abs(np.log(abs(r))) > _NAMED]  # no unit is so near to another
-    over = "its encoder's counts and the other signals" if per_turn else "the other signals"
-    for factor, unit in _tried(ratios, names):
-        yield _scaled(seen, name, factor, unit, over)
+    steps = _values(contradictions, "count", name)
+    ratios = steps + _values(contradictions, "reference", name) + [1.0 / r for r in turns]
+    # a unit's factor is far from 1
+    ratios = [r for r in ratios if abs(np.log(abs(r))) > _UNIT_TOLERANCE]
+    basis = "the motion of the other signals"
     if per_turn:
-        for ratio in _values(found, "count", name):
-            counts = per_turn / ratio
-            suspicion = Suspicion(
-                code="wrong-unit",
-                where=f"joint {joint} encoder_counts",
-                message=(
-                    f"theta_m{joint} moves in steps of {number(ratio)} of the turn that "
-                    f"encoder_counts = {number(per_turn, 7)} implies, while its motion agrees with "
-                    "the other signals"
-                ),
-                remedy=f"set encoder_counts = {round(counts)} in [[joint]] {joint}",
-                factor=ratio,
-            )
-            yield Cause(
-                suspicion,
-                lambda c=counts: seen.with_joint(joint, encoder_counts=c),  # type: ignore[misc]
-            )
+        basis = "its encoder's count, with the other signals,"
+    scale = seen.channel(name).scale
+    names = {unit: known / scale for unit, known in _angle_names(seen, name).items()}
+    names |= _round_scales(scale, ratios)
+    for factor, unit in _factors(ratios, names):
+        yield _channel_scale(seen, name, factor, unit, basis)
+    for ratio in steps if per_turn else ():
+        counts = round((per_turn or 0.0) / ratio)
+        least, most = accepted_range("encoder_counts")
+        if not least <= counts <= most:
+            continue
+        message = (
+            f"theta_m{joint} moves in steps of {number(ratio)} of the turn that encoder_counts = "
+            f"{number(per_turn or 0.0, 7)} implies, while its motion agrees with the other signals"
+        )
+        corrections = [Correction("joint", str(joint), "encoder_counts", counts)]
+        where = f"joint {joint} encoder_counts"
+        yield _cause(seen, "wrong-unit", where, message, corrections, factor=ratio)
 
 
-def _link_scales(found: Sequence[Observation], joint: int) -> list[float]:
-    """What a joint's link sensors read over what they should, the most direct first."""
+def _round_scales(scale: float, ratios: Sequence[float]) -> dict[str, float]:
+    """Factors that make a scale 2 pi over a power of two: the counts of an encoder in a turn."""
+    names = {}
+    for ratio in ratios:
+        counts = 2.0 * np.pi / abs(scale / ratio)
+        power = 2 ** round(np.log2(counts)) if counts >= 8.0 else 0
+        if power:
+            names[f"counts of 2 pi / {power}"] = 2.0 * np.pi / power / abs(scale)
+    return names
+
+
+def _link_scales(contradictions: Sequence[Observation], joint: int) -> list[float]:
+    """Estimated over expected readings of a joint's link sensors, the most direct first."""
     kinds = ("gyro", "theta_l", "a")
-    scales = [s for kind in kinds for s in _values(found, "scale", f"{kind}{joint}")]
-    return scales + _values(found, "own", f"a{joint}")
+    scales = [s for kind in kinds for s in _values(contradictions, "scale", f"{kind}{joint}")]
+    return scales + _values(contradictions, "own", f"a{joint}")
 
 
 def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]:
-    """A gear ratio that is not the gear's."""
+    """A gear ratio that differs from the gear's."""
     n = seen.arm.joints[joint - 1].gear_ratio
-    tried = [scale * n for scale in turns if scale > 0.0] + [0.5 * n, 2.0 * n, 1.0 / n]
-    for found_ratio in tried:
-        reduction = round(1.0 / found_ratio)
-        whole = reduction > 1 and abs(reduction * found_ratio - 1.0) < _WHOLE_TURNS
-        ratio = 1.0 / reduction if whole else found_ratio
-        if abs(ratio / n - 1.0) < 0.02:
+    least, most = accepted_range("gear_ratio")
+    known = [0.5 * n, 2.0 * n, 1.0 / n]
+    for tried in [scale * n for scale in turns if scale > 0.0] + known:
+        reduction = round(1.0 / tried)
+        is_whole = reduction >= 1 and abs(reduction * tried - 1.0) < _REDUCTION_TOLERANCE
+        ratio = float(f"{1.0 / reduction if is_whole else tried:.5g}")
+        if abs(ratio / n - 1.0) < _SAME_FACTOR or not least <= ratio <= most:
             continue
-        suspicion = Suspicion(
-            code="wrong-gear-ratio",
-            where=f"joint {joint} gear_ratio",
-            message=(
-                f"the link sensors of joint {joint} show {number(ratio / n)} of the motion that "
-                f"gear_ratio = {number(n)} implies: the link turns {number(ratio)} times per motor "
-                "turn"
-            ),
-            remedy=f"set gear_ratio = {number(ratio, 5)} in [[joint]] {joint}",
+        message = (
+            f"the link sensors of joint {joint} show {number(ratio / n)} of the motion that "
+            f"gear_ratio = {number(n)} implies: the link turns {number(ratio)} times per motor "
+            "turn"
+        )
+        corrections = [Correction("joint", str(joint), "gear_ratio", ratio)]
+        where = f"joint {joint} gear_ratio"
+        yield _cause(
+            seen,
+            "wrong-gear-ratio",
+            where,
+            message,
+            corrections,
             factor=n / ratio,
-        )
-        yield Cause(
-            suspicion,
-            lambda r=ratio: seen.with_joint(joint, gear_ratio=r),  # type: ignore[misc]
+            is_free=tried not in known and (not is_whole or reduction > _FEW_TURNS),
         )
 
 
-def _geometry(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
-    """An accelerometer elsewhere than the study says, or axes further apart."""
+def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
+    """An accelerometer elsewhere on its link, axes further apart, or a sensor's free scale."""
     name = f"a{joint}"
     distance = seen.arm.joints[joint - 1].accelerometer_distance
     length = seen.arm.link_length
-    tried = _values(found, "own", name) + _values(found, "scale", name)
+    tried = _values(contradictions, "own", name) + _values(contradictions, "scale", name)
+    least, most = accepted_range("accelerometer_distance")
     for ratio in tried if distance else ():
-        if ratio <= 0.0:
+        right = float(number(ratio * (distance or 0.0)))
+        if not least <= right <= most:
             continue
-        right = ratio * (distance or 0.0)
-        hint = _hint(right, distance or 0.0, length)
-        suspicion = Suspicion(
-            code="wrong-geometry",
-            where=f"joint {joint} accelerometer_distance",
-            message=(
-                f"{name} reads {number(ratio)} of what the motion of joint {joint} gives at "
-                f"{number(distance or 0.0)} m from its axis: it sits at {number(right)} m{hint}"
-            ),
-            remedy=(
-                f"set accelerometer_distance = {number(right)} in [[joint]] {joint} (from that "
-                f"link's own axis), or {column_line(seen.study, name, 1.0 / ratio)} if the "
-                "sensor's scale is at fault"
-            ),
+        hint = _distance_hint(right, distance or 0.0, length)
+        message = (
+            f"{name} reads {number(ratio)} of what the motion of joint {joint} gives at "
+            f"{number(distance or 0.0)} m from its axis: it is mounted at {number(right)} m{hint}"
+        )
+        scale = correction_text(seen.study, _scaled(seen, name, 1.0 / ratio))
+        yield _cause(
+            seen,
+            "wrong-geometry",
+            f"joint {joint} accelerometer_distance",
+            message,
+            [Correction("joint", str(joint), "accelerometer_distance", right)],
             factor=1.0 / ratio,
+            more=f" (from that link's own axis), or, if the sensor's scale is at fault, {scale}",
+            is_free=True,
         )
-        yield Cause(
-            suspicion,
-            lambda d=right: seen.with_joint(joint, accelerometer_distance=d),  # type: ignore[misc]
-        )
-    for ratio in _values(found, "elbow", "a2") if length and joint == 2 else ():
-        if ratio > 0.0:
-            right = ratio * (length or 0.0)
-            suspicion = Suspicion(
-                code="wrong-geometry",
-                where="link_length",
-                message=(
-                    f"a2 shows {number(ratio)} of the motion of axis 2 that link_length = "
-                    f"{number(length or 0.0)} m implies"
-                ),
-                remedy=f"set link_length = {number(right)} in [arm]",
-                factor=1.0 / ratio,
+    least, most = accepted_range("link_length")
+    for ratio in _values(contradictions, "elbow", "a2") if length and joint == 2 else ():
+        right = float(number(ratio * (length or 0.0)))
+        if least <= right <= most:
+            message = (
+                f"a2 shows {number(ratio)} of the motion of axis 2 that link_length = "
+                f"{number(length or 0.0)} m implies"
             )
-            yield Cause(suspicion, lambda r=right: seen.with_length(r))  # type: ignore[misc]
+            corrections = [Correction("arm", "", "link_length", right)]
+            yield _cause(
+                seen,
+                "wrong-geometry",
+                "link_length",
+                message,
+                corrections,
+                factor=1.0 / ratio,
+                is_free=True,
+            )
+    for ratio in _values(contradictions, "scale", name):
+        yield _channel_scale(seen, name, 1.0 / ratio, None, f"theta_m{joint}")
 
 
-def _gain(seen: Evidence, found: Sequence[Observation], joint: int) -> Iterator[Cause]:
-    """An accelerometer whose whole reading, gravity and all, has another scale."""
-    name = f"a{joint}"
-    for ratio in _values(found, "scale", name):
-        yield _scaled(seen, name, 1.0 / ratio, None, f"theta_m{joint}")
-
-
-def _hint(right: float, given: float, length: float | None) -> str:
+def _distance_hint(right: float, given: float, length: float | None) -> str:
     if length is None:
         return ""
     if abs(given - right - length) < 0.1 * length:
@@ -392,27 +594,13 @@ def _hint(right: float, given: float, length: float | None) -> str:
     return ""
 
 
-def _turned(seen: Evidence, joint: int) -> Iterator[Cause]:
+def _reversed_gear(seen: Evidence, joint: int) -> Iterator[Cause]:
     """A gear that reverses: motor angle and torque agree with each other, not with the link."""
-    names = [f"{kind}{joint}" for kind in ("theta_m", "u", "torque", "ref", "omega_m")]
-    there = {name for record in seen.records for name in record.channels}
-    names = [name for name in names if name in there]
-
-    def mend() -> Evidence:
-        turned = seen
-        for name in names:
-            turned = turned.scaled(name, -1.0)
-        return turned
-
-    lines = "; ".join(column_line(seen.study, name, -1.0) for name in names)
-    suspicion = Suspicion(
-        code="wrong-sign",
-        where=", ".join(names),
-        message=(
-            f"link {joint} turns against its motor: every link sensor of joint {joint} has the "
-            "other sign than its motor's signals"
-        ),
-        remedy=f"set {lines}, so that motor and link turn the same way",
-        factor=-1.0,
+    names = [f"{k}{joint}" for k in _MOTOR_SIDE if f"{k}{joint}" in seen.channels]
+    corrections = [each for name in names for each in _scaled(seen, name, -1.0)]
+    message = (
+        f"link {joint} turns against its motor: every link sensor of joint {joint} has the "
+        "opposite sign of its motor's signals"
     )
-    yield Cause(suspicion, mend)
+    more = ", so that motor and link turn the same way"
+    yield _cause(seen, "wrong-sign", ", ".join(names), message, corrections, factor=-1.0, more=more)

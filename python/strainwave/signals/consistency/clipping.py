@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import Log, Suspicion
+from strainwave.domain import Correction, Log, Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import SHARE, ends_of_range
@@ -55,6 +55,7 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
                     "Lower the amplitude, or use a sensor of larger range; leave the channel out "
                     "of the study until then"
                 ),
+                corrections=(Correction("log", name, "unusable", None),),
             )
 
 

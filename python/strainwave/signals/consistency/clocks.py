@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Prbs
+from strainwave.domain import FloatArray, Log, Prbs, channel_parts
 from strainwave.dynamics.arm import Arm
 
 _FEWEST_SWITCHES = 24
+_JUMP = 0.3  # of a command's range: below half of it, as a servo's share may add to the test signal
 _WHOLE = 0.2  # of a clock, within which a switch is at a whole number of them
 _NEARLY_ALL = 0.95
 _RESOLVED = 1.5  # samples in a clock, below which a switch in between may be missed
@@ -24,6 +25,7 @@ class Clocks:
     prbs: float | None = None  # [s] between possible switches of an open-loop PRBS
     servo: float | None = None  # [s] between changes of a servo's output
     level: Mapping[str, float] = field(default_factory=dict)  # half the swing of open-loop inputs
+    excited: frozenset[str] = frozenset()  # commands that switch as test signals do
 
     def retimed(self, factor: float) -> Clocks:
         """With all time stamps multiplied by a factor."""
@@ -60,7 +62,18 @@ def clocks_of(log: Log, arm: Arm) -> Clocks:
             prbs = prbs or found
         elif control == "servo" and arm.servo is not None:
             servo = servo or _clock(values, log, two_levels=False)
-    return Clocks(prbs, servo, level)
+    return Clocks(prbs, servo, level, excited_inputs(log))
+
+
+def excited_inputs(log: Log) -> frozenset[str]:
+    """The commands that jump through much of their range again and again."""
+    excited = set()
+    for name, values in log.channels.items():
+        if channel_parts(name)[0] in ("u", "torque"):
+            jumps = np.abs(np.diff(values)) > _JUMP * float(np.ptp(values))
+            if jumps.sum() >= _FEWEST_SWITCHES:
+                excited.add(name)
+    return frozenset(excited)
 
 
 def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:

@@ -6,18 +6,29 @@ never in hertz, so that a log whose time is in milliseconds is looked at like an
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Experiment, FloatArray, Log, Study
+from strainwave.domain import (
+    BoolArray,
+    Channel,
+    Correction,
+    Experiment,
+    FloatArray,
+    Log,
+    Study,
+    channel_parts,
+)
+from strainwave.domain.corrections import corrected_study
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import side_by_side
-from strainwave.signals.consistency.clocks import Clocks, clocks_of
+from strainwave.signals.consistency.clocks import Clocks, clocks_of, excited_inputs
 from strainwave.signals.consistency.counts import count_of
+from strainwave.signals.consistency.input_delay import DelayProfile, delay_profile
 
 _SLOW = (0.8, 2.0)  # share of the velocities' power, and bandwidth over the band that holds it
 _FAST = (0.5, 0.25)
@@ -39,75 +50,82 @@ class SlowRecord:
     inside: BoolArray  # (n_rows,) away from the filter's ends
     start: float  # [s] of the first row after the log's first sample
     clocks: Clocks
+    delays: Mapping[int, DelayProfile]  # of the joints whose delay the record shows
+    shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> [s] it was moved back
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """A study and what its logs show, as a hypothesis about the input may change them."""
+    """A study and the low-frequency content of its logs, under a hypothesis about the input."""
 
-    study: Study  # as it is written
-    arm: Arm  # as the hypothesis has it
+    study: Study  # with the corrections of the hypothesis
     records: tuple[SlowRecord, ...]
     counts: Mapping[int, float]  # joint -> step of its motor angle, where it has one
+    high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> [Hz]
 
-    def scaled(self, channel: str, factor: float) -> Evidence:
-        """With one channel multiplied by a factor in all logs."""
-        records = []
-        for record in self.records:
-            channels = dict(record.channels)
-            if channel in channels:
-                channels[channel] = factor * channels[channel]
-            noise = {k: v * (abs(factor) if k == channel else 1.0) for k, v in record.noise.items()}
-            direction, clocks = record.direction, record.clocks
-            if channel.startswith("theta_m") and factor < 0.0:
-                direction = direction.copy()
-                direction[:, int(channel[-1]) - 1] *= -1.0
-            if channel in clocks.level:
-                level = {**clocks.level, channel: abs(factor) * clocks.level[channel]}
-                clocks = replace(clocks, level=level)
-            records.append(
-                replace(record, channels=channels, noise=noise, direction=direction, clocks=clocks)
-            )
+    @property
+    def arm(self) -> Arm:
+        """The arm of the study."""
+        return Arm.of(self.study.arm)
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """The channels of all records."""
+        return frozenset(name for record in self.records for name in record.channels)
+
+    def corrected(self, corrections: Sequence[Correction]) -> Evidence:
+        """The evidence after corrections of the study and of the logs."""
+        after = replace(self, study=corrected_study(self.study, corrections))
+        experiments = {each.name: each for each in after.study.experiments}
+        records = [replace(r, experiment=experiments[r.experiment.name]) for r in self.records]
+        after = replace(after, records=tuple(records))
+        changed = {c.entry for c in corrections if c.table == "channels"}
+        if "t" in changed:
+            after = after._retimed(after.channel("t").scale / self.channel("t").scale)
+        if changed - {"t"}:
+            after = after._remapped(self, changed - {"t"})
+        for each in corrections:
+            if each.table == "log":
+                after = after._with_log(each)
+        return after
+
+    def channel(self, name: str) -> Channel:
+        """The column, scale and offset of a channel."""
+        return self.study.channels.get(name) or Channel(name)
+
+    def _remapped(self, before: Evidence, changed: Collection[str]) -> Evidence:
+        """With channels taken from other columns, or scaled."""
+        owners = {before.channel(name).column: name for name in before.channels}
+        sources = {name: owners.get(self.channel(name).column, name) for name in changed}
+        factors = {
+            name: self.channel(name).scale / before.channel(source).scale
+            for name, source in sources.items()
+        }
+        offsets = {
+            name: self.channel(name).offset - factors[name] * before.channel(source).offset
+            for name, source in sources.items()
+        }
+        records = tuple(_remapped(r, sources, factors, offsets) for r in self.records)
         counts = dict(self.counts)
-        if channel.startswith("theta_m") and int(channel[-1]) in counts:
-            counts[int(channel[-1])] *= abs(factor)
-        return replace(self, records=tuple(records), counts=counts)
+        for name, source in sources.items():
+            (kind, joint), (_, from_joint) = channel_parts(name), channel_parts(source)
+            if kind == "theta_m":
+                counts.pop(joint, None)
+                if from_joint in self.counts:
+                    counts[joint] = abs(factors[name]) * self.counts[from_joint]
+        return replace(self, records=records, counts=counts)
 
-    def swapped(self, kind: str) -> Evidence:
-        """With one kind of channel of the two joints exchanged in all logs."""
-        other = {f"{kind}1": f"{kind}2", f"{kind}2": f"{kind}1"}
-        records = []
-        for record in self.records:
-            channels = {other.get(k, k): v for k, v in record.channels.items()}
-            noise = {other.get(k, k): v for k, v in record.noise.items()}
-            level = {other.get(k, k): v for k, v in record.clocks.level.items()}
-            swap = kind == "theta_m"
-            records.append(
-                replace(
-                    record,
-                    channels=channels,
-                    noise=noise,
-                    direction=record.direction[:, ::-1] if swap else record.direction,
-                    clocks=replace(record.clocks, level=level),
-                )
-            )
-        counts = {3 - k: v for k, v in self.counts.items()} if kind == "theta_m" else self.counts
-        return replace(self, records=tuple(records), counts=counts)
+    def _with_log(self, correction: Correction) -> Evidence:
+        """With one channel moved in time, restored, or removed."""
+        name, value = correction.entry, float(correction.value or 0.0)
+        if correction.key == "high_pass_hz":
+            return replace(self, high_passes={**self.high_passes, name: value})
+        if correction.key == "unusable":
+            return self.without([name])
+        delay, drift = (value, 0.0) if correction.key == "delay_s" else (0.0, value)
+        return replace(self, records=tuple(_moved(r, name, delay, drift) for r in self.records))
 
-    def shifted(self, names: Sequence[str], delay: float, drift: float) -> Evidence:
-        """With some channels earlier by a delay that grows from each record's start on."""
-        records = []
-        for record in self.records:
-            time = record.sample_time * np.arange(len(record.inside))
-            at = time + delay + drift * time
-            channels = dict(record.channels)
-            for name in names:
-                if name in channels:
-                    channels[name] = np.interp(at, time, channels[name])
-            records.append(replace(record, channels=channels))
-        return replace(self, records=tuple(records))
-
-    def without(self, names: Sequence[str]) -> Evidence:
+    def without(self, names: Collection[str]) -> Evidence:
         """Without some channels."""
         records = [
             replace(r, channels={k: v for k, v in r.channels.items() if k not in names})
@@ -115,7 +133,7 @@ class Evidence:
         ]
         return replace(self, records=tuple(records))
 
-    def retimed(self, factor: float) -> Evidence:
+    def _retimed(self, factor: float) -> Evidence:
         """With all time stamps multiplied by a factor."""
         records = [
             replace(
@@ -124,20 +142,61 @@ class Evidence:
                 bandwidth_hz=record.bandwidth_hz / factor,
                 start=factor * record.start,
                 clocks=record.clocks.retimed(factor),
+                delays={},
             )
             for record in self.records
         ]
         return replace(self, records=tuple(records))
 
-    def with_joint(self, joint: int, **keys: float) -> Evidence:
-        """With keys of one [[joint]] changed; joints from 1."""
-        joints = list(self.arm.joints)
-        joints[joint - 1] = replace(joints[joint - 1], **keys)  # type: ignore[arg-type]
-        return replace(self, arm=self.arm.with_joints(joints))
 
-    def with_length(self, link_length: float) -> Evidence:
-        """With another distance between the axes."""
-        return replace(self, arm=replace(self.arm, link_length=link_length))
+def _moved(record: SlowRecord, name: str, delay: float, drift: float) -> SlowRecord:
+    """With one channel moved back by a delay that grows from the record's start on."""
+    if name not in record.channels:
+        return record
+    time = record.sample_time * np.arange(len(record.inside))
+    moved = np.interp(time + delay + drift * time, time, record.channels[name])
+    return replace(
+        record,
+        channels={**record.channels, name: moved},
+        shifted={**record.shifted, name: record.shifted.get(name, 0.0) + delay},
+    )
+
+
+def _remapped(
+    record: SlowRecord,
+    sources: Mapping[str, str],
+    factors: Mapping[str, float],
+    offsets: Mapping[str, float],
+) -> SlowRecord:
+    channels, noise = dict(record.channels), dict(record.noise)
+    level, excited = dict(record.clocks.level), set(record.clocks.excited)
+    direction = record.direction.copy()
+    for name in sources:
+        for table in (channels, noise, level):
+            table.pop(name, None)
+        excited.discard(name)
+    for name, source in sources.items():
+        factor, (kind, joint) = factors[name], channel_parts(name)
+        if source in record.channels:
+            channels[name] = factor * record.channels[source] + offsets[name]
+            noise[name] = abs(factor) * record.noise[source]
+        if source in record.clocks.level:
+            level[name] = abs(factor) * record.clocks.level[source]
+        if source in record.clocks.excited:
+            excited.add(name)
+        if kind == "theta_m":
+            column = record.direction[:, channel_parts(source)[1] - 1]
+            direction[:, joint - 1] = np.sign(factor) * column
+    clocks = replace(record.clocks, level=level, excited=frozenset(excited))
+    delays = {}
+    for joint in range(1, direction.shape[1] + 1):
+        names = [f"{kind}{joint}" for kind in ("theta_m", "u", "torque")]
+        origins = {channel_parts(sources.get(n, n))[1] for n in names if n in channels}
+        if len(origins) == 1 and (profile := record.delays.get(origins.pop())) is not None:
+            delays[joint] = profile
+    return replace(
+        record, channels=channels, noise=noise, direction=direction, clocks=clocks, delays=delays
+    )
 
 
 def evidence(logs: Sequence[Log], study: Study) -> Evidence:
@@ -159,7 +218,7 @@ def evidence(logs: Sequence[Log], study: Study) -> Evidence:
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
         if count is not None:
             counts[joint] = count
-    return Evidence(study, arm, tuple(r for r in found if r is not None), counts)
+    return Evidence(study, tuple(r for r in found if r is not None), counts)
 
 
 def _slow(log: Log, arm: Arm) -> SlowRecord | None:
@@ -194,7 +253,21 @@ def _slow(log: Log, arm: Arm) -> SlowRecord | None:
         inside=inside,
         start=0.5 * (block - 1) * T,
         clocks=clocks_of(log, arm),
+        delays=_delays(log, arm),
     )
+
+
+def _delays(log: Log, arm: Arm) -> dict[int, DelayProfile]:
+    """The delay profiles of the joints that a test signal excites."""
+    profiles = {}
+    if log.experiment.use in ("frequency", "sweep"):
+        open_loop = {i for i, control in enumerate(log.experiment.control, 1) if control == "open"}
+        excited = {channel_parts(name)[1] for name in excited_inputs(log)}
+        for joint in excited | {i for i in open_loop if i == log.experiment.joint}:
+            profile = delay_profile(log, arm, joint - 1)
+            if profile is not None:
+                profiles[joint] = profile
+    return profiles
 
 
 def is_slow(experiment: Experiment) -> bool:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from strainwave.signals.consistency.evidence import Evidence
+from strainwave.signals.consistency.input_delay import pooled_delay
 from strainwave.signals.consistency.motors import (
     Ratio,
     references,
@@ -38,10 +39,19 @@ Kind = Literal[
     "inertia",
     "torque-ratio",
     "followed",
+    "input-delay",
+    "excited-joint",
+    "limit",
+    "tilt",
 ]
 
 _CERTAIN = 5.0  # standard deviations
 _CERTAIN_TORQUE = 3.5  # the same for the one ratio that rests on friction as well
+_INPUT_DELAY_SAMPLES = 1.25
+"""Sample periods that a command may be late: its log may have the value before or after a tick."""
+_INPUT_DELAY = 1.25e-3
+"""[s] Delays of buses and drives up to 1 ms are usual."""
+
 _TOLERANCE: dict[Kind, float] = {
     "count": 0.03,  # a data sheet's counts against the same, rounded
     "prbs-clock": 2e-3,  # crystals keep 1e-4
@@ -56,8 +66,12 @@ _TOLERANCE: dict[Kind, float] = {
     "gravity": 0.08,
     "turn": 0.12,
     "delay": 5e-3,  # [s] likewise
+    "input-delay": _INPUT_DELAY,
     "drift": 2e-4,  # of a second per second
     "inertia": np.inf,  # only its sign
+    "limit": 1.0,  # a factor of two: the study's limit may leave out a PRBS on top
+    "tilt": 0.3,  # of gravity: a table or a bracket is level within 17 degrees
+    "excited-joint": 0.0,
     "torque-ratio": 0.5,  # smaller ones show in the rigid fit, which knows the ratio far better
 }
 """What may differ from 1, or from 0 for `delay` and `drift`, without a word."""
@@ -68,13 +82,18 @@ _FLOOR: dict[Kind, float] = {
     "velocity": 0.005,
     "scale": 0.008,
     "own": 0.012,
-    "elbow": 0.02,
+    "elbow": 0.008,
     "gravity": 0.01,
     "turn": 0.02,
     "delay": 4e-4,
+    "tilt": 0.01,
     "drift": 0.0,  # a delay's at either end of the record, by half its length
 }
 """What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
+
+_SCALE_AGREES = 0.025  # from 1 of a reading of its own joint: calibrations are good to 1 %
+_LENGTH_TOLERANCE = 0.04
+"""Of the distance between the axes, where the reading of the link's own joint agrees."""
 
 _FOLLOWED = 0.95  # share of a signal's variance from which it follows its prediction
 _IN_PART = 0.5  # share from which its delay and its parts mean something
@@ -92,6 +111,7 @@ class Observation:
     value: float
     std: float
     joint: int | None = None
+    tolerance: float | None = None  # of this one; None: that of its kind
 
     @property
     def contradicts(self) -> bool:
@@ -99,8 +119,8 @@ class Observation:
         if self.kind == "followed":
             link = self.where[:-1] in LINK_CHANNELS
             return self.value < (_FOLLOWED if link else _FOLLOWED_BY_MOTORS)
-        tolerance = _TOLERANCE[self.kind]
-        if self.kind in ("delay", "drift"):
+        tolerance = self.tolerance or _TOLERANCE[self.kind]
+        if self.kind in ("delay", "drift", "input-delay", "tilt"):
             return abs(self.value) > max(tolerance, _CERTAIN * self.std)
         if self.value < 0.0:
             return abs(self.value) > _CERTAIN * self.std
@@ -129,6 +149,8 @@ def observe(seen: Evidence) -> tuple[Observation, ...]:
     return (
         *_counts(seen),
         *_clocks(seen),
+        *_test_signals(seen),
+        *_input_delays(seen),
         *_ratios("reference", references(seen)),
         *_ratios("servo", servo_outputs(seen)),
         *_ratios("velocity", velocities(seen)),
@@ -162,6 +184,37 @@ def _clocks(seen: Evidence) -> Iterator[Observation]:
                 yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
 
 
+def _test_signals(seen: Evidence) -> Iterator[Observation]:
+    """The stated excited joint against the commands, and servos against their limit."""
+    for record in seen.records:
+        experiment, excited = record.experiment, record.clocks.excited
+        joint = experiment.joint
+        if joint is not None and excited and experiment.use in ("frequency", "sweep"):
+            is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
+            yield Observation("excited-joint", experiment.name, 2.0 * is_stated - 1.0, 0.0, joint)
+        if seen.arm.servo is None:
+            continue
+        for i, control in enumerate(experiment.control, start=1):
+            voltage = record.channels.get(f"u{i}")
+            if control == "servo" and voltage is not None:
+                share = float(np.max(np.abs(voltage))) / seen.arm.servo.limit
+                yield Observation("limit", f"u{i}", max(1.0, share), 1e-3 * share, i)
+
+
+def _input_delays(seen: Evidence) -> Iterator[Observation]:
+    for joint in range(1, seen.arm.n_joints + 1):
+        own = [(r, r.delays[joint]) for r in seen.records if joint in r.delays]
+        delay = pooled_delay([profile for _, profile in own])
+        if delay is None:
+            continue
+        record, profile = own[0]
+        name = next((n for n in (f"torque{joint}", f"u{joint}") if n in record.channels), "")
+        corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
+        tolerance = max(_INPUT_DELAY, _INPUT_DELAY_SAMPLES * profile.sample_time)
+        left = delay.value - corrected
+        yield Observation("input-delay", name, left, delay.std, joint, tolerance)
+
+
 def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
     by_channel: dict[str, list[Ratio]] = {}
     for each in found:
@@ -189,7 +242,7 @@ def _sensors(seen: Evidence) -> Iterator[Observation]:
 
 def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observation]:
     def mean(kind: Kind, values: list[float], deviations: list[float]) -> Observation:
-        relative = 1.0 if kind in ("delay", "drift") else max(map(abs, values))
+        relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
         floor = _FLOOR[kind] * relative
         value, std = pooled(values, [float(np.hypot(d, floor)) for d in deviations])
         return Observation(kind, channel, value, std, joint)
@@ -201,12 +254,22 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
         return
     yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
     ends = [float(np.hypot(e.drift_std, 2.0 * _FLOOR["delay"] / e.seconds)) for e in kept]
+    tilts = [e.tilt for e in kept if e.tilt is not None]
+    if tilts:
+        yield mean("tilt", [v for v, _ in tilts], [s for _, s in tilts])
     yield mean("drift", [e.drift for e in kept], ends)
     parts: tuple[Kind, ...] = ("own", "elbow", "gravity")
+    own_agrees = False
     for part in parts:
         found = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
-        if found:
-            yield mean(part, [v for v, _ in found], [s for _, s in found])
+        if not found:
+            continue
+        each = mean(part, [v for v, _ in found], [s for _, s in found])
+        if part == "own":
+            own_agrees = abs(each.value - 1.0) < _SCALE_AGREES
+        if part == "elbow" and own_agrees:  # no scale of the sensor can explain it
+            each = replace(each, tolerance=_LENGTH_TOLERANCE)
+        yield each
     turns = [e.turn for e in kept if e.turn is not None]
     if turns:
         yield mean("turn", [v for v, _ in turns], [s for _, s in turns])

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Lag
+from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, lagged
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
@@ -23,6 +23,9 @@ LINK_CHANNELS = ("a", "gyro", "theta_l")
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
 _REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
 _TRIES = 41
+_HIGH_PASS_TRIES = 13
+_HIGH_PASS_LEFT = 0.02  # share of the reading that a high-pass may leave unexplained
+_HIGH_PASS_GAIN = 0.2  # of the share that no high-pass leaves
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
 _HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
 _TURNED = 0.1  # [rad] of tilt, or of an angle's zero, that the study does not know
@@ -46,6 +49,7 @@ class Reading:
     signal: float  # size of the reading at low frequency over its noise there
     parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, deviation
     turn: tuple[float, float] | None  # joint 2's motion against joint 1's, deviation
+    tilt: tuple[float, float] | None  # gravity that the study does not have, of 1; deviation
 
 
 def readings(seen: Evidence) -> list[Reading]:
@@ -72,8 +76,37 @@ def readings(seen: Evidence) -> list[Reading]:
                 excited = record.experiment.joint in (None, i + 1)
                 wanted = is_slow(record.experiment) or (name not in slow and excited)
                 if wanted and name in record.channels:
-                    found.extend(_read(record, seen.arm, motion, kind, i))
+                    found.extend(_read(record, seen, motion, kind, i))
     return found
+
+
+def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
+    """The cut-off of a first-order high-pass that makes an accelerometer follow the motion [Hz].
+
+    None where no cut-off does, or where the reading follows better without.
+    """
+    kind, joint = channel_parts(name)
+    records = [r for r in seen.records if name in r.channels and is_slow(r.experiment)]
+    if not records:
+        return None
+    record = max(records, key=lambda r: len(r.inside))
+    motion = _Motion.of(record, seen.arm)
+
+    def unexplained(hz: float) -> float:
+        other = replace(seen, high_passes={**seen.high_passes, name: hz})
+        found = _read(record, other, motion, kind, joint - 1)
+        return min((1.0 - reading.explained for reading in found), default=1.0)
+
+    edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
+    low, high = (float(np.log(edge)) for edge in edges)
+    for _ in range(3):
+        grid = np.linspace(low, high, _HIGH_PASS_TRIES)
+        left = [unexplained(float(np.exp(each))) for each in grid]
+        k = int(np.argmin(left))
+        low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
+    if left[k] > min(_HIGH_PASS_LEFT, _HIGH_PASS_GAIN * unexplained(0.0)):
+        return None
+    return float(f"{np.exp(grid[k]):.4g}")
 
 
 def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
@@ -100,8 +133,9 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
 
     def unexplained(factor: float) -> float:
-        arm = seen.with_joint(joint, gear_ratio=factor * ratio).arm
-        found = _read(slow[0], arm, _Motion.of(slow[0], arm), names[0][:-1], joint - 1)
+        other = seen.corrected([Correction("joint", str(joint), "gear_ratio", factor * ratio)])
+        motion = _Motion.of(slow[0], other.arm)
+        found = _read(slow[0], other, motion, names[0][:-1], joint - 1)
         return min((1.0 - reading.explained for reading in found), default=1.0)
 
     if not names:
@@ -175,18 +209,28 @@ def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
     return found
 
 
-def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> Iterator[Reading]:
-    name = f"{kind}{i + 1}"
+def _read(
+    record: SlowRecord, seen: Evidence, motion: _Motion, kind: str, i: int
+) -> Iterator[Reading]:
+    name, arm = f"{kind}{i + 1}", seen.arm
     parts = _parts(arm, motion, kind, i)
     if parts is None:
         return
     T = record.sample_time
     sensor = [lag for lag in _lags(arm, kind, i) if _shows(lag, T, len(record.inside))]
-    parts = {key: lagged(part, sensor, T) for key, part in parts.items()}
+    cutoff = seen.high_passes.get(name)
+
+    def sensed(part: FloatArray) -> FloatArray:
+        part = lagged(part, sensor, T)
+        return part - lagged(part, [Lag(1, cutoff)], T) if cutoff else part
+
+    parts = {key: sensed(part) for key, part in parts.items()}
     target = record.channels[name][record.inside]
     whole = np.sum(list(parts.values()), axis=0)
-    turned = [lagged(part, sensor, T) for part in _turned(arm, motion, kind, i)]
-    beside = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned)
+    turned = [sensed(part) for part in _turned(arm, motion, kind, i)]
+    # the state in which a high-pass begins the record is unknown
+    decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(whole)))] if cutoff else []
+    beside = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned, decays)
     together = beside.fit(target, [whole])
     if together is None:
         return
@@ -201,7 +245,7 @@ def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> I
     shares = _shares(arm, motion, kind) if i == 1 else None
     turn = None
     if shares is not None:
-        turn = beside.quotient(target, [lagged(share, sensor, T) for share in shares])
+        turn = beside.quotient(target, [sensed(share) for share in shares])
     yield Reading(
         channel=name,
         record=record.experiment.name,
@@ -216,7 +260,18 @@ def _read(record: SlowRecord, arm: Arm, motion: _Motion, kind: str, i: int) -> I
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=apart,
         turn=turn,
+        tilt=_tilt(together, arm, 4 + len(decays)) if len(turned) > 1 else None,
     )
+
+
+def _tilt(fit: Fit, arm: Arm, first: int) -> tuple[float, float] | None:
+    """Gravity in the plane of motion of an arm without, of 1, and its deviation."""
+    if arm.gravity:
+        return None
+    own = slice(first, first + 2)
+    both, spread = fit.value[own], fit.covariance[own, own]
+    size = float(np.hypot(*both))
+    return size, float(np.sqrt(both @ spread @ both)) / max(size, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
@@ -230,7 +285,12 @@ class _Beside:
 
     @classmethod
     def of(
-        cls, record: SlowRecord, whole: FloatArray, dynamic: FloatArray, turned: list[FloatArray]
+        cls,
+        record: SlowRecord,
+        whole: FloatArray,
+        dynamic: FloatArray,
+        turned: list[FloatArray],
+        decays: list[FloatArray],
     ) -> _Beside:
         T, inside = record.sample_time, record.inside
         slope = differentiate(whole, T)
@@ -240,8 +300,10 @@ class _Beside:
         # and a delay's columns are a slope each
         springs = differentiate(differentiate(dynamic, T), T)
         top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
-        prior = np.array([top**-2.0, np.inf, np.inf, *[_TURNED] * len(turned)])
-        return cls(inside, (springs, -slope, -since * slope, *turned), prior, len(turned))
+        free = [np.inf] * (2 + len(decays))
+        prior = np.array([top**-2.0, *free, *[_TURNED] * len(turned)])
+        columns = (springs, -slope, -since * slope, *decays, *turned)
+        return cls(inside, columns, prior, len(turned))
 
     def fit(self, target: FloatArray, regressed: list[FloatArray]) -> Fit | None:
         """The regression, what is turned being unknown."""

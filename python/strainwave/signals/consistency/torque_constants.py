@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from strainwave.domain import Consistency, Study, Suspicion
+from strainwave.domain import Channel, Consistency, Correction, Study, Suspicion
 from strainwave.signals.consistency.wording import number
 
 _CERTAIN = 4.0  # standard deviations
@@ -76,4 +76,14 @@ def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
         ),
         remedy=remedy,
         factor=value,
+        corrections=_corrections(value, study, logged=logged),
     )
+
+
+def _corrections(value: float, study: Study, *, logged: bool) -> tuple[Correction, ...]:
+    """Those of joint 1: which of the two constants is wrong the signals do not show."""
+    if logged:
+        scale = study.channels.get("torque1", Channel("torque1")).scale / value
+        return (Correction("channels", "torque1", "scale", scale),)
+    constant = study.arm.joints[0].torque_per_volt
+    return (Correction("joint", "1", "torque_per_volt", constant / value),) if constant else ()

@@ -1,4 +1,4 @@
-"""Contradictions that no single cause explains, said as they are."""
+"""Contradictions that no cause explains, with likely causes and separating experiments."""
 
 from __future__ import annotations
 
@@ -6,72 +6,110 @@ from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Study, Suspicion
 from strainwave.signals.consistency.observations import Kind, Observation
+from strainwave.signals.consistency.sensors import LINK_CHANNELS
 from strainwave.signals.consistency.torque_constants import wrong_torque_constant
 from strainwave.signals.consistency.wording import number
 
+_CODES: dict[Kind, str] = {
+    "count": "wrong-unit",
+    "prbs-clock": "clock-drift",
+    "servo-clock": "clock-drift",
+    "level": "wrong-unit",
+    "limit": "wrong-unit",
+    "reference": "wrong-unit",
+    "servo": "wrong-unit",
+    "velocity": "wrong-unit",
+    "scale": "wrong-unit",
+    "followed": "wrong-unit",
+    "own": "wrong-geometry",
+    "elbow": "wrong-geometry",
+    "gravity": "wrong-unit",
+    "tilt": "wrong-geometry",
+    "turn": "wrong-gear-ratio",
+    "delay": "misaligned",
+    "input-delay": "misaligned",
+    "drift": "clock-drift",
+    "inertia": "wrong-sign",
+    "excited-joint": "swapped-channels",
+}
+_TEXTS: dict[Kind, str] = {
+    "count": "the step of {w} is {v} of the count that encoder_counts implies",
+    "prbs-clock": "the voltages of {w} change on a clock of {v} times that of its prbs",
+    "servo-clock": "the voltages of {w} change on a clock of {v} times the servo's period",
+    "level": "the PRBS in {w} has {v} times the amplitude that the study states",
+    "limit": "{w} reaches {v} times the limit of the servo",
+    "reference": "the velocity of {w} is {v} of the reference that it follows",
+    "servo": "{w} is {v} of the output that the servo of the study gives",
+    "velocity": "{w} is {v} of the motor angle's derivative",
+    "scale": "{w} is {v} of what the motor angles and the geometry imply",
+    "followed": "the other signals explain only {p} % of {w}",
+    "own": "{w} shows {v} of its own joint's motion",
+    "elbow": "{w} shows {v} of the motion of its link's axis",
+    "gravity": "{w} shows {v} of gravity",
+    "tilt": "{w} shows {v} of gravity, and the study has none",
+    "turn": "{w} shows {v} times the turning of joint 2 against joint 1 that the gear ratios imply",
+    "delay": "{w} lags by {v} s behind the motor angle",
+    "input-delay": "{w} is {v} s later than the torque that moves the motor",
+    "drift": "the delay of {w} grows by {v} s per second",
+    "inertia": "joint {j} accelerates against its torque: {w} or theta_m{j} has the wrong sign",
+    "excited-joint": "the test signal of {w} is not in the command of joint {j}",
+}
+_EXPERIMENTS = {
+    "swapped-channels": "move joint 1 alone, then joint 2 alone, and see which columns change",
+    "wrong-sign": "turn the link by hand in its positive direction: theta_m, its rate and the "
+    "voltage that does the same must be positive",
+    "wrong-unit": "turn the link by 90 degrees: theta_m must change by 1.5708 / gear_ratio",
+    "wrong-gear-ratio": "turn the motor by ten whole turns and measure the angle of the link",
+    "wrong-geometry": "measure link_length and accelerometer_distance from axis to axis, and "
+    "read the accelerometer of the resting link in two postures: a difference is gravity",
+    "clock-drift": "record one minute of rest between two knocks and compare their stamps",
+    "misaligned": "command a step of voltage and compare its stamp with the first change of "
+    "theta_m",
+    "ac-coupled": "turn the resting sensor over: a DC-coupled accelerometer changes by 2 g and "
+    "stays there",
+    "wrong-torque-constant": "hold a known weight at standstill and read the voltage",
+}
+_MIN_FOLLOWED = 0.5  # share of a link sensor's reading; short motions of healthy arms show 0.8
+_GENERAL = ("swapped-channels", "wrong-unit", "wrong-sign")  # where no single cause explains much
+_DIMENSIONLESS_FACTOR = frozenset(_CODES) - {"delay", "drift", "input-delay", "followed"}
 
-def unexplained(left: Sequence[Observation], study: Study) -> Iterator[Suspicion]:
-    """Suspicions for what contradicts on its own.
 
-    Parameters
-    ----------
-    left : sequence of Observation
-    study : Study
+def is_reported(each: Observation) -> bool:
+    """Whether a contradiction is a fault by itself.
 
-    Returns
-    -------
-    iterator of Suspicion
+    Friction and a servo's limits hide what a motor follows; a link sensor always follows.
     """
-    said: set[str] = set()
-    for each in left:
-        if each.kind == "followed" or each.where in said:
+    if each.kind != "followed":
+        return True
+    return each.where[:-1] in LINK_CHANNELS and each.value < _MIN_FOLLOWED
+
+
+def unexplained(
+    left: Sequence[Observation], likely: Sequence[Suspicion], study: Study
+) -> Iterator[Suspicion]:
+    """Suspicions for the contradictions that are left, one per channel.
+
+    `likely` are the single causes that explain most of the contradictions, the best first.
+    """
+    codes = list(dict.fromkeys([*(each.code for each in likely), *_GENERAL]))
+    steps = [
+        f"({k}) {code.replace('-', ' ')}: {_EXPERIMENTS[code]}" for k, code in enumerate(codes, 1)
+    ]
+    remedy = "No single cause explains all contradictions. Likely causes in order, each with the "
+    remedy += f"experiment that separates it: {'; '.join(steps)}"
+    places: set[str] = set()
+    for each in sorted(left, key=lambda o: o.kind == "followed"):
+        place = each.where.split()[0]  # "u1 torque" is about u1
+        if place in places:
             continue
-        said.add(each.where)
+        places.add(place)
         if each.kind == "torque-ratio":
             yield wrong_torque_constant(each.value, each.std, study)
-        else:
-            yield _said(each)
-
-
-def _said(each: Observation) -> Suspicion:
-    codes: dict[Kind, str] = {
-        "count": "wrong-unit",
-        "prbs-clock": "clock-drift",
-        "servo-clock": "clock-drift",
-        "level": "wrong-unit",
-        "reference": "wrong-unit",
-        "servo": "wrong-unit",
-        "velocity": "wrong-unit",
-        "scale": "wrong-unit",
-        "own": "wrong-geometry",
-        "elbow": "wrong-geometry",
-        "gravity": "wrong-unit",
-        "turn": "wrong-gear-ratio",
-        "delay": "misaligned",
-        "drift": "clock-drift",
-        "inertia": "wrong-sign",
-    }
-    about: dict[Kind, str] = {
-        "count": "the step of {w} is {v} of the count that encoder_counts implies",
-        "prbs-clock": "the voltages of {w} change on a clock {v} times that of its prbs",
-        "servo-clock": "the voltages of {w} change on a clock {v} times the servo's period",
-        "level": "the PRBS in {w} has {v} times the amplitude that the study gives",
-        "reference": "the velocity of {w} is {v} of the reference that it follows",
-        "servo": "{w} is {v} of what the study's servo makes of reference and motor angle",
-        "velocity": "{w} is {v} of the motor angle's derivative",
-        "scale": "{w} is {v} of what the motor angles and the geometry imply",
-        "own": "{w} shows {v} of its own joint's motion",
-        "elbow": "{w} shows {v} of the motion of its link's axis",
-        "gravity": "{w} shows {v} of gravity",
-        "turn": "{w} shows {v} times the turning of joint 2 against joint 1 that the gear ratios "
-        "imply",
-        "delay": "{w} lags by {v} s behind the motor angle",
-        "drift": "the delay of {w} grows by {v} s a second",
-        "inertia": "the motion of joint {j} is against its torque: {w} or theta_m{j} has the "
-        "wrong sign",
-    }
-    timed = each.kind in ("delay", "drift")
-    code = "wrong-sign" if each.value < 0.0 and not timed else codes[each.kind]
-    text = about[each.kind].format(w=each.where, v=number(each.value), j=each.joint)
-    remedy = "Check its unit, sign and wiring, and the keys of the study that it is compared with"
-    return Suspicion(code=code, where=each.where, message=text, remedy=remedy, factor=each.value)
+            continue
+        is_timed = each.kind not in _DIMENSIONLESS_FACTOR
+        code = "wrong-sign" if each.value < 0.0 and not is_timed else _CODES[each.kind]
+        text = _TEXTS[each.kind].format(
+            w=each.where, v=number(each.value), p=number(100.0 * each.value, 2), j=each.joint
+        )
+        factor = None if is_timed else each.value
+        yield Suspicion(code=code, where=place, message=text, remedy=remedy, factor=factor)
