@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.corrections import Correction
+from strainwave.domain.study import LINK_KINDS, channel_parts
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +42,12 @@ class Consistency:
 
     @property
     def motors_agree(self) -> bool:
-        """Whether nothing is suspected of the motors' signals: only link sensors are."""
-        link = ("a", "gyro", "theta_l", "deflection")
+        """Whether only link sensors, their places or the link length are suspected."""
+        places = [each.strip() for found in self.suspected for each in found.where.split(",")]
         return all(
-            each.strip().startswith(link) or each.endswith(("accelerometer_distance", "length"))
-            for found in self.suspected
-            for each in found.where.split(",")
+            channel_parts(place)[0] in LINK_KINDS
+            or place.endswith(("accelerometer_distance", "link_length"))
+            for place in places
         )
 
 

@@ -94,6 +94,9 @@ CHANNELS = (
 )
 """Channels of each joint. The channel `t` belongs to the whole record."""
 
+LINK_KINDS = frozenset({"a", "theta_l", "deflection", "gyro"})
+"""Kinds of channels that a sensor on a link gives."""
+
 
 def channel_names(count: int) -> tuple[str, ...]:
     """All channels that an arm of `count` joints can have."""
