@@ -111,7 +111,7 @@ def identify(
             study,
             stages=chosen,
             options=options or None,
-            progress=pipeline.loading_report(follow),
+            progress=pipeline.with_report_loading(follow),
         )
         pipeline.write(identification, out, figures=figures, progress=follow)
     if not quiet:

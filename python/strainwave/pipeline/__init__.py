@@ -1,8 +1,8 @@
-"""The only file that knows the order: logs, consistency, rigid, decoupled, tuned, checks, report.
+"""Run the stages in order: logs, consistency, rigid, decoupled, tuned, checks, report.
 
-Each stage is one function from records to one record; this package calls them and decides what
-happens when one cannot answer. `elastic_joints` holds what lies between logs and joint models,
-`run` what accumulates, the time and the progress.
+Each stage is one function from records to one record. This package calls the stages and decides
+what follows if a stage has no result. `elastic_joints` leads from logs to joint models; `run` holds
+the state of a run, its times and its progress.
 """
 
 from __future__ import annotations
@@ -63,14 +63,11 @@ from strainwave.signals.recorded_input import (
 )
 
 STAGES = ("rigid", "decoupled", "tuned")
-"""All stages, in order; a run takes a prefix of them."""
+"""All stages in order; a run executes a prefix of them."""
 
 
 def check_stages(names: str | Sequence[str]) -> tuple[str, ...]:
-    """The stages to run, checked to be a prefix of all.
-
-    Raises `InvalidInput`: A stage that does not exist, or one whose predecessors are missing.
-    """
+    """The stages to run. Raises `InvalidInput` unless they are a prefix of `STAGES`."""
     listed = names.split(",") if isinstance(names, str) else names
     stages = tuple(name.strip() for name in listed)
     if not stages or stages != STAGES[: len(stages)]:
@@ -93,22 +90,18 @@ def identify(
     progress: Progress = ignored,
     threads: int | None = None,
 ) -> Identification:
-    """Logs to models: every stage on one study.
+    """Identify an arm: run the stages on one study.
 
-    `study`: Checked, or the study file.
-    `data`: Experiment's name -> its log, a table in memory or a path, in place of the study's file.
-    `stages`: A prefix of `STAGES`.
-    `options`: In place of the study's [options]: all of them, those that change (stage -> key ->
-        value), or "stage.key=value" as on the command line.
-    `progress`: Gets a `ProgressEvent` at the start of each part and at each evaluation of the last
-        fit.
-    `threads`: That may work at a time; one per core without.
+    `data` maps names of experiments to logs, tables in memory or paths that replace the study's
+    files. `options` replaces the study's options: all of them (`Options`), those that differ
+    (stage -> key -> value), or "stage.key=value" as on the command line. `progress` is called with
+    a `ProgressEvent` at the start of each part and at each evaluation of the whole-arm fit.
+    `threads` is the number of threads at a time, one per core by default.
 
-    Returns: Its `verdict` says what the data answered and what not.
-
-    Raises `InvalidInput`: the study, a log or an argument is at fault.
+    Raises `InvalidInput` if the study, a log or an argument is invalid. Data that do not determine
+    a parameter raise nothing: the result has a `verdict`.
     """
-    with one_blas_thread(), limited(threads):  # once for all: threads must not set it for others
+    with one_blas_thread(), limited(threads):  # set once: the limit is shared by all threads
         run = Run(check_stages(stages), progress)
         with run.timed("read", "reading the logs"):
             the_study = study if isinstance(study, Study) else read_study(study)
@@ -123,26 +116,26 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
     raw_logs = tuple(all_logs)
     for log in all_logs:
         run.warnings.extend(log.warnings)
-    all_logs, input_check = _usable(run, the_study, all_logs)
+    all_logs, input_check = _check_logs(run, the_study, all_logs)
     elastic = "decoupled" in run.stages and any(j.elastic for j in run.arm.joints)
     model: RigidModel | None = None
     fitted: tuple[Prediction, ...] = ()
     checks: tuple[Prediction, ...] = ()
-    if input_check.motors_agree:  # the rigid model asks nothing of link sensors
-        model, fitted, checks = _rigid(run, the_study, all_logs)
-        input_check = _with_torques(the_study, input_check, model)
-    found = _Elastic()
-    doubted = consistency.doubted_torques(input_check)
-    if elastic and doubted is not None:
-        found, input_check = _second_opinion(run, the_study, all_logs, model, doubted)
+    if input_check.motors_agree:  # the rigid model does not use link sensors
+        model, fitted, checks = _fit_rigid(run, the_study, all_logs)
+        input_check = _add_torque_constants(the_study, input_check, model)
+    result = _ElasticResult()
+    suspicion = consistency.doubted_torques(input_check)
+    if elastic and suspicion is not None:
+        result, input_check = _explain_suspicion(run, the_study, all_logs, model, suspicion)
     elif elastic and not input_check.suspected:
-        found = _elastic(run, the_study, all_logs, model)
-    tuned = found.tuned
+        result = _fit_elastic(run, the_study, all_logs, model)
+    tuned = result.tuned
     motors: tuple[MotorResponse, ...] = ()
     if tuned is not None:
-        checks = _with_elastic(run, all_logs, tuned, checks)
-        motors = _motor_responses(run, all_logs, tuned, found.starts)
-    made = Identification(
+        checks = _add_elastic_predictions(run, all_logs, tuned, checks)
+        motors = _motor_responses(run, all_logs, tuned, result.starts)
+    identification = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         version=__version__,
@@ -152,11 +145,11 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         checks=checks,
         warnings=tuple(dict.fromkeys(run.warnings)),
         timing_s=run.timing_s,
-        records=found.records,
-        joints=found.joints,
-        responses=found.responses,
+        records=result.records,
+        joints=result.joints,
+        responses=result.responses,
         links=run.links,
-        sweeps=sweep.sweeps(found.records),
+        sweeps=sweep.sweeps(result.records),
         tuned=tuned,
         suspected=input_check.suspected,
         motor_responses=motors,
@@ -164,12 +157,12 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         activity=activity_of(all_logs, run.arm),
         logs=raw_logs,
     )
-    return replace(made, warnings=published_warnings(made))
+    return replace(identification, warnings=published_warnings(identification))
 
 
 @dataclass(frozen=True, slots=True)
-class _Elastic:
-    """What the stages that know gears found."""
+class _ElasticResult:
+    """Results of the stages that model elastic gears."""
 
     records: tuple[RecordModel, ...] = ()
     joints: tuple[JointModel, ...] = ()
@@ -178,32 +171,32 @@ class _Elastic:
     tuned: ArmModel | None = None
 
 
-def _second_opinion(
+def _explain_suspicion(
     run: Run,
     the_study: Study,
     all_logs: Sequence[Log],
     model: RigidModel | None,
-    doubted: Suspicion,
-) -> tuple[_Elastic, Consistency]:
-    """The stages that know gears, where they explain a doubted torque constant; else none."""
+    suspicion: Suspicion,
+) -> tuple[_ElasticResult, Consistency]:
+    """Results of the elastic stages if they explain a suspected torque constant; else none."""
     before = run.copied()
-    found = _elastic(run, the_study, all_logs, model)
-    if found.tuned is None or not tuning.blames_another(found.tuned, run.arm):
+    result = _fit_elastic(run, the_study, all_logs, model)
+    if result.tuned is None or not tuning.blames_another(result.tuned, run.arm):
         run.forget(before)
-        return _Elastic(), Consistency((doubted,))
-    text = f"{doubted.message}; but the effect that is named explains all records better"
-    run.warnings.append(Diagnostic("torques-contradict", doubted.where, text))
-    if found.tuned.criticism is not None and found.tuned.criticism.causes:
+        return _ElasticResult(), Consistency((suspicion,))
+    text = f"{suspicion.message}; but the effect that is named explains all records better"
+    run.warnings.append(Diagnostic("torques-contradict", suspicion.where, text))
+    if result.tuned.criticism is not None and result.tuned.criticism.causes:
         run.failures.append(text)  # until that effect is in the model
-    return found, Consistency()
+    return result, Consistency()
 
 
-def _elastic(
+def _fit_elastic(
     run: Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
-) -> _Elastic:
-    """Joint by joint, and then the whole arm, as far as stages are asked for and data allow."""
-    if "tuned" in run.stages:  # which ends with simulations of these
-        for log in (*_used_for(all_logs, "tuning"), *_used_for(all_logs, "check")):
+) -> _ElasticResult:
+    """Identify each joint and then the whole arm, as far as requested and possible."""
+    if "tuned" in run.stages:  # the last stage simulates these records
+        for log in (*_logs_of_use(all_logs, "tuning"), *_logs_of_use(all_logs, "check")):
             check_servo_clock(run.arm, log)
     stage = decoupled(run, the_study, all_logs, model)
     starts = stage.joints
@@ -215,44 +208,44 @@ def _elastic(
     def whole_arm() -> ArmModel | None:
         if "tuned" not in run.stages or len(starts) != run.arm.n_joints:
             return None
-        return _tuned(run, the_study, all_logs, model, starts)
+        return _fit_whole_arm(run, the_study, all_logs, model, starts)
 
     def record_models() -> tuple[RecordModel, ...]:
         with run.clocked("decoupled"):
             return stage.record_models()
 
     tuned, records = both(whole_arm, record_models)
-    return _Elastic(records, stage.joints, stage.responses, starts, tuned)
+    return _ElasticResult(records, stage.joints, stage.responses, starts, tuned)
 
 
-def _usable(
+def _check_logs(
     run: Run, the_study: Study, all_logs: Sequence[Log]
 ) -> tuple[tuple[Log, ...], Consistency]:
-    """The records without what their sensors or the logger spoilt, and whether they agree."""
-    with run.timed("consistency", "looking for defects, and comparing the channels"):
-        kept, found = hygiene.without_defects(all_logs, run.arm)
-        run.warnings.extend(found)
-        return kept, consistency.check(kept, the_study)
+    """Mask defects of sensors and loggers, and check the consistency of the channels."""
+    with run.timed("consistency", "detecting defects, checking consistency"):
+        usable, warnings = hygiene.without_defects(all_logs, run.arm)
+        run.warnings.extend(warnings)
+        return usable, consistency.check(usable, the_study)
 
 
-def _with_torques(
+def _add_torque_constants(
     the_study: Study, input_check: Consistency, model: RigidModel | None
 ) -> Consistency:
-    """What the rigid fit says of the joints' torques against each other, with the rest."""
+    """Add to the consistency check the ratio of torque constants that the rigid fit estimates."""
     if model is None or model.torque_ratio is None:
         return input_check
     torques = consistency.torque_constants(*model.torque_ratio, the_study)
     return Consistency((*input_check.suspected, torques)) if torques else input_check
 
 
-def _rigid(
+def _fit_rigid(
     run: Run, the_study: Study, all_logs: Sequence[Log]
 ) -> tuple[RigidModel | None, tuple[Prediction, ...], tuple[Prediction, ...]]:
-    """The rigid model, and its predictions of the fitted and of the check records."""
+    """The rigid model with its predictions of the fitted records and of the check records."""
     with run.timed("rigid", "rigid joints: least squares"):
-        seen = {use: _signals(run, all_logs, use) for use in ("motion", "check")}
+        records = {use: _motor_signals(run, all_logs, use) for use in ("motion", "check")}
         try:
-            model = rigid.fit(seen["motion"], run.arm, the_study.options.rigid)
+            model = rigid.fit(records["motion"], run.arm, the_study.options.rigid)
         except NotIdentifiable as failure:
             if _single_and_excited(run.arm, all_logs) and "decoupled" in run.stages:
                 run.warnings.append(Diagnostic("no-rigid-model", str(the_study.path), str(failure)))
@@ -264,53 +257,58 @@ def _rigid(
         return model, (), ()
     with run.timed("checks", "predicting the check records"):
         predictions: dict[str, tuple[Prediction, ...]] = {}
-        for use, chosen in seen.items():  # those of the fit first: they show what errors are usual
-            own = predictions.get("motion", ())
-            made = side_by_side([partial(_predicted, run, model, each, own) for each in chosen])
-            predictions[use] = tuple(each for each in made if each is not None)
-    run.warnings.extend(c for made in predictions.values() for p in made for c in p.warnings)
+        for (
+            use,
+            of_use,
+        ) in records.items():  # those of the fit first: they show what errors are usual
+            fitted = predictions.get("motion", ())
+            predicted = side_by_side(
+                [partial(_predict, run, model, each, fitted) for each in of_use]
+            )
+            predictions[use] = tuple(each for each in predicted if each is not None)
+    run.warnings.extend(w for each in predictions.values() for p in each for w in p.warnings)
     return model, predictions["motion"], predictions["check"]
 
 
-def _signals(run: Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
-    """Motor-side signals of the records of one use, which have them."""
-    chosen = _used_for(all_logs, use)
-    found = side_by_side([partial(signals.motor_side, log, run.arm) for log in chosen])
-    run.warnings.extend(warning for each in found for warning in each.warnings)
-    return found
+def _motor_signals(run: Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
+    """Motor-side signals of the records of one use."""
+    used = _logs_of_use(all_logs, use)
+    motor_sides = side_by_side([partial(signals.motor_side, log, run.arm) for log in used])
+    run.warnings.extend(warning for each in motor_sides for warning in each.warnings)
+    return motor_sides
 
 
-def _predicted(
-    run: Run, model: RigidModel, each: Signals, fitted: Sequence[Prediction]
+def _predict(
+    run: Run, model: RigidModel, record: Signals, fitted: Sequence[Prediction]
 ) -> Prediction | None:
-    """A record's torques by the rigid model; None, with a warning, of one that is too short."""
+    """Predict the torques of a record; None, with a warning, if the record is too short."""
     try:
-        return validation.predict_rigid(model, each, run.arm, fitted)
+        return validation.predict_rigid(model, record, run.arm, fitted)
     except NotIdentifiable as failure:
-        name = each.experiment.name
+        name = record.experiment.name
         run.warnings.append(Diagnostic("nothing-to-predict", name, f"{name} {failure}"))
         return None
 
 
-def _tuned(
+def _fit_whole_arm(
     run: Run,
     the_study: Study,
     all_logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],
 ) -> ArmModel | None:
-    """All parameters at once on all records; None, with a warning, without any."""
-    what = "fitting the whole arm to all records at once"
+    """Fit all parameters to all records; None, with a warning, if that is impossible."""
+    activity = "fitting the whole arm to all records at once"
 
     def count(evaluation: int, most: int) -> None:
-        said = f"{what}: evaluation {evaluation} of at most {most}"
-        run.report("tuned", said, evaluation / most)
+        text = f"{activity}: evaluation {evaluation} of at most {most}"
+        run.report("tuned", text, evaluation / most)
 
-    with run.timed("tuned", what):
+    with run.timed("tuned", activity):
         try:
             options = the_study.options.tuning
             start = run.sensors
-            found = tuning.tune(
+            arm_model = tuning.tune(
                 all_logs,
                 model,
                 joints,
@@ -323,34 +321,32 @@ def _tuned(
         except NotIdentifiable as failure:
             run.warnings.append(Diagnostic("not-tuned", str(the_study.path), str(failure)))
             return None
-    # what an earlier stage said of the same sensor is said again, and better
-    late = {w.where for w in found.warnings if w.code == "sensor-delay"}
-    run.warnings = [w for w in run.warnings if w.code != "sensor-delay" or w.where not in late]
-    run.warnings.extend(found.warnings)
-    return found
+    # the whole-arm fit replaces the earlier estimates of the same delays
+    places = {w.where for w in arm_model.warnings if w.code == "sensor-delay"}
+    run.warnings = [w for w in run.warnings if w.code != "sensor-delay" or w.where not in places]
+    run.warnings.extend(arm_model.warnings)
+    return arm_model
 
 
-def _with_elastic(
+def _add_elastic_predictions(
     run: Run,
     all_logs: Sequence[Log],
     tuned: ArmModel,
     checks: tuple[Prediction, ...],
 ) -> tuple[Prediction, ...]:
-    """The check records' torques from the rigid model, and their motion from the tuned arm."""
-    made = list(checks)
+    """Add simulations of the check records' motion to the predictions of their torques."""
     with run.timed("checks", "simulating the check records"):
-        identified = [
+        simulated = [
             log
-            for log in _used_for(all_logs, "check")
+            for log in _logs_of_use(all_logs, "check")
             if missing_recorded_input(run.arm, log) is None
         ]
-        placed = with_places(run.arm, tuned.values)
-        found = side_by_side(
-            [partial(validation.predict_elastic, tuned, log, placed) for log in identified]
+        arm = with_places(run.arm, tuned.values)
+        predictions = side_by_side(
+            [partial(validation.predict_elastic, tuned, log, arm) for log in simulated]
         )
-    run.warnings.extend(warning for each in found for warning in each.warnings)
-    made.extend(found)
-    return tuple(made)
+    run.warnings.extend(warning for each in predictions for warning in each.warnings)
+    return (*checks, *predictions)
 
 
 def _motor_responses(
@@ -359,28 +355,28 @@ def _motor_responses(
     tuned: ArmModel,
     joints: Sequence[JointModel],
 ) -> tuple[MotorResponse, ...]:
-    """How each motor answers in the records at full amplitude, of rig and fitted arm."""
+    """Responses of each motor at full amplitude, measured and simulated."""
     with run.timed("checks", "comparing the motors' responses"):
-        seen = [
+        used = [
             log
-            for log in _used_for(all_logs, "frequency")
+            for log in _logs_of_use(all_logs, "frequency")
             if log.experiment.joint is not None and missing_motor_signal(run.arm, log) is None
         ]
-        made = [partial(motor_response, log, tuned, joints, run.arm) for log in seen]
-        return tuple(side_by_side(made))
+        jobs = [partial(motor_response, log, tuned, joints, run.arm) for log in used]
+        return tuple(side_by_side(jobs))
 
 
-def _used_for(all_logs: Sequence[Log], use: str) -> list[Log]:
+def _logs_of_use(all_logs: Sequence[Log], use: str) -> list[Log]:
     return [log for log in all_logs if log.experiment.use == use]
 
 
 def _single_and_excited(arm: Arm, all_logs: Sequence[Log]) -> bool:
-    """Whether a joint can be identified without a rigid model."""
+    """Whether the joints can be identified without a rigid model."""
     return is_uncoupled(arm) and any(log.experiment.use == "frequency" for log in all_logs)
 
 
-def loading_report(progress: Progress) -> Progress:
-    """The progress callback; when the whole-arm fit begins, a thread loads what `write` needs."""
+def with_report_loading(progress: Progress) -> Progress:
+    """Wrap a progress callback: a thread loads the report's code during the whole-arm fit."""
     threads: list[Thread] = []
 
     def follow(event: ProgressEvent) -> None:
@@ -406,14 +402,10 @@ def write(
     figures: bool = False,
     progress: Progress = ignored,
 ) -> None:
-    """Result and report, and if wanted every figure as SVG and PNG: all whole or none.
+    """Write result.json and report.html, and with `figures` every figure as SVG and PNG.
 
-    `folder`: Made where it does not exist; an earlier result in it is replaced.
-    `figures`: Whether the report's figures go to `figures/` in the folder, too.
-    `progress`: Gets a `ProgressEvent`.
-
-    Raises `InvalidInput`: the folder cannot be written to, or there is no Matplotlib to draw the
-    figures.
+    The files appear all at once or not at all, and replace an earlier result in the folder. Raises
+    `InvalidInput` if the folder cannot be written to or Matplotlib is missing.
     """
     from strainwave.presentation.report import figures_of, render
 
@@ -425,7 +417,7 @@ def write(
     document = to_json(to_document(replace(identification, timing_s=timing)))
     files = {"report.html": page, "result.json": document}
     if figures:
-        for name, drawn in figures_of(identification).items():
-            for ending, data in images(drawn).items():
+        for name, figure in figures_of(identification).items():
+            for ending, data in images(figure).items():
                 files[f"figures/{name}.{ending}"] = data
     write_whole(folder, files)

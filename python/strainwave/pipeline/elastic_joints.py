@@ -1,4 +1,4 @@
-"""Records that excite the gears -> a model of each joint by itself, and of each record."""
+"""Records that excite the gears -> models of each joint, and of each record alone."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from strainwave.pipeline.run import Run
 from strainwave.signals import link_motion as links
 from strainwave.signals.mounting_start import with_stand_ins
 
-_Seen = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
-"""A record, both sides of its gears, and each joint on its own."""
+_DecoupledRecord = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
+"""A log, the signals of both sides of its gears, and the decoupled joints."""
 
 
 @dataclass(frozen=True, slots=True)
 class JointStage:
-    """The joints by themselves; each member is empty where the records cannot answer."""
+    """Models of single joints; members are empty if the records do not suffice."""
 
     joints: tuple[JointModel, ...] = ()  # one per joint, of all its records
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint, from 1
-    # models of each excited record and joint: nothing rests on them, so they are made when asked
+    # estimates the models of each excited record and joint, which no later stage uses
     record_models: Callable[[], tuple[RecordModel, ...]] = tuple
 
 
@@ -52,53 +52,53 @@ def decoupled(
     all_logs: Sequence[Log],
     model: RigidModel | None,
 ) -> JointStage:
-    """Decouple the joints in each excited record and fit each joint to its full-amplitude records.
+    """Decouple the joints of each excited record and fit each joint to its full-amplitude records.
 
-    Warnings, failures, delays of sensors and further starts are added to the run.
+    Adds warnings, failures, sensor delays and further starts to the run.
     """
     excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
     if not excited:
-        text = 'no record excites the gears on purpose (use = "frequency"): where there are steps,'
-        text += " the whole-arm fit starts from gears that such arms have"
+        text = 'the study has no record with use = "frequency" or "sweep": without one the gears'
+        text += " start from typical values in the whole-arm fit, if there are step records; record"
+        text += " a PRBS on each joint"
         run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
         return JointStage()
     if model is None and not is_uncoupled(run.arm):
-        return JointStage()  # why there is none has been said
+        return JointStage()  # the rigid stage gives the reason
 
     with run.timed("decoupled", "decoupling the joints"):
-        # where it is not known how a sensor sits, something like it stands in until the whole fit
-        placed_logs, placed = with_stand_ins(excited, run.arm, all_logs)
-        sides, delays = links.both_sides(placed_logs, placed, the_study.options.links)
+        # a sensor of unknown mounting gets an approximate one until the whole-arm fit
+        placed_logs, placed_arm = with_stand_ins(excited, run.arm, all_logs)
+        sides, delays = links.both_sides(placed_logs, placed_arm, the_study.options.links)
         run.warnings.extend(links.corrected(delays))
         run.sensors = links.constants_of(sides, delays)
         if any("motor" in side.sources for side in sides):
             return JointStage(_from_motors(run, the_study, model, sides))
         try:
-            alone = side_by_side(
-                [partial(decoupling.decouple, side, model, placed) for side in sides]
+            joints = side_by_side(
+                [partial(decoupling.decouple, side, model, placed_arm) for side in sides]
             )
         except NotIdentifiable as failure:
             run.failures.append(str(failure))
             return JointStage()
-        seen = list(zip(excited, sides, alone, strict=True))
-        for log, both_sides, parts in seen:
+        decoupled_records = list(zip(excited, sides, joints, strict=True))
+        for log, both_sides, parts in decoupled_records:
             run.warnings.extend(both_sides.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
             run.links += both_sides.summaries
-        stage = _physical(run, the_study, model, seen)
-    for found in stage.joints:
-        run.warnings.extend(found.warnings)
+        stage = _fit_joints(run, the_study, model, decoupled_records)
+    for joint in stage.joints:
+        run.warnings.extend(joint.warnings)
     return stage
 
 
 def from_catalogue(
     run: Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
 ) -> tuple[JointModel, ...]:
-    """Gears to start from where no record excites them on purpose, but steps may show them.
+    """Typical gears to start from if only step records excite them.
 
-    `run`: Warnings and further starts are added to it.
-
-    Returns: None, where there is no such record or the rigid model does not suffice.
+    Adds warnings and further starts to the run. Empty without such records, or if the rigid model
+    does not suffice.
     """
     if not any(log.experiment.use == "tuning" for log in all_logs):
         return ()
@@ -113,7 +113,7 @@ def from_catalogue(
 def _from_motors(
     run: Run, the_study: Study, model: RigidModel | None, sides: Sequence[LinkSignals]
 ) -> tuple[JointModel, ...]:
-    """Models of the joints where not every link has a sensor: interaction is not measured then."""
+    """Models of the joints from motor signals, for links without sensors."""
     for side in sides:
         run.warnings.extend(side.warnings)
         run.links += side.summaries
@@ -127,52 +127,58 @@ def _from_motors(
     return joints
 
 
-def _physical(
+def _fit_joints(
     run: Run,
     the_study: Study,
     model: RigidModel | None,
-    seen: Sequence[_Seen],
+    decoupled_records: Sequence[_DecoupledRecord],
 ) -> JointStage:
     """Fit each joint excited at full amplitude to all its records at once.
 
     Its nonparametric response is estimated too, where its inputs can be separated.
     """
     options = the_study.options
-    how = physical.RecordOptions(options.physical, options.statespace)
-    at_full = [parts for log, _, parts in seen if log.experiment.use == "frequency"]
-    together: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
-    for log, both_sides, parts in seen:
+    record_options = physical.RecordOptions(options.physical, options.statespace)
+    at_full = [parts for log, _, parts in decoupled_records if log.experiment.use == "frequency"]
+    records_by_joint: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
+    for log, both_sides, parts in decoupled_records:
         for part in _excited_joints(parts, log):
             if log.experiment.use == "frequency":
-                together.setdefault(part.joint, []).append((both_sides, part))
+                records_by_joint.setdefault(part.joint, []).append((both_sides, part))
 
-    def all_at_once(
+    def fit_joint(
         joint: int,
     ) -> tuple[physical.JointFit | JointModel | Diagnostic, FrequencyResponse | None]:
         response = _response([parts[joint - 1] for parts in at_full], options.responses)
-        own = together[joint]
+        records = records_by_joint[joint]
         try:
             if options.physical.route == "equations":
-                return physical.fit_joint(own, model, run.arm, options.physical), response
-            return physical.joint_by_transfer([d for _, d in own], model, run.arm, how), response
+                return physical.fit_joint(records, model, run.arm, options.physical), response
+            return physical.joint_by_transfer(
+                [d for _, d in records], model, run.arm, record_options
+            ), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
             return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
 
-    numbers = sorted(together)
-    found = side_by_side([partial(all_at_once, n) for n in numbers])
-    run.warnings.extend(each for each, _ in found if isinstance(each, Diagnostic))
-    fits = {fit.model.joint: fit for fit, _ in found if isinstance(fit, physical.JointFit)}
+    numbers = sorted(records_by_joint)
+    results = side_by_side([partial(fit_joint, n) for n in numbers])
+    run.warnings.extend(result for result, _ in results if isinstance(result, Diagnostic))
+    fits = {fit.model.joint: fit for fit, _ in results if isinstance(fit, physical.JointFit)}
     joints = [fit.model for fit in fits.values()]
-    joints += [each for each, _ in found if isinstance(each, JointModel)]
-    responses = {n: r for n, (_, r) in zip(numbers, found, strict=True) if r is not None}
+    joints += [result for result, _ in results if isinstance(result, JointModel)]
+    responses = {n: r for n, (_, r) in zip(numbers, results, strict=True) if r is not None}
     for joint in joints if model is None else ():
-        # without a rigid model dry friction is still in u, and the models have none in it
-        own = [decoupling.without_friction(s, d, joint) for s, d in together[joint.joint]]
-        response = _response(own, options.responses)
+        # without a rigid model the inputs still contain dry friction, which the models do not have
+        records = [
+            decoupling.without_friction(s, d, joint) for s, d in records_by_joint[joint.joint]
+        ]
+        response = _response(records, options.responses)
         responses |= {} if response is None else {joint.joint: response}
     ratios = [each.gear_ratio for each in run.arm.joints]
     joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
-    record_models = partial(_record_models, run.arm, the_study.options, model, seen, fits)
+    record_models = partial(
+        _record_models, run.arm, the_study.options, model, decoupled_records, fits
+    )
     return JointStage(tuple(joints), responses, record_models)
 
 
@@ -180,38 +186,42 @@ def _record_models(
     arm: Arm,
     options: Options,
     model: RigidModel | None,
-    seen: Sequence[_Seen],
+    decoupled_records: Sequence[_DecoupledRecord],
     fits: Mapping[int, physical.JointFit],
 ) -> tuple[RecordModel, ...]:
-    """Models of each record alone, of the joints excited in it, with their responses in it.
+    """Fit the excited joints to each record alone, with their frequency responses.
 
     The state-space model of a sweep starts from that of a record at full amplitude.
     """
-    how = physical.RecordOptions(options.physical, options.statespace)
+    record_options = physical.RecordOptions(options.physical, options.statespace)
     starts: dict[int, StateSpace] = {}  # by joint
 
-    def fit_of(log: Log, both_sides: LinkSignals, part: Decoupled) -> physical.RecordFit:
-        own = replace(how, judged=log.experiment.use == "frequency")
+    def fit_record(log: Log, both_sides: LinkSignals, part: Decoupled) -> physical.RecordFit:
+        own_options = replace(record_options, judged=log.experiment.use == "frequency")
         together, near = fits.get(part.joint), starts.get(part.joint)
-        fit = physical.fit_record(both_sides, part, model, arm, own, together, near)
+        fit = physical.fit_record(both_sides, part, model, arm, own_options, together, near)
         record = replace(fit.record, response=_response([part], options.responses))
         return replace(fit, record=record)
 
-    every = [(log, both, part) for log, both, ps in seen for part in _excited_joints(ps, log)]
+    excited = [
+        (log, both, part)
+        for log, both, joints in decoupled_records
+        for part in _excited_joints(joints, log)
+    ]
     by_use: dict[str, Iterator[RecordModel]] = {}
     for use in ("frequency", "sweep"):
-        jobs = [partial(fit_of, *each) for each in every if each[0].experiment.use == use]
-        made = side_by_side(jobs)
-        for fit in made if use == "frequency" else ():
+        jobs = [partial(fit_record, *each) for each in excited if each[0].experiment.use == use]
+        record_fits = side_by_side(jobs)
+        for fit in record_fits if use == "frequency" else ():
             if fit.linear is not None:
                 joint = fit.record.signals.joint
                 starts.setdefault(joint, fit.linear.of_physical_order())
-        by_use[use] = iter([fit.record for fit in made])
-    return tuple(next(by_use[log.experiment.use]) for log, _, _ in every)
+        by_use[use] = iter([fit.record for fit in record_fits])
+    return tuple(next(by_use[log.experiment.use]) for log, _, _ in excited)
 
 
 def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> FrequencyResponse | None:
-    """The nonparametric response beside the models; None where the inputs cannot be separated."""
+    """The nonparametric frequency response; None if the inputs cannot be separated."""
     try:
         return frequency.respond(records, options)
     except (NotIdentifiable, InvalidInput):  # records of several sample times do not combine
