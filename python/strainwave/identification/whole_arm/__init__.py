@@ -1,7 +1,7 @@
-"""All records that excite the gears, RigidModel, JointModels -> ArmModel: every parameter at once.
+"""Records, RigidModel, JointModels -> ArmModel: fit every parameter of the arm at once.
 
-Nonlinear least squares on simulations of the whole arm with exact sensitivities, started from what
-the earlier stages found.
+Nonlinear least squares on simulations of the whole arm with exact sensitivities, started from the
+results of the earlier stages.
 """
 
 from __future__ import annotations
@@ -44,30 +44,26 @@ def tune(
     others: Sequence[Sequence[JointModel]] = (),
     progress: Progress | None = None,
 ) -> ArmModel:
-    """Every parameter of the arm from all `frequency`, `sweep` and `tuning` records at once.
+    """Fit every parameter of the arm to all `frequency`, `sweep` and `tuning` records.
 
-    The recorded voltages drive the simulated arm. Differences of motor velocities and link
-    accelerations, through one low-pass, count in robust deviations that the records show.
-    The rigid model joins as rows of its own: motion has most information on friction and gravity.
-    Sensors' constants, and how a record began that begins in motion, are unknowns of that record.
+    The recorded voltages drive the simulated arm. Residuals of motor velocities and link
+    accelerations pass one low-pass and are weighted by robust standard deviations estimated from
+    the records. The rigid model adds rows of its own, because motion records have most information
+    on friction and gravity. Sensor constants, and the initial state of a record that starts in
+    motion, are unknowns of that record.
 
-    The effects that the study names are left out at first, then fitted with the rest; those stay
-    that the records show, and a warning names the others.
+    Effects that the study names are added once the fit without them is near its minimum; those that
+    are not significant are removed with a warning.
 
-    `logs`: Those of other uses are left out.
-    `model`: None will do for a single joint without gravity.
-    `joints`: One per joint, to start from.
-    `start`: (name, joint) -> value, in place of those of the stages before; delays and scales of
-        link sensors among them are fitted from the beginning.
-    `others`: More sets of joints to start from: the records decide.
-    `progress`: Called with the number of each evaluation, and the most there may be.
+    `model` may be None for a single joint without gravity. `joints` has one model per joint to
+    start from, `others` further sets of start models. `start` overrides start values by (name,
+    joint); delays and scales of link sensors in it are fitted from the beginning. `progress` is
+    called with the number of each evaluation and the maximum number.
 
-    Returns: `values` has every parameter; in `parameters` what the data hardly identify has the
-    value None, and a warning says why. A parameter at the end of its range gives status
-    "at-bounds".
-
-    Raises `NotIdentifiable`: there is no record to fit, or a start is missing or impossible;
-    `InvalidInput`: A record lacks something that going through it again needs.
+    A parameter that the data hardly determine has the value None in `parameters` of the result,
+    with a warning; `values` has all of them. A parameter at the limit of its range sets the status
+    "at-bounds". Raises `NotIdentifiable` without a usable record or start, and `InvalidInput` if a
+    record lacks what its simulation needs.
     """
     chosen = as_published(options or TuningOptions())
     with one_blas_thread(), reported(progress):  # thousands of small factorisations
@@ -85,7 +81,7 @@ def fitted(
     *,
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
-    """The fit behind `tune`, for those who want its rows; arguments and errors are the same."""
+    """Fit as `tune` does, and return the fit itself with its residuals."""
     chosen = as_published(options or TuningOptions())
     with one_blas_thread():
         begin = start_of(logs, model, (joints,), arm, chosen, start)
@@ -93,7 +89,7 @@ def fitted(
 
 
 def _fit(start: Start, selection: Selection) -> Fit:
-    """In long steps to near the minimum, and from there in short ones, of the model selected."""
+    """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, start.start, selection.options)
     coarse = selected(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)

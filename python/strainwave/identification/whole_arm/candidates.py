@@ -1,9 +1,8 @@
-"""Which of several starts the whole-arm fit goes on from: the records decide.
+"""Choose between several starts of the whole-arm fit by short searches.
 
-Without link sensors the steps before may leave several gears in question, or know none at all. Each
-set of joints gets a few steps of the search in long integrator steps; of many, those first whose
-cost is least where they start. Those that are still in question go on until one is far ahead or
-all have converged: what has only come closer may yet be overtaken.
+Without link sensors the earlier stages may leave several gears possible, or know none. Each set of
+joints gets a few evaluations in long integrator steps, at most those sets whose cost is least at
+the start. The remaining sets continue until one is far ahead or all have converged.
 """
 
 from __future__ import annotations
@@ -21,15 +20,16 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, search_from
 
-_FEW = 4  # sets that are searched from
-_STEPS, _ROUNDS = 8, 4  # evaluations of each such search at a time, and how often it goes on
-_BEHIND = 3.0  # times the least cost, with which a set is out of question
-_EDGE = 1e-3  # of a range, so near to whose end a stiffness is at its limit
+MAX_SEARCHED_SETS = 4
+EVALUATIONS_PER_ROUND = 8  # of the search from each set
+MAX_ROUNDS = 4  # of these searches
+MAX_COST_RATIO = 3.0  # to the least cost; a set of larger cost is dropped
+LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """A set of joints, and where a search from it has come to."""
+    """A set of joints and the result of the search from it."""
 
     joints: Sequence[JointModel]
     reached: Values | None  # (name, joint) -> value; None where there was no other set
@@ -40,15 +40,11 @@ def best_candidate(
     objective_of: Callable[[Sequence[JointModel]], Objective],
     options: TuningOptions,
 ) -> Chosen:
-    """The set of joints from which a short search ends lowest.
+    """The set of joints from which a short search reaches the lowest cost.
 
-    Where a search drives a stiffness to the limit of its range, the range is laid about that.
-
-    `candidates`: Each with one model per joint.
-    `objective_of`: What the records say against arms near such a set, whose start is at zero
-        coordinates.
-
-    Raises `NotIdentifiable`: there is no arm that can be simulated near any of them.
+    If a search drives a stiffness to the limit of its range, the range is centred there.
+    `objective_of` returns the objective of a set of joints, whose start is at zero coordinates.
+    Raises `NotIdentifiable` if no arm near any set can be simulated.
     """
     if len(candidates) == 1:
         return Chosen(candidates[0], None)
@@ -66,18 +62,18 @@ def best_candidate(
     if not known:
         raise why or NotIdentifiable("no arm that the steps before leave can be simulated")
     racing = [
-        _Racer(
+        _SearchState(
             candidates[k], Fit(objective, np.zeros(len(objective.space.unknowns)), cost, 0, False)
         )
-        for cost, k, objective in sorted(known, key=lambda each: each[:2])[:_FEW]
+        for cost, k, objective in sorted(known, key=lambda each: each[:2])[:MAX_SEARCHED_SETS]
     ]
-    for _ in range(_ROUNDS):
-        further = [_further(racer, objective_of, options) for racer in racing]
+    for _ in range(MAX_ROUNDS):
+        further = [_continue_search(racer, objective_of, options) for racer in racing]
         racing = [racer for racer in further if racer is not None]
         if not racing:
             raise NotIdentifiable("no arm near those that the steps before leave can be simulated")
         least = min(racer.fit.cost for racer in racing)
-        racing = [racer for racer in racing if racer.fit.cost <= _BEHIND * least]
+        racing = [racer for racer in racing if racer.fit.cost <= MAX_COST_RATIO * least]
         if all(racer.done for racer in racing) or (len(racing) == 1 and not racing[0].limited):
             break
     best = min(racing, key=lambda racer: racer.fit.cost)
@@ -85,17 +81,19 @@ def best_candidate(
 
 
 @dataclass(frozen=True, slots=True)
-class _Racer:
-    """A set of joints, and how far a search from it is."""
+class _SearchState:
+    """A set of joints and the state of the search from it."""
 
     joints: Sequence[JointModel]
     fit: Fit
 
     @property
     def limited(self) -> bool:
-        """Whether a stiffness is at the end of its range, of a curve all its slopes."""
+        """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
         space, z = self.fit.objective.space, self.fit.z
-        near = np.minimum(z - space.lower, space.upper - z) < _EDGE * (space.upper - space.lower)
+        near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
+            space.upper - space.lower
+        )
         ended: dict[int | None, list[bool]] = {}
         for (name, joint), at in zip(space.keys, near, strict=True):
             if is_slope(name):
@@ -104,34 +102,38 @@ class _Racer:
 
     @property
     def done(self) -> bool:
-        """Whether a search has ended inside its ranges."""
+        """Whether the search has converged inside its ranges."""
         return self.fit.converged and not self.limited
 
 
-def _further(
-    racer: _Racer, objective_of: Callable[[Sequence[JointModel]], Objective], options: TuningOptions
-) -> _Racer | None:
-    """A few evaluations on, which do not count among the fit's own; None where that fails."""
+def _continue_search(
+    racer: _SearchState,
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: TuningOptions,
+) -> _SearchState | None:
+    """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
     if racer.done:
         return racer
     try:
         joints, fit = racer.joints, racer.fit
         if racer.limited:
-            joints = _moved(racer)
+            joints = _recentre(racer)
             objective = objective_of(joints)
             fit = replace(
                 fit,
                 objective=objective,
-                z=objective.space.coordinates(_but_springs(fit, objective)),
+                z=objective.space.coordinates(_values_with_start_springs(fit, objective)),
             )
-        found = search_from(fit.objective, fit.z, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
+        found = search_from(
+            fit.objective, fit.z, 0, options, tolerance=COARSE_GAIN, most=EVALUATIONS_PER_ROUND
+        )
     except NotIdentifiable:
         return None
-    return _Racer(joints, replace(found, iterations=0))
+    return _SearchState(joints, replace(found, iterations=0))
 
 
-def _moved(racer: _Racer) -> list[JointModel]:
-    """Joints whose stiffness lies where the search has come to, so that ranges lie about that."""
+def _recentre(racer: _SearchState) -> list[JointModel]:
+    """The joints with the stiffnesses of the search, so that the ranges are centred there."""
     found = racer.fit.objective.space.values(racer.fit.z)
     arm, moved = racer.fit.objective.records[0].arm, []
     for joint in racer.joints:
@@ -141,8 +143,8 @@ def _moved(racer: _Racer) -> list[JointModel]:
     return moved
 
 
-def _but_springs(fit: Fit, objective: Objective) -> Values:
-    """Where a search has come to, but for springs, which start anew."""
+def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
+    """The values of the search, with the springs at their starts."""
     space = objective.space
     anew = space.values(np.zeros(len(space.unknowns)))
     of_gears, found = gear_parameters(), fit.objective.space.values(fit.z)

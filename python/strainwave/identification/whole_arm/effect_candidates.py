@@ -1,4 +1,4 @@
-"""Effects that the study names: in the model where the records show them."""
+"""Effects that the study names, kept in the model if they are significant."""
 
 from __future__ import annotations
 
@@ -22,14 +22,11 @@ from strainwave.identification.whole_arm.parametrisation import ParameterSpace, 
 from strainwave.identification.whole_arm.selection import Selection, better
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, fine_search, search_from
 
-_TRIAL = 30  # evaluations in which the effects must show, with several parameters each
+MAX_TRIAL_EVALUATIONS = 30  # effects have several parameters each
 
 
 def with_named_effects(fit: Fit, selection: Selection) -> Fit:
-    """A rough fit with the effects that the study names, or the one without if they gain little.
-
-    `selection`: Its study has the effects that the joints may have.
-    """
+    """The coarse fit with the effects that the study names, unless they gain too little."""
     arm = selection.arm
     if not named_effects(arm):
         return fit
@@ -40,18 +37,18 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
         fit.objective.space, named_effects(arm), arm, values, loads, fit.records
     )
     extended = search_from(
-        _on(fit.objective, space, arm),
+        _with_space(fit.objective, space, arm),
         begin,
         fit.iterations,
         selection.options,
         tolerance=COARSE_GAIN,
-        most=_TRIAL,
+        most=MAX_TRIAL_EVALUATIONS,
     )
-    return better(replace(fit, cost=fit.cost - _eased(fit, space)), extended)
+    return better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
 
 
-def _eased(fit: Fit, space: ParameterSpace) -> float:
-    """What the cost of a fit falls by as the rigid step is trusted less for effects' sake."""
+def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
+    """Cost reduction due to the lower trust in the rigid step that the effects require."""
     parameters = fit.objective.space.parameters(fit.z)
 
     def cost(prior: Prior) -> float:
@@ -62,28 +59,25 @@ def _eased(fit: Fit, space: ParameterSpace) -> float:
 
 
 def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
-    """Again without the effects that the records do not show, until all others are identified.
-
-    `selection`: Its study has the effects that the joints may have.
-    """
+    """Remove effects that are not significant and refit, until all are significant."""
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    while gone := _idle(fit):
+    while gone := _insignificant_effects(fit):
         values = fit.objective.space.values(fit.z)
         space = without(fit.objective.space, gone, arm)
-        objective = _on(fit.objective, space, arm)
+        objective = _with_space(fit.objective, space, arm)
         fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
     return fit
 
 
-def _idle(fit: Fit) -> set[NamedEffect]:
-    """The effects among the unknowns that the records do not show."""
+def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
+    """The insignificant effects among the unknowns."""
     covariance = fit.confidence.cautious
     return set(idle(fit.objective.space, fit.z, covariance))
 
 
-def _on(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
-    """The same records and weights for other unknowns, the effects among them in the arm."""
+def _with_space(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
+    """The objective for other unknowns, with their effects in the arm."""
     records = records_with(objective.records, arm, space.keys)
     return replace(objective.for_unknowns(space), records=records)

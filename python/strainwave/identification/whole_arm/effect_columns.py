@@ -1,4 +1,4 @@
-"""What effects that a model lacks would do to a fit, as columns beside its own derivatives."""
+"""Derivatives of the channels by the sizes of effects that the model lacks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluated
 from strainwave.identification.whole_arm.parametrisation import Key
 
-_ROUNDING = 1e-7  # of a column: less is nothing that the unknowns could not imitate
+COLUMN_ROUNDING = 1e-7  # of a column's norm; a smaller projection is rounding
 
 Shapes = Mapping[str, float]
 """Those of an effect: name -> value."""
@@ -32,7 +32,7 @@ Shapes = Mapping[str, float]
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """That a joint has an effect of certain shapes."""
+    """The presence of an effect of given shapes in a joint."""
 
     joint: int  # from 1
     effect: EffectName
@@ -46,7 +46,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class _Pass:
-    """A simulation of the records with effects of size zero, each at one set of shapes."""
+    """A simulation of the records with effects of size zero, one set of shapes each."""
 
     records: Sequence[Dataset]
     values: Values
@@ -54,7 +54,7 @@ class _Pass:
 
     @classmethod
     def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> _Pass:
-        """With some effects, no two of them the same of one joint."""
+        """A pass over effects of which no two are the same effect of one joint."""
         values = fit.objective.space.values(fit.z)
         absent = {
             (name, one.joint): value
@@ -77,8 +77,8 @@ class _Pass:
 class EffectColumns:
     """R of [unknowns sizes shifts residual], then the priors of sizes and shifts.
 
-    Sizes are those of effects, where they are zero; shifts those of what the rigid step says, first
-    of inertias and gravity and then of each joint's friction.
+    Sizes are those of effects, at zero. Shifts are errors of the rigid step: first of inertias and
+    gravity, then of each joint's friction.
     """
 
     factor: FloatArray  # (n_rows, n_unknowns + n_sizes + n_shifts + 1)
@@ -89,15 +89,11 @@ class EffectColumns:
 
     @classmethod
     def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
-        """The columns of effects beside those of a fit.
+        """The columns of effects in addition to those of a fit.
 
-        All effects at the first of their shapes take one simulation, those of each further number
-        another.
-
-        `tested`: Hypothesis -> shapes.
-
-        Raises `InvalidInput`, `NumericalFailure`: the arm with effects cannot be simulated, or not
-        with finite derivatives.
+        All effects at the first of their shapes share one simulation, and so do those of each
+        further number. Raises `InvalidInput` or `NumericalFailure` if the arm with effects cannot
+        be simulated with finite derivatives.
         """
         objective, n = fit.objective, len(fit.objective.space.unknowns)
         each = [
@@ -128,29 +124,23 @@ class EffectColumns:
 
     @property
     def target(self) -> FloatArray:
-        """The residual that the unknowns leave."""
+        """The residual that the unknowns do not explain."""
         return self.factor[self.n_unknowns :, -1]
 
     def seen(self, one: Hypothesis) -> FloatArray:
-        """What the unknowns leave of an effect's columns: zero where that is rounding."""
+        """An effect's columns after projection, zero where only rounding is left."""
         place = self._place(one)
         left = self.factor[self.n_unknowns :, place].copy()
         size = np.linalg.norm(self.factor[:, place], axis=0)
-        left[:, np.linalg.norm(left, axis=0) <= _ROUNDING * size] = 0.0
+        left[:, np.linalg.norm(left, axis=0) <= COLUMN_ROUNDING * size] = 0.0
         return left
 
     def shifts(self, one: Hypothesis) -> FloatArray:
-        """What they leave of shifts of what the rigid step says wrongly for lack of an effect."""
+        """Residual effect of errors in the rigid-step estimates due to the missing effect."""
         return self.factor[self.n_unknowns :, self._shifts(one)]
 
     def answer(self, one: Hypothesis, size: FloatArray, shift: FloatArray) -> FloatArray:
-        """How the unknowns make room for an effect and for shifts of what the rigid step says.
-
-        `size` (n_sizes,).
-        `shift` (n_shifts,).
-
-        Returns: (n_unknowns,): In coordinates.
-        """
+        """Change of the unknowns (n_unknowns,) for sizes of an effect and rigid-step shifts."""
         n = self.n_unknowns
         by_effect = self.factor[:n, self._place(one)] @ size
         by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift

@@ -1,4 +1,4 @@
-"""What a joint may have beyond a spring and dry friction, as unknowns of the whole-arm fit."""
+"""Effects of joints beyond a spring and dry friction, as unknowns of the whole-arm fit."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""
 
 RIGID = "rigid step"
-"""In place of a record's name: the records of the rigid step."""
+"""Stands for the records of the rigid step in place of a record's name."""
 
-_CHANCE = 2.7e-3  # odds of as much by noise that it stays below: three deviations, of one size
-_FAR = float(np.log(30.0))  # how far a parameter may go from its start
+SIGNIFICANCE_LEVEL = 2.7e-3  # of an effect's sizes: three standard deviations for one size
+MAX_LOG_CHANGE = float(np.log(30.0))  # of a parameter from its start
 
 
 def named_effects(arm: Arm) -> list[NamedEffect]:
-    """The effects that a study names."""
+    """The (joint, effect) pairs that a study names."""
     return [(j, effect) for j, joint in enumerate(arm.joints, 1) for effect in joint.named_effects]
 
 
 def effects_in(space: ParameterSpace, arm: Arm) -> list[NamedEffect]:
-    """The effects that are among the unknowns."""
+    """The effects among the unknowns."""
     return effects_among(space.keys, arm.n_joints)
 
 
 def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
-    """The effects whose parameters are among some."""
+    """The effects that have parameters among the keys."""
     known = {(base_name(name), joint) for name, joint in keys}
     return [
         (number, effect.name)
@@ -55,10 +55,7 @@ def effects_among(keys: Iterable[Key], n_joints: int) -> list[NamedEffect]:
 
 
 def sizes_of(one: NamedEffect, records: Sequence[str] = ()) -> list[Key]:
-    """The parameters that are zero where an effect is not there.
-
-    `records`: Names of those that are fitted, some effects have sizes of each.
-    """
+    """The size parameters of an effect, which are zero without it; some are per record."""
     joint, effect = one
     return [(name, joint) for name in effect_named(effect).sizes_in(records)]
 
@@ -71,14 +68,10 @@ def with_effects(
     loads: Loads,
     records: Sequence[str] = (),
 ) -> tuple[ParameterSpace, FloatArray]:
-    """The unknowns of further effects beside those there are.
+    """Add the unknowns of effects to a parameter space.
 
-    `values`: Where the fit without them ended, and values to start effects from in place of the
-        usual.
-    `loads`: Of the records.
-    `records`: Their names.
-
-    Returns: (n_unknowns,): Where to start.
+    `values` has the fit without the effects, and start values of effects that replace the typical
+    ones. Returns the space and the start (n_unknowns,).
     """
     more: dict[Key, Unknown] = {}
     for one in effects:
@@ -86,30 +79,25 @@ def with_effects(
             more.setdefault(unknown.key, unknown)
     columns = dict.fromkeys(more, np.zeros(len(space.prior.rows)))
     for one in effects:
-        for unknown, column in _of_rigid_records(one, arm, space, values, more):
+        for unknown, column in _sizes_in_rigid_records(one, arm, space, values, more):
             more[unknown.key], columns[unknown.key] = unknown, column
     rows = np.column_stack([space.prior.rows, *columns.values()])
     found = ParameterSpace(
         (*space.unknowns, *more.values()), space.fixed, replace(space.prior, rows=rows)
     )
-    found = _trusting(found, arm)
+    found = _with_prior_trust(found, arm)
     starts: Values = {key: unknown.start for key, unknown in more.items()}
     return found, found.coordinates(starts | values)
 
 
-def _trusting(space: ParameterSpace, arm: Arm) -> ParameterSpace:
-    """The unknowns, the rigid step trusted as far as the effects among them let it be."""
+def _with_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
+    """The space with the trust in the rigid step that its effects allow."""
     misled = {key for one in effects_in(space, arm) for key in misled_by(one, arm)}
     return replace(space, prior=space.prior.tightened().loosened(misled))
 
 
 def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoint:
-    """What effects are given of a joint.
-
-    `joint`: From 1.
-    `values`: Of the arm without effects.
-    `loads`: Of the records.
-    """
+    """Quantities of a joint from which effects derive their starts; `values` is without effects."""
     own = arm.joints[joint - 1]
     stiffness = own.law.stiffness(own.law.of_joint(values, joint), np.zeros(1))
     return KnownJoint(
@@ -122,29 +110,26 @@ def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoin
 
 
 def misled_by(one: NamedEffect, arm: Arm) -> set[Key]:
-    """What the rigid step, which knows no effects, says wrongly where there is one."""
+    """Rigid-step parameters that are biased if the joint has the effect."""
     joint, effect = one
     friction = rigid_friction(arm, joint)
     return friction | rigid_body(arm) if effect_named(effect).misleads_inertias else friction
 
 
 def rigid_body(arm: Arm) -> set[Key]:
-    """The rigid model's parameters that are not friction."""
+    """Parameters of the rigid model other than friction."""
     return {column.key for column in arm.rigid_columns[: arm.n_body]}
 
 
 def rigid_friction(arm: Arm, joint: int) -> set[Key]:
-    """The rigid model's friction of a joint.
-
-    `joint`: From 1.
-    """
+    """Friction parameters of a joint in the rigid model."""
     return {column.key for column in arm.rigid_columns[arm.n_body :] if column.key[1] == joint}
 
 
 def _unknowns(
     one: NamedEffect, arm: Arm, values: Values, loads: Loads, records: Sequence[str]
 ) -> Iterator[Unknown]:
-    """An effect's parameters: signed ones about zero, all others by their logarithm."""
+    """An effect's parameters: signed ones around zero, all others by their logarithm."""
     number, effect = one[0], effect_named(one[1])
     joint, known = arm.joints[number - 1], known_joint(arm, number, values, loads)
     typical, starts = effect.typical_sizes(known), effect.starts(known)
@@ -154,15 +139,15 @@ def _unknowns(
         scale = typical.get(base, start) if signed else start
         std = effect.prior_std if base in effect.sizes else None
         unit = unit_of(name, joint)
-        yield Unknown(name, number, unit, start, scale, signed, _FAR, prior_std=std)
+        yield Unknown(name, number, unit, start, scale, signed, MAX_LOG_CHANGE, prior_std=std)
 
 
-def _of_rigid_records(
+def _sizes_in_rigid_records(
     one: NamedEffect, arm: Arm, space: ParameterSpace, values: Values, known: Mapping[Key, Unknown]
 ) -> Iterator[tuple[Unknown, FloatArray]]:
-    """An effect's sizes in the records of the rigid step, with their columns of what that knows.
+    """An effect's sizes in the records of the rigid step, with their prior columns.
 
-    None where the rigid step knows nothing that the effect changes.
+    Empty if the rigid step knows nothing that the effect changes.
     """
     number, effect = one[0], effect_named(one[1])
     if not (effect.by_record and isinstance(effect, RecordEffect)):
@@ -181,20 +166,16 @@ def _of_rigid_records(
 
 
 def without(space: ParameterSpace, effects: Collection[NamedEffect], arm: Arm) -> ParameterSpace:
-    """The unknowns less those of some effects."""
+    """The parameter space without some effects."""
     gone = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in gone]
     prior = replace(space.prior, rows=space.prior.rows[:, kept])
     left = ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
-    return _trusting(left, arm)
+    return _with_prior_trust(left, arm)
 
 
 def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterator[NamedEffect]:
-    """The effects whose size is nothing as far as the records show.
-
-    `z` (n_unknowns,).
-    `covariance` (n_unknowns, n_unknowns): Of the parameters.
-    """
+    """The effects whose sizes do not differ significantly from zero."""
     values = space.parameters(z)
     for effect in all_effects():
         places: dict[int, list[int]] = {}
@@ -204,27 +185,25 @@ def idle(space: ParameterSpace, z: FloatArray, covariance: FloatArray) -> Iterat
         for joint, own in places.items():
             size = values[own]
             square = float(size @ np.linalg.solve(covariance[np.ix_(own, own)], size))
-            if square < chi_square_limit(_CHANCE, len(own)):
+            if square < chi_square_limit(SIGNIFICANCE_LEVEL, len(own)):
                 yield joint, effect.name
 
 
 def left_out(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
-    """What a reader must know of the effects that a study names and a fit does without.
-
-    `search`: Of the fit.
-    """
+    """Warn about named effects that the fit removed."""
     known = set(named_effects(with_known_effects(arm, space.keys)))
     for joint, effect in named_effects(arm):
         if (joint, effect) not in known:
-            text = f"{effect} was tried and left out: the records do not show it; take it out of"
-            text += f" this joint's effects, or give {effect_named(effect).record}"
+            text = f"{effect} was fitted and removed: its size does not differ significantly from"
+            text += " zero in the records, and the other parameters are estimated without it;"
+            text += f" remove it from the joint's effects, or add {effect_named(effect).record}"
             yield Diagnostic("effect-left-out", f"joint {joint}", text)
 
 
 def records_with(
     records: Sequence[Dataset], arm: Arm, known: Collection[Key]
 ) -> tuple[Dataset, ...]:
-    """The records on an arm with those of an arm's effects whose parameters are known."""
+    """The records on an arm with those of its effects whose parameters are known."""
     effects = [joint.named_effects for joint in with_known_effects(arm, known).joints]
 
     def given(record: Dataset) -> Dataset:

@@ -1,4 +1,4 @@
-"""What the gears carry in the records, by simulation."""
+"""Torques of the gears in the records, by simulation."""
 
 from __future__ import annotations
 
@@ -11,30 +11,20 @@ from strainwave.domain import FloatArray, TorqueHistogram
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.numerics.parallel import side_by_side
 
-_BINS = 60
+HISTOGRAM_BINS = 60
 
 
 def gear_torques(
     records: Sequence[Dataset], values: dict[tuple[str, int | None], float]
 ) -> FloatArray:
-    """The largest torque that each gear carries, but for one sample in a thousand.
-
-    `values`: (name, joint) -> value.
-
-    Returns: (n_joints,) [N m].
-    """
+    """Largest torque of each gear (n_joints,) [N m], at the 99.9 % quantile of a record."""
     return largest_of(gear_torque_samples(records, values))
 
 
 def gear_torque_samples(
     records: Sequence[Dataset], values: dict[tuple[str, int | None], float]
 ) -> list[FloatArray]:
-    """What each gear carries in each record.
-
-    `values`: (name, joint) -> value.
-
-    Returns: (n_samples, n_joints) [N m]: Moduli.
-    """
+    """Absolute torque of each gear in each record: arrays (n_samples, n_joints) [N m]."""
 
     def of_record(record: Dataset) -> FloatArray:
         return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
@@ -48,13 +38,10 @@ def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
 
 
 def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
-    """How often each gear carries which torque, over all records.
-
-    `gear_loads` (n_samples, n_joints) [N m].
-    """
+    """Share of samples by torque of each gear, over all records."""
     together = np.concatenate(gear_loads)
     found = []
     for joint, torque in enumerate(together.T, start=1):
-        count, edges = np.histogram(torque, bins=_BINS, range=(0.0, float(torque.max())))
+        count, edges = np.histogram(torque, bins=HISTOGRAM_BINS, range=(0.0, float(torque.max())))
         found.append(TorqueHistogram(joint, edges, count / len(torque)))
     return tuple(found)
