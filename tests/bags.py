@@ -1,4 +1,4 @@
-"""Bags on disk for the input's tests, written by rosbags' own writers."""
+"""ROS bags on disk for tests of reading, written by rosbags."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def write(
     storage: str = "MCAP",
     silent: Mapping[str, str] | None = None,
 ) -> Path:
-    """A rosbag2 directory; `silent` topics are in it without a message."""
+    """A rosbag2 directory; the topics in `silent` have no messages."""
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage]) as writer:
         connections: dict[str, Any] = {}
         for topic, kind in (silent or {}).items():
@@ -96,7 +96,7 @@ def write_ros1(path: Path, messages: Iterable[Message]) -> Path:
 
 
 def of_columns(columns: Mapping[str, FloatArray]) -> list[Message]:
-    """A two-joint log as a rig's nodes would say it: joint states, an IMU, commands."""
+    """A log of two joints as messages of a rig: joint states, an IMU and commands."""
     messages: list[Message] = []
     for k, ns in enumerate(stamps(columns["t"])):
         position = {"shoulder": columns["theta_m1"][k] / 100.0, "elbow": columns["theta_m2"][k]}

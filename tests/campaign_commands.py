@@ -1,4 +1,4 @@
-"""The command `strainwave campaign` as a process, watched from outside."""
+"""The command `strainwave campaign` as a process."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def running(*arguments: str | Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def wait_for(store: Path, count: int) -> None:
-    """Until so many runs are recorded."""
+    """Wait until a number of runs is recorded."""
     until = time.monotonic() + 60.0
     while Store.at(store).table("runs", ["run"]).num_rows < count:
         assert time.monotonic() < until
@@ -56,6 +56,6 @@ def workers_of(driver: subprocess.Popen[str]) -> list[psutil.Process]:
     ]
 
 
-def begun(store: Path) -> Counter[str]:
-    """How often each study was recorded, whichever file a row stands in."""
+def records_by_study(store: Path) -> Counter[str]:
+    """Number of records of each study over all files of a store."""
     return Counter(sw.read_runs(store)["study"].to_pylist())

@@ -1,4 +1,4 @@
-"""Rows of made-up runs, and a process that writes many of them."""
+"""Rows of synthetic runs, and a process that writes many of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def record(run: str, seconds: float = 0.0, status: str = "determined") -> Record
 
 
 def write_many(folder: str, first: int, count: int) -> None:
-    """What one of several processes does at once: write runs, and merge now and then."""
+    """Write runs and merge them at times, as one of several processes."""
     store = Store.at(folder)
     for number in range(first, first + count):
         store.write(record(f"run-{number:05d}", number))

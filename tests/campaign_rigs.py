@@ -1,4 +1,4 @@
-"""Studies of one rigid drive that take a twentieth of a second each."""
+"""Studies of one rigid joint that take 1/20 s each."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ control = ["servo"]
 
 @cache
 def log(inertia: float, backwards: bool = True) -> bytes:
-    """Angle and torque of a drive; one that never turns back has no Coulomb friction."""
+    """Angle and torque of a joint. Without a reversal, Coulomb friction is not identifiable."""
     t = 2e-3 * np.arange(2500)
     steady = 0.0 if backwards else 60.0
     rate = steady + 40.0 * np.sin(2.0 * t) + 9.0 * np.sin(5.3 * t)
@@ -42,7 +42,7 @@ def inertia_of(number: int) -> float:
 
 
 def rig(folder: Path, number: int = 0) -> Path:
-    """A study that is determined."""
+    """A study with the status determined."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "study.toml").write_text(STUDY)
     (folder / "motion.csv").write_bytes(log(inertia_of(number)))

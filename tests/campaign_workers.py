@@ -1,6 +1,6 @@
-"""A worker process that does by a study's name what bugs and bad luck do to others.
+"""A worker process that fails in a way that the name of a study selects.
 
-`python -m campaign_workers` in place of `python -m strainwave.campaign.worker`.
+Run `python -m campaign_workers` instead of `python -m strainwave.campaign.worker`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _whole = StudyFile.opened
 
 
 class _Broken:
-    """What a case of this name is opened by."""
+    """Object returned for a study whose name selects a failure."""
 
     def __enter__(self) -> None:
         raise ZeroDivisionError("a bug\nof two lines")

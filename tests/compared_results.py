@@ -1,4 +1,4 @@
-"""Results of one made-up arm whose errors are drawn from a known covariance."""
+"""Results of one synthetic arm with errors from a known covariance."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ STD = np.array([1e-3, 50.0, 1e-6, 4e-6])
 
 
 def covariance(rng: np.random.Generator) -> FloatArray:
-    """Of four parameters and of one that follows from two of them: singular."""
+    """Singular covariance of four parameters and one that depends on two of them."""
     mixed = rng.normal(size=(4, 4)) + np.eye(4)
     four = mixed @ mixed.T
     scale = STD / np.sqrt(np.diag(four))
@@ -29,7 +29,7 @@ def covariance(rng: np.random.Generator) -> FloatArray:
 def drawn(
     rng: np.random.Generator, S: FloatArray, change: Mapping[str, float] | None = None
 ) -> dict[str, Any]:
-    """A result whose errors are Gaussian; `change`: factors of true values."""
+    """A result with Gaussian errors. `change` holds factors of the true values."""
     factors = np.array([(change or {}).get(name, 1.0) for name in NAMES[:4]])
     error = np.linalg.cholesky(S[:4, :4]) @ rng.normal(size=4)
     four = TRUE * factors + error
@@ -38,7 +38,7 @@ def drawn(
 
 
 def document(values: list[float], S: FloatArray) -> dict[str, Any]:
-    """A result of these values, as result.json holds it."""
+    """A result.json with these values."""
     parameters = []
     for name, value, std in zip(NAMES, values, np.sqrt(np.diag(S)).tolist(), strict=True):
         word, _, joint = name.partition(" ")
@@ -68,7 +68,7 @@ def estimates(document: Mapping[str, Any], label: str) -> Estimates:
 
 
 def write(document: Mapping[str, Any], folder: Path) -> Path:
-    """The result as a file in a folder of its own."""
+    """Write the result to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "result.json").write_text(json.dumps(document), encoding="utf-8")
     return folder

@@ -1,7 +1,7 @@
-"""What all tests share: profiles of Hypothesis, and the measured data where it is there.
+"""Shared fixtures: profiles of Hypothesis, and the measured data if they are present.
 
-By itself pytest draws the same cases in every run. `make test` takes the profile "fresh", which
-draws others from the seed it prints; a failure also prints the case as a decorator.
+By default pytest draws the same cases in every run. `make test` uses the profile "fresh" with a new
+seed, which it prints. A failure also prints the case as a decorator.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Logs of known arms and real measurements, kept beside the project and not in it."""
+    """Folder with logs of known arms and real measurements, which is not part of the project."""
     if not SHARED_DATA.is_dir():
         pytest.skip("no ../shared/data beside the project: the measured data are not here")
     return SHARED_DATA

@@ -1,4 +1,4 @@
-"""What may be wrong with logs, for the tests of the consistency stage."""
+"""Faults of logs for tests of the input check."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Input = tuple[tuple[Log, ...], Study]
 
 
 def changed(given: Input, **factors: float) -> Input:
-    """With channels multiplied."""
+    """Logs with scaled channels."""
     logs, study = given
     return tuple(
         replace(log, channels={k: factors.get(k, 1.0) * v for k, v in log.channels.items()})
@@ -21,12 +21,12 @@ def changed(given: Input, **factors: float) -> Input:
 
 
 def delayed(given: Input, names: tuple[str, ...], delay: float, fast: float) -> Input:
-    """With channels late, or sampled by a fast clock."""
+    """Logs with delayed channels, or with a fast sensor clock."""
     logs, study = given
-    found = []
+    changed_logs = []
     for log in logs:
         time = log.time - log.time[0]
         at = time * (1.0 + fast) - delay
         late = {k: np.interp(at, time, v) for k, v in log.channels.items() if k in names}
-        found.append(replace(log, channels={**log.channels, **late}))
-    return tuple(found), study
+        changed_logs.append(replace(log, channels={**log.channels, **late}))
+    return tuple(changed_logs), study

@@ -1,4 +1,4 @@
-"""Runs of a small virtual arm whose joints have further effects."""
+"""Records of a small virtual arm with effects."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ Shapes = tuple[tuple[tuple[str, int], float], ...]
 
 
 def rig(effects: Asked) -> Study:
-    """The rig, whose first joint has effects."""
+    """The rig with effects at joint 1."""
     study = truth()[0]
     return replace(
         study,
@@ -99,25 +99,25 @@ def rig(effects: Asked) -> Study:
 
 
 def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
-    """The study with a PRBS on each joint at each amplitude [V] in place of its experiments.
+    """Study with a PRBS on each joint at each amplitude [V] as its experiments.
 
-    A slow PRBS over a wide range of angles follows where the first joint's effects take it.
+    A slow PRBS over a wide range of angles excites the effects of joint 1.
     """
-    found = []
+    experiments = []
     for amplitude in amplitudes:
         for one in shaken_study(study, amplitude).experiments:
             name = one.name if amplitude == amplitudes[0] else f"{one.name}-{amplitude:g}V"
-            found.append(replace(one, name=name, file=f"{name}.parquet"))
+            experiments.append(replace(one, name=name, file=f"{name}.parquet"))
     if any(effect in FAR for effect in study.arm.joints[0].effects):
-        found.append(WIDE)
-    return replace(study, experiments=tuple(found))
+        experiments.append(WIDE)
+    return replace(study, experiments=tuple(experiments))
 
 
 @cache
 def records(
     effects: tuple[EffectName, ...], shapes: Shapes = ()
 ) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Half a second of either joint in open loop, at each amplitude, with noise; see `shaken`."""
+    """Half a second of each joint in open loop at each amplitude with noise; see `shaken`."""
     known = truth()[1] | EVERY | dict(shapes)
     amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
     study, logs = written_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())
@@ -133,7 +133,7 @@ def tuned(
     cutoff_hz: float | None = None,
     effort: float = 1.0,
 ) -> ArmModel:
-    """From joint models that are 5 % off, knowing nothing of the effects' sizes."""
+    """Whole-arm fit from joint models with errors of 5 % and no information on the effects."""
     study, known, logs = records(has, shapes)
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))
     joints = joint_models(asks, known, 0.05, FACTORS)
@@ -147,7 +147,7 @@ def tuned(
 
 
 def single_joint(has: tuple[EffectName, ...]) -> Study:
-    """A joint in gravity, a step of its servo and a PRBS."""
+    """A joint under gravity with a step of its servo and a PRBS."""
     joint = Joint(
         spring="linear",
         gear_ratio=0.01,
@@ -170,7 +170,7 @@ def single_joint(has: tuple[EffectName, ...]) -> Study:
 
 @cache
 def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> ArmModel:
-    """The same of a single joint, whose parameters are known to 5 %, and rigidly to 1 %."""
+    """Whole-arm fit of a single joint; parameters are known to 5 %, rigid ones to 1 %."""
     known = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
     known |= {key: value for key, value in EVERY.items() if key[1] == 1}
     study, logs = written_logs(single_joint(has), known, noise=SensorNoise())

@@ -1,4 +1,4 @@
-"""A made-up identification of the elastic rig, every number of which follows from the truth."""
+"""Synthetic identification of the elastic rig, computed from its true values."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def response(f: FloatArray) -> ComplexArray:
 
 
 def measured() -> FrequencyResponse:
-    """The joint's response, of which nothing can be seen above 60 Hz."""
+    """Frequency response of the joint, without information above 60 Hz."""
     f = np.arange(1.0, 500.0)
     G = np.zeros((len(f), 2, 2), dtype=np.complex128)
     G[:, 0, 0] = response(f)
@@ -93,7 +93,7 @@ def joint_model(number: int = 1) -> JointModel:
 
 
 def sampled() -> StateSpace:
-    """The joint between samples that hold its input."""
+    """Discrete-time model of the joint with zero-order hold."""
     A, B, C = state_space(JOINT)
     block = np.zeros((5, 5))
     block[:3, :3], block[:3, 3:] = A, B
@@ -119,7 +119,7 @@ def sampled() -> StateSpace:
 
 
 def decoupled(name: str, size: float, *, use: str = "frequency", joint: int = 1) -> Decoupled:
-    """A record in which the motor turns at 10 Hz and the others answer at 20 Hz."""
+    """A record with motor motion at 10 Hz and link motion at 20 Hz."""
     time: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     motor = np.sin(2.0 * np.pi * 10.0 * time)
     other = size / JOINT.gear_ratio * np.sin(2.0 * np.pi * 20.0 * time)
@@ -150,7 +150,7 @@ def record_model(name: str, size: float) -> RecordModel:
 
 
 def curve_parameters(**changed: float | None) -> tuple[tuple[Parameter, ...], FloatArray]:
-    """The gear's curve and its covariance; a changed value of None was not reported."""
+    """Gear curve and its covariance; None removes a parameter."""
     reported = []
     for name, (value, std) in CURVE.items():
         shown = changed.get(name, value)

@@ -1,4 +1,4 @@
-"""Records of the virtual rig with elastic gears under PRBS, and what it really did."""
+"""PRBS records of the virtual rig with elastic gears, and their true motion."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def rig_values(study: Study) -> Values:
 def prbs_run(
     study: Study, joint: int = 1, *, both: bool = False, values: Values | None = None
 ) -> Trajectory:
-    """Open-loop PRBS on one joint, or on both with one shifted by a third of the sequence."""
+    """Open-loop PRBS on one joint, or on both with a shift of a third of the sequence."""
     values = values or rig_values(study)
     sequence = excitation.prbs(PRBS)
     voltage = np.zeros((len(sequence), 2))
@@ -64,7 +64,7 @@ def prbs_run(
 
 
 def log_of(run: Trajectory, joint: int = 1, seed: int | None = None) -> Log:
-    """The run as its sensors log it: ideal ones, or with the bias and the noise of a seed."""
+    """Log of a run with ideal sensors, or with bias and noise of a seed."""
     noise = None if seed is None else SensorNoise()
     measured = simulation.measure(run, noise, np.random.default_rng(seed))
     channels: dict[str, FloatArray] = {}
@@ -77,7 +77,7 @@ def log_of(run: Trajectory, joint: int = 1, seed: int | None = None) -> Log:
 
 
 def true_model(study: Study, values: Values) -> RigidModel:
-    """A rigid model that knows the truth."""
+    """Rigid model with the true parameters."""
     n = [joint.gear_ratio for joint in study.arm.joints]
     truth = dict(values)
     truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n[0] ** 2

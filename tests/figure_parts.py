@@ -1,4 +1,4 @@
-"""Parts of a figure by name, for the tests of what is drawn."""
+"""Parts of a figure by name."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ def marks(figure: Figure, kind: type[T], panel: int = 0) -> list[T]:
 
 
 def line(figure: Figure, name: str, panel: int = 0) -> Line:
-    (found,) = (mark for mark in marks(figure, Line, panel) if mark.name == name)
-    return found
+    (line,) = (mark for mark in marks(figure, Line, panel) if mark.name == name)
+    return line
 
 
 def names(figure: Figure, panel: int = 0) -> list[str]:
-    found: list[Mark] = list(figure.panels[panel].marks)
-    return [mark.name for mark in found if isinstance(mark, Line | Markers)]
+    drawn: list[Mark] = list(figure.panels[panel].marks)
+    return [mark.name for mark in drawn if isinstance(mark, Line | Markers)]

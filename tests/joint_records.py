@@ -1,4 +1,4 @@
-"""One joint of a virtual arm under PRBS, decoupled, with a rigid model that errs a little."""
+"""Decoupled PRBS records of one joint of a virtual arm, with an inexact rigid model."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ RIGID_ERROR = 1e-3
 
 @dataclass(frozen=True)
 class Case:
-    """What a stage is given, and what it should find."""
+    """Inputs of a stage and the true result."""
 
     study: Study
     values: Values
@@ -37,7 +37,7 @@ class Case:
 
 @cache
 def case(seed: int, joint: int = 1) -> Case:
-    """The rig with its gears and motors changed by up to 30 %, both joints excited."""
+    """The rig with gears and motors changed by up to 30 %; both joints are excited."""
     rng = np.random.default_rng(seed)
     study = rig()
     values = rig_values(study)
@@ -52,7 +52,7 @@ def case(seed: int, joint: int = 1) -> Case:
 
 
 def erring(model: RigidModel, rng: np.random.Generator) -> RigidModel:
-    """A model whose parameters are off by what its covariance says."""
+    """Rigid model with errors drawn from its covariance."""
     deviation = RIGID_ERROR * np.abs(model.solution)
     solution = model.solution + deviation * rng.standard_normal(len(deviation))
     parameters = tuple(
@@ -65,7 +65,7 @@ def erring(model: RigidModel, rng: np.random.Generator) -> RigidModel:
 
 
 def truth_of(values: Values, joint: int) -> TwoInertia:
-    """The joint decoupled, the arm stretched."""
+    """True model of the decoupled joint with the arm stretched."""
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     return TwoInertia(
         motor_inertia=values["motor_inertia", joint],

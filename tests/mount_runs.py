@@ -1,4 +1,4 @@
-"""Runs of virtual arms whose accelerometer rings on its mount, as another implementation has it."""
+"""Records of virtual arms with an accelerometer on a resonant mount, simulated by SciPy."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 
-_FINER = 10  # times the samples between which lsim draws straight lines
+_OVERSAMPLING = 10  # of the motion, which lsim interpolates linearly
 
 
 @dataclass(frozen=True, slots=True)
 class OnMount:
-    """A simulator whose joint's accelerometer sits on a mount."""
+    """Simulator with one accelerometer on a mount."""
 
     joint: int
     frequency: float  # [Hz]
@@ -35,13 +35,13 @@ class OnMount:
         samples: int,
         record: Sequence[Quantity],
     ) -> Trajectory:
-        """What the arm did, one of its accelerometers read on its mount."""
+        """Motion of the arm with the reading of the accelerometer on its mount."""
         fine = simulate(
             arm,
             values,
             drive,
-            sample_time=sample_time / _FINER,
-            samples=_FINER * samples,
+            sample_time=sample_time / _OVERSAMPLING,
+            samples=_OVERSAMPLING * samples,
             record=record,
         )
         read: dict[Quantity, FloatArray] = {name: fine[name].copy() for name in record}
@@ -51,5 +51,5 @@ class OnMount:
             system = ([w**2], [1.0, 2.0 * self.damping * w, w**2])
             rung = lsim(system, felt - felt[0], fine.time)[1]
             read["accelerometer"][:, at] = rung + felt[0]
-        coarse = {name: samples[::_FINER] for name, samples in read.items()}
-        return replace(fine, time=fine.time[::_FINER], quantities=coarse)
+        coarse = {name: samples[::_OVERSAMPLING] for name, samples in read.items()}
+        return replace(fine, time=fine.time[::_OVERSAMPLING], quantities=coarse)

@@ -1,4 +1,4 @@
-"""Runs of a small virtual arm in several postures, which may change from record to record."""
+"""Records of a small virtual arm in several postures, with changes between records."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CHANGES = (0.15, -0.05, -0.2)
 
 @dataclass(frozen=True, slots=True)
 class Runs:
-    """Records of an arm, and what is true of it."""
+    """Records of an arm and its true values."""
 
     study: Study
     known: Values
@@ -36,11 +36,11 @@ class Runs:
 
     @property
     def names(self) -> list[str]:
-        """Of the records."""
+        """Names of the records."""
         return [log.name for log in self.logs]
 
     def amplified(self, joint: int, gains: Sequence[float]) -> Runs:
-        """The same where a drive made so many times more of the voltages that were logged."""
+        """Records of a drive with another gain."""
         pairs = zip(self.logs, gains, strict=True)
         logs = [
             replace(log, channels={**log.channels, u: log.channels[u] / (1.0 + gain)})
@@ -49,7 +49,7 @@ class Runs:
         return replace(self, logs=tuple(logs))
 
     def beside(self, channels: Mapping[str, float]) -> Runs:
-        """The same with something added to some channels of all records."""
+        """Records with an addition to some channels."""
         logs = []
         for log in self.logs:
             moved = {name: log.channels[name] + more for name, more in channels.items()}
@@ -59,7 +59,7 @@ class Runs:
 
 @dataclass(frozen=True, slots=True)
 class From:
-    """Simulation that begins in a posture, which holding voltages keep."""
+    """Simulator that starts in a posture held by constant voltages."""
 
     posture: tuple[float, ...]  # [rad]
 
@@ -84,7 +84,7 @@ class From:
 
 @cache
 def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
-    """Half a second of either joint in each posture, with noise and one parameter that changes."""
+    """Half a second of each joint in each posture, with noise and one changing parameter."""
     base, known = rig(()), truth()[1]
     if vertical:
         base = replace(base, arm=replace(base.arm, gravity=9.81))
@@ -108,7 +108,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
 
 
 def fitted(runs: Runs, *asked: tuple[EffectName, ...]) -> ArmModel:
-    """From joint models that are 5 % off, with effects that each joint is asked for."""
+    """Whole-arm fit with effects, from joint models with errors of 5 %."""
     arm = runs.study.arm
     named = (*asked, *[()] * (arm.n_joints - len(asked)))
     pairs = zip(arm.joints, named, strict=True)

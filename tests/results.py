@@ -1,4 +1,4 @@
-"""A made-up identification for the tests of what is done with one."""
+"""A synthetic identification."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def prediction(name: str, *fits: float) -> Prediction:
 
 
 def arm_model(parameters: tuple[Parameter, ...], covariance: FloatArray) -> ArmModel:
-    """A whole-arm fit that found these."""
+    """A whole-arm fit with these parameters."""
     return ArmModel(
         parameters=parameters,
         values={(p.name, p.joint): p.value or 0.0 for p in parameters},
@@ -48,7 +48,7 @@ def arm_model(parameters: tuple[Parameter, ...], covariance: FloatArray) -> ArmM
 
 
 def criticism() -> Criticism:
-    """One channel that leaves more than noise, and an effect that would explain it."""
+    """Criticism with one unexplained channel and an effect that would explain it."""
     frequency = np.linspace(0.0, 100.0, 51)
     left = ResidualTest(
         "prbs-j1",

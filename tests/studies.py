@@ -1,4 +1,4 @@
-"""Small studies on disk for the input's tests."""
+"""Small studies on disk."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ prbs = { order = 10, clock = 0.001, periods = 4, amplitude = 10.0 }
 
 
 def columns(samples: int = 40) -> dict[str, FloatArray]:
-    """Channels of a short made-up log."""
+    """Channels of a short synthetic log."""
     t = 0.001 * np.arange(samples)
     return {
         "t": t,
@@ -68,7 +68,7 @@ def csv_text(values: dict[str, FloatArray], delimiter: str = ",") -> str:
 
 
 def write(folder: Path, study: str = STUDY, log: str | bytes | None = None) -> Path:
-    """A study file and its log; returns the study file."""
+    """Write a study file and its log; return the study file."""
     path = folder / "study.toml"
     path.write_text(study, encoding="utf-8")
     data = csv_text(columns()) if log is None else log

@@ -1,4 +1,4 @@
-"""Records of the virtual rig for tuning, and models of the stages before as wrong as they say."""
+"""Records of the virtual rig for the whole-arm fit, and inexact models of the earlier stages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ JOINT_NAMES = (
 
 
 def truth(spring: str = "linear") -> tuple[Study, Values]:
-    """The rig's study and everything that is true of it."""
+    """Study and true parameters of the rig."""
     assert spring in ("linear", "three-slope")
     study = scara.study(Path("nowhere"), "linear" if spring == "linear" else "three-slope")
     values = scara.parameters(5, "linear" if spring == "linear" else "three-slope")
@@ -55,7 +55,7 @@ def truth(spring: str = "linear") -> tuple[Study, Values]:
 
 @lru_cache(maxsize=8)
 def rig_logs(spring: str = "linear", seed: int = 0) -> tuple[Study, tuple[Log, ...]]:
-    """Steps of either joint, for tuning and as a check, and a motion as a check."""
+    """Steps of each joint to fit and for validation, and a motion for validation."""
     study, values = truth(spring)
     wanted = tuple(e for e in study.experiments if e.use in ("tuning", "check"))
     return written_logs(replace(study, experiments=wanted), values, seed=seed, noise=SensorNoise())
@@ -64,7 +64,7 @@ def rig_logs(spring: str = "linear", seed: int = 0) -> tuple[Study, tuple[Log, .
 def shaken_study(
     study: Study, amplitude: float, *, order: int = 9, joints: tuple[int, ...] = (1, 2)
 ) -> Study:
-    """The study with one period of a PRBS on each joint, open loop, in place of its experiments."""
+    """Study with one period of an open-loop PRBS on each joint as its experiments."""
     prbs = Prbs(order, 1e-3, 1, amplitude)
     free: tuple[Control, ...] = tuple("open" for _ in study.arm.joints)
     experiments = tuple(
@@ -107,7 +107,7 @@ def shaken(
     counts: bool = True,
     order: int = 9,
 ) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Short records of either joint in open loop, and what is true of the arm."""
+    """Short open-loop records of each joint, and the true parameters of the arm."""
     study, values = truth(spring)
     values |= {("friction_settling_time", i): t for i, t in enumerate(settling, start=1) if t}
     if not counts:
@@ -119,13 +119,13 @@ def shaken(
 
 
 def later(log: Log, first: int) -> Log:
-    """What is left of a record from one of its samples on."""
+    """The end of a record from one of its samples."""
     channels = {name: channel[first:] for name, channel in log.channels.items()}
     return replace(log, time=log.time[first:], channels=channels)
 
 
 def beginning(study: Study, values: Values, log: Log, first: int) -> FloatArray:
-    """The true initial states of what is left of an open-loop record from one of its samples on."""
+    """True initial states of an open-loop record from one of its samples."""
     record: list[Quantity] = ["motor_velocity", "link_angle", "link_velocity"]
     run = simulate(
         Arm.of(study.arm),
@@ -141,7 +141,7 @@ def beginning(study: Study, values: Values, log: Log, first: int) -> FloatArray:
 def joint_model(
     study: Study, joint: int, values: dict[str, float], covariance: FloatArray
 ) -> JointModel:
-    """A joint's model that only says its values and how far they may be off."""
+    """Joint model with values and standard deviations only."""
     return JointModel(
         joint=joint,
         experiments=("prbs",),
@@ -160,9 +160,9 @@ def joint_model(
 def joint_models(
     study: Study, known: Values, share: float, factors: FloatArray
 ) -> tuple[JointModel, ...]:
-    """Values times (1 + share factor), deviations to match; Coulomb friction is known.
+    """Joint models with errors of a factor (1 + share factor) and matching standard deviations.
 
-    A three-slope gear is known by one stiffness, between its first two.
+    Coulomb friction is exact. A three-slope gear has one stiffness between its first two slopes.
     """
     models = []
     for joint in range(1, study.arm.n_joints + 1):
@@ -180,9 +180,9 @@ def joint_models(
 
 
 def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) -> RigidModel:
-    """What the rigid step would tell, with deviations of a share of each value.
+    """Rigid model with standard deviations of a share of each value.
 
-    Inertias and gravity are off by `factor` deviations; friction is as it is.
+    Inertias and gravity differ by `factor` standard deviations; friction is exact.
     """
     columns = Arm.of(study.arm).rigid_columns
     known = derived(known, study.arm)
@@ -190,7 +190,7 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
         ratio = study.arm.joints[0].gear_ratio
         known["inertia", 1] = known["motor_inertia", 1] + ratio**2 * known["link_inertia", 1]
     values = np.array([known[c.name, c.joint] for c in columns])
-    # an offset of friction is zero: its deviation is a share of the friction
+    # the friction offset is zero: its standard deviation is a share of the friction
     size = [
         known["motor_coulomb_friction", c.joint] if c.name == "friction_offset" else abs(v)
         for c, v in zip(columns, values, strict=True)
@@ -217,13 +217,13 @@ def rigid_model(study: Study, known: Values, share: float, factor: float = 0.0) 
 def simulated(
     record: Dataset, values: Mapping[tuple[str, int | None], float], local: FloatArray
 ) -> FloatArray:
-    """A record's channels by simulation without derivatives: (n_rows, n_channels)."""
+    """Channels of a record simulated without derivatives: (n_rows, n_channels)."""
     return record.seen(record.run(values, local, record.quantities()))
 
 
 @dataclass(frozen=True, slots=True)
 class LinearRecord(Dataset):
-    """A record of an arm whose channels are linear in its parameters, and in no initial state."""
+    """Record whose channels are linear in the parameters and do not depend on an initial state."""
 
     table: FloatArray  # (n_rows, n_channels, n_unknowns)
 
@@ -253,7 +253,7 @@ def linear_search(n: int, prior: Prior | None = None) -> ParameterSpace:
 def linear_record(
     table: FloatArray, measured: FloatArray, *, noise: float = 1e-6, shifted: bool = False
 ) -> LinearRecord:
-    """A record of that arm; an unknown constant is added to each of its channels if `shifted`."""
+    """Record of that arm; with `shifted`, each channel has an unknown constant."""
     study, _ = truth()
     n, n_channels = measured.shape
     time: FloatArray = 1e-3 * np.arange(n, dtype=np.float64)

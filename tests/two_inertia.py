@@ -1,4 +1,4 @@
-"""A joint whose every sample can be written down: motor, elastic gear, link."""
+"""Two-inertia joint with an exact discrete-time model."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TwoInertia:
     torque_per_volt: float = 0.08
 
     def continuous(self) -> ContinuousStateSpace:
-        """States: n theta_M - theta_L, dtheta_M, dtheta_L."""
+        """Continuous-time model with states n theta_M - theta_L, dtheta_M, dtheta_L."""
         m, mL, n, k = self.motor_inertia, self.link_inertia, self.gear_ratio, self.gear_stiffness
         d = self.gear_damping
         A = np.array(
@@ -42,7 +42,7 @@ class TwoInertia:
         return ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
 
     def anti_resonance(self) -> complex:
-        """Zero of motor velocity over voltage: the link rings while the motor stands."""
+        """Zero from voltage to motor velocity."""
         roots = np.roots(
             [
                 self.link_inertia,
@@ -53,7 +53,7 @@ class TwoInertia:
         return complex(roots[np.argmax(roots.imag)])
 
     def sampled(self, K: FloatArray | None = None, noise: FloatArray | None = None) -> StateSpace:
-        """Exact: voltage held over a sample, interaction torque joined by straight lines."""
+        """Exact discrete-time model with zero-order hold of u and first-order hold of tau."""
         model = self.continuous()
         n, T = 3, SAMPLE_TIME
         M = np.zeros((n + 4, n + 4))  # u constant, tau + (t / T) slope
@@ -62,7 +62,7 @@ class TwoInertia:
         M[n + 1, n + 3] = 1.0 / T
         whole = expm(M * T)
         A, held, ramp = whole[:n, :n], whole[:n, n : n + 2], whole[:n, [n + 3]]
-        # x~ = x - ramp tau[k] takes tau[k+1] out of the state equation.
+        # x~ = x - ramp tau[k] removes tau[k+1] from the state equation
         B = held.copy()
         B[:, [1]] += A @ ramp - ramp
         D = np.zeros((2, 2))
@@ -79,7 +79,7 @@ def state_space(
     noise: FloatArray | None = None,
     hold: tuple[str, ...] = HOLD,
 ) -> StateSpace:
-    """A record that says nothing but the matrices."""
+    """State-space model with matrices only."""
     n, p = len(A), len(C)
     return StateSpace(
         A=A,
@@ -102,7 +102,7 @@ def state_space(
 
 
 def excitation(rng: np.random.Generator, samples: int) -> FloatArray:
-    """10 V steps at random and an interaction torque of some 10 N m."""
+    """Random voltage steps of 10 V and an interaction torque of about 10 N m."""
     voltage = 10.0 * np.sign(rng.standard_normal(samples))
     return np.column_stack([voltage, 10.0 * rng.standard_normal(samples)])
 
@@ -113,7 +113,7 @@ def simulate(
     innovations: FloatArray | None = None,
     initial_state: FloatArray | None = None,
 ) -> InputOutput:
-    """x+ = A x + B u + K e, y = C x + D u + e, sample by sample."""
+    """Simulate x+ = A x + B u + K e, y = C x + D u + e."""
     e = np.zeros((len(inputs), len(model.C))) if innovations is None else innovations
     x = np.zeros(model.order) if initial_state is None else initial_state
     outputs = np.empty_like(e)

@@ -1,4 +1,4 @@
-"""Arms with known parameters, and the logs and signals their motions give."""
+"""Arms with known parameters, and logs and signals of their motions."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def rigid_two_link(gravity: float | None = None) -> Study:
 
 
 def rigid_drive(gravity: float | None = None) -> Study:
-    """One rigid revolute joint whose torque is logged."""
+    """One rigid revolute joint with logged torque."""
     joint = Joint(spring="rigid", gear_ratio=0.5)
     return Study(
         arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=(DRIVE,)
@@ -44,7 +44,7 @@ def rigid_drive(gravity: float | None = None) -> Study:
 
 
 def values_of(study: Study, seed: int) -> Values:
-    """The built-in rig's parameters, each changed by up to a factor of about two."""
+    """Parameters of the built-in rig, each changed by a factor of up to about two."""
     rng = np.random.default_rng(seed)
     spring = study.arm.joints[0].spring
     values = scara.parameters(int(rng.integers(0, 6)), spring)
@@ -61,7 +61,7 @@ def values_of(study: Study, seed: int) -> Values:
 
 
 def rigid_truth(study: Study, values: Values) -> Values:
-    """What the rigid model should find."""
+    """True parameters of the rigid model."""
     truth = dict(values)
     n = study.arm.joints[0].gear_ratio
     truth["rigid_inertia", 1] = values["alpha", None] + values["motor_inertia", 1] / n**2
@@ -73,7 +73,7 @@ def rigid_truth(study: Study, values: Values) -> Values:
 
 
 def motion_log(study: Study, values: Values, seed: int, duration: float = 10.0) -> Log:
-    """A servoed, smooth motion of both joints, as the drive and the encoders log it."""
+    """Log of drive and encoders of a smooth motion of both joints under servos."""
     rng = np.random.default_rng(1000 + seed)
     reference = np.column_stack(
         [
@@ -108,7 +108,7 @@ def servoed_log(
     start: tuple[float, ...] = (0.0, 0.0),
     held: tuple[float, ...] = (0.0, 0.0),
 ) -> Log:
-    """Motion by references, from motor angles that voltages hold: voltages and encoders logged."""
+    """Log of voltages and encoders of a servoed motion from static motor angles."""
     drive = simulation.Drive(
         tick=CLOCK,
         voltage=np.tile(held, (len(reference), 1)),
@@ -135,7 +135,7 @@ def servoed_log(
 def exact_motion(
     n_joints: int, seed: int, duration: float = 12.0, amplitude: float = 30.0
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Time, and motor angle, velocity and acceleration of a multisine: exact, no filter."""
+    """Time, motor angle, velocity and acceleration of a multisine, exact and unfiltered."""
     rng = np.random.default_rng(seed)
     time: FloatArray = CLOCK * np.arange(round(duration / CLOCK), dtype=np.float64)
     frequency = 2.0 * np.pi * np.array([0.17, 0.43, 0.71, 1.1])[:, None]
@@ -154,7 +154,7 @@ def exact_signals(
     torque: FloatArray,
     direction: FloatArray | None = None,
 ) -> Signals:
-    """Signals with nothing lost: the angles have no noise and the direction is certain."""
+    """Signals without noise and with a certain direction."""
     time, angle, velocity, acceleration = motion
     n_joints = angle.shape[1]
     return Signals(

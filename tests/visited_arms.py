@@ -1,4 +1,4 @@
-"""A store of made-up visits, by the columns of a campaign's tables."""
+"""A store of synthetic visits as tables of a campaign."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def healthy(name: str, joint: int | None, visit: int, visits: int) -> float:
 
 
 def softening(name: str, joint: int | None, visit: int, visits: int) -> float:
-    """A step of 2 % of the stiffness two thirds through."""
+    """Step of -2 % in the stiffness after two thirds of the visits."""
     return 0.98 if name == "gear_stiffness" and visit >= 2 * visits // 3 else 1.0
 
 
@@ -45,7 +45,7 @@ def rubbing(name: str, joint: int | None, visit: int, visits: int) -> float:
 def rows(
     arm: str, visits: int, rng: np.random.Generator, factor: Factor = healthy
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rows of runs and of parameters, a visit a week."""
+    """Rows of runs and parameters, one visit per week."""
     runs, parameters = [], []
     for visit in range(visits):
         run, study = f"{arm}-{visit}", f"fleet/{arm}/visit-{visit:03d}.toml"
@@ -90,7 +90,7 @@ def rows(
 def write(
     store: Path, runs: Sequence[Mapping[str, Any]], parameters: Sequence[Mapping[str, Any]]
 ) -> Path:
-    """One file per run, as a campaign leaves them."""
+    """Write one file per run, as a campaign does."""
     for kind in ("runs", "parameters"):
         (store / kind).mkdir(parents=True, exist_ok=True)
     for row in runs:
@@ -103,7 +103,7 @@ def write(
 
 
 def fleet(store: Path, factors: Mapping[str, Factor], visits: int = 24, seed: int = 0) -> Path:
-    """A store with one arm for each factor."""
+    """A store with one arm per factor."""
     rng = np.random.default_rng(seed)
     for arm, factor in factors.items():
         write(store, *rows(arm, visits, rng, factor))

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import strainwave as sw
-from campaign_commands import COUNT, begun, campaign, running, wait_for
+from campaign_commands import COUNT, campaign, records_by_study, running, wait_for
 from campaign_rigs import rig, rigs
 from strainwave.campaign import cluster
 from strainwave.campaign.plan import Plan
@@ -41,14 +41,14 @@ class Dask:
 def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
     file = folder / "scheduler.json"
     common = ["--scheduler-file", str(file), "--no-dashboard"]
-    begun: list[subprocess.Popen[bytes]] = []
+    processes: list[subprocess.Popen[bytes]] = []
 
     def start(kind: str, *arguments: str) -> subprocess.Popen[bytes]:
         line = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *common, *arguments]
         environment = os.environ | QUIET | {"PYTHONWARNINGS": "ignore"}
-        with (folder / f"{kind}-{len(begun)}.txt").open("w") as errors:
+        with (folder / f"{kind}-{len(processes)}.txt").open("w") as errors:
             process = subprocess.Popen(line, cwd=folder, env=environment, stderr=errors)
-        begun.append(process)
+        processes.append(process)
         return process
 
     try:
@@ -62,7 +62,7 @@ def dask(folder: Path, workers: int = 2) -> Iterator[Dask]:
             time.sleep(0.05)
         yield Dask(json.loads(file.read_text())["address"], scheduler, started)
     finally:
-        for process in begun:
+        for process in processes:
             process.kill()
             process.wait()
 
@@ -93,8 +93,8 @@ def test_a_worker_and_then_the_driver_are_killed(studies: Path, tmp_path: Path) 
     assert again.returncode == 3, again.stderr
     assert f"{COUNT} of {COUNT} studies" in again.stdout
     assert "1 failed" in again.stdout
-    assert set(begun(out).values()) == {1}
-    assert len(begun(out)) == COUNT
+    assert set(records_by_study(out).values()) == {1}
+    assert len(records_by_study(out)) == COUNT
     (failed,) = failures(out)
     assert "rig-003" in failed["study"]
     assert failed["exit_code"] == 2
@@ -126,8 +126,8 @@ def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
     again = campaign(studies, "--out", out, "--cluster", description)
     assert again.returncode == 3, again.stderr
     assert again.stderr == ""
-    assert len(begun(out)) == COUNT
-    assert set(begun(out).values()) == {1}
+    assert len(records_by_study(out)) == COUNT
+    assert set(records_by_study(out).values()) == {1}
     assert len(failures(out)) == 1
 
 

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 import strainwave as sw
-from campaign_commands import COUNT, begun, campaign, running, wait_for, workers_of
+from campaign_commands import COUNT, campaign, records_by_study, running, wait_for, workers_of
 from campaign_rigs import rigs
 
 
@@ -29,7 +29,7 @@ def test_a_worker_that_is_killed_is_one_failed_study(studies: Path, tmp_path: Pa
         workers_of(driver)[0].kill()
         said, _ = driver.communicate()
     rows = sw.read_runs(tmp_path).to_pylist()
-    assert set(begun(tmp_path).values()) == {1}
+    assert set(records_by_study(tmp_path).values()) == {1}
     assert len(rows) == COUNT
     failed = [row for row in rows if row["status"] == "failed"]
     # killed between two studies, it cost none
@@ -85,7 +85,7 @@ def test_ctrl_c_ends_the_workers_and_keeps_what_is_finished(studies: Path, tmp_p
     assert 4 <= len(rows) < COUNT
     assert {row["status"] for row in rows} == {"determined"}
     assert campaign(studies, "--out", tmp_path).returncode == 0
-    assert begun(tmp_path).total() == COUNT
+    assert records_by_study(tmp_path).total() == COUNT
 
 
 def test_two_campaigns_into_one_store(studies: Path, tmp_path: Path) -> None:
@@ -96,8 +96,8 @@ def test_two_campaigns_into_one_store(studies: Path, tmp_path: Path) -> None:
         for driver in (one, other):
             _, errors = driver.communicate()
             assert (driver.returncode, errors) == (0, "")
-    assert begun(tmp_path).total() == COUNT
-    assert set(begun(tmp_path).values()) == {1}
+    assert records_by_study(tmp_path).total() == COUNT
+    assert set(records_by_study(tmp_path).values()) == {1}
 
 
 @pytest.fixture
@@ -128,4 +128,4 @@ def test_a_full_disk_ends_a_campaign_that_goes_on_later(studies: Path, small_dis
     subprocess.run(["mount", "-o", "remount,size=64m", str(small_disk)], check=True)
     done = campaign(studies, "--out", small_disk / "store")
     assert done.returncode == 0, done.stderr
-    assert begun(small_disk / "store").total() == COUNT
+    assert records_by_study(small_disk / "store").total() == COUNT
