@@ -369,6 +369,22 @@ def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_p
     assert "no record checks the elastic model of joint 1, 2" in begun.warnings[0]
 
 
+def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
+    """A column in mV gets its scale, and the PRBS the amplitude after it."""
+    truth = Prbs(8, 0.001, 3, 10.0)
+    voltage = excitation.prbs(truth)
+    time = 0.001 * np.arange(len(voltage))
+    angle = np.cumsum(np.cumsum(voltage)) * 1e-4
+    for column, factor in (("u1_mV", 1e3), ("u1_V", 1.0)):
+        folder = tmp_path / column
+        folder.mkdir()
+        columns = {"t": time, column: factor * voltage, "theta_m1": angle, "theta_l1": 0.01 * angle}
+        write_log(folder / "prbs.csv", columns)
+        start_study([folder / "prbs.csv"], folder / "study.toml")
+        (experiment,) = read_study(filled_in(folder / "study.toml")).experiments
+        assert experiment.prbs == truth
+
+
 @pytest.mark.parametrize(("counts", "decimals"), [(8192, 3), (8192, 9), (10000, 3), (4000, 6)])
 def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_path: Path) -> None:
     """Also where a log has few digits: the finest of these is a fortieth of a count."""
