@@ -445,6 +445,8 @@ def test_residuals_far_above_the_noise_exclude_determined(
         for part in ("a1", "prbs-j1:", "1e+03 times", "39 %"):
             assert part in reason
         assert "three-slope" not in reason
+        seen = replace(missed, checks=(check_of(("omega_m1",)),))
+        assert not seen.verdict.validated.elastic  # a model that does not fit predicts nothing
         bent = replace(missed, sweeps=(Sweep(2, (), 1.0, 0.1, "hardening"),))
         assert (
             'sweep of joint 2 shows hardening: give it spring = "three-slope"'

@@ -18,6 +18,7 @@ from strainwave.domain import (
     Prbs,
     StageDifference,
     Study,
+    SuspectConstant,
 )
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm.agreement import (
@@ -123,9 +124,11 @@ def records() -> tuple[Study, tuple[Log, ...]]:
 Change = Callable[[str, FloatArray], FloatArray]
 
 
-def altered(folder: Path, change: Change) -> Identification:
+def altered(folder: Path, change: Change, link_length: float | None = None) -> Identification:
     """The whole of `identify` on these records, every channel and the time changed."""
     study, logs = records()
+    if link_length is not None:
+        study = replace(study, arm=replace(study.arm, link_length=link_length))
     for log in logs:
         columns = {"t": log.time, **log.channels}
         write_log(folder / log.experiment.file, {k: change(k, x) for k, x in columns.items()})
@@ -167,6 +170,33 @@ def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path)
     assert "stages-disagree" in [w.code for w in found.warnings]
     assert (found.verdict.status, found.verdict.exit_code) == ("not-determined", 3)
     assert all(p.value is None for p in found.parameters)
+
+
+def test_a_link_length_that_is_wrong_is_the_first_suspect(tmp_path: Path) -> None:
+    """By 5 %: every value is rejected, and the reason says what to measure."""
+    length = records()[0].arm.link_length
+    assert length is not None
+    found = altered(tmp_path, lambda _, x: x, 1.05 * length)
+    assert found.tuned is not None
+    assert found.verdict.status == "not-determined"
+    first = found.tuned.suspects[0]
+    assert first.name == "link_length"
+    assert first.value == pytest.approx(length, rel=0.015)  # one linear step of 5 %
+    reason = found.verdict.reasons[0]
+    assert "likely causes in this order: link_length" in reason
+    assert "measure the distance between the axes" in reason
+
+
+def test_suspects_stand_in_order_with_their_experiments() -> None:
+    far = AgreementTest("inertias", None, 70.0, 4, 7.4)
+    suspects = (
+        SuspectConstant("link_length", None, 0.7, 0.35, "m", "measure it"),
+        SuspectConstant("payload", None, 0.4, experiment="repeat the motion"),
+    )
+    (warning,) = disagreement((), (far,), suspects)
+    expected = "link_length (then 0.35 m), which would explain 70 %: measure it, or payload"
+    assert expected in warning.message
+    assert "dead zone" not in warning.message
 
 
 def test_a_clock_that_is_fast_is_named(tmp_path: Path) -> None:
