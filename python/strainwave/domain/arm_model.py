@@ -24,6 +24,10 @@ class ResidualCorrelation:
     cross_std: FloatArray  # (n_inputs,) of each value if residual and input are independent
 
 
+MAX_RESIDUAL_NOISE = 10.0
+"""Standard deviations of the sensor's noise from which residuals are far above it."""
+
+
 @dataclass(frozen=True, slots=True)
 class ResidualTest:
     """What a fit left of one channel of one record, beside its sensor's own noise."""
@@ -42,6 +46,11 @@ class ResidualTest:
     input_delay: float  # [s] behind it
     input_probability: float  # that an independent input correlates as much
     correlation: ResidualCorrelation | None = None
+
+    @property
+    def is_far_above_noise(self) -> bool:
+        """Whether more than the sensor's noise is at work, and not by a little."""
+        return self.deviation > MAX_RESIDUAL_NOISE * self.noise > 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -179,8 +179,15 @@ def _contradictions(tuned: ArmModel) -> Iterator[str]:
     """On what the stages disagree, and the likely causes with the experiments that tell."""
     for test in contradictions(tuned.agreement):
         text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
-        causes = ", or ".join(each.text for each in tuned.suspects)
-        yield f"{text}, likely causes in this order: {causes}" if causes else text
+        yield f"{text}{_causes(tuned)}"
+
+
+def _causes(tuned: ArmModel | None) -> str:
+    """The likely causes of what a fit does not explain, as the end of a sentence."""
+    causes = ", or ".join(each.text for each in tuned.suspects) if tuned else ""
+    if not causes:
+        return ", so check the constants in the study"
+    return f", likely causes in this order: {causes}"
 
 
 def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
@@ -209,9 +216,6 @@ pass as well.
 MAX_RESIDUAL = 0.1
 """Share of a channel's spread from which its residuals are a defect of the model, if they are also
 far above the sensor's noise."""
-
-MAX_RESIDUAL_NOISE = 10.0
-"""Standard deviations of the sensor's noise from which residuals are far above it."""
 
 
 def _validated(found: Identification) -> Validated:
@@ -246,7 +250,7 @@ def model_defects(found: Identification) -> Iterator[Diagnostic]:
         text = (
             f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
             f" sensor's noise and {100.0 * share:.2g} % of the signal, so the model does not"
-            f" describe the record{_harder_spring(found) or ', check the constants in the study'}"
+            f" describe the record{_harder_spring(found) or _causes(found.tuned)}"
         )
         yield Diagnostic("not-described", test.experiment, text)
 
@@ -278,7 +282,7 @@ def _worst_residual(found: Identification) -> tuple[float, ResidualTest] | None:
     for test in found.tuned.criticism.residuals:
         fit = found.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
         share = 1.0 - 0.01 * fit
-        if share > MAX_RESIDUAL and test.deviation > MAX_RESIDUAL_NOISE * test.noise > 0.0:
+        if share > MAX_RESIDUAL and test.is_far_above_noise:
             far.append((share, test))
     return max(far, key=lambda one: one[0], default=None)
 

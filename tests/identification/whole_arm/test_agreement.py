@@ -173,15 +173,15 @@ def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path)
 
 
 def test_a_link_length_that_is_wrong_is_the_first_suspect(tmp_path: Path) -> None:
-    """By 5 %: every value is rejected, and the reason says what to measure."""
+    """By 8 %: the run is not determined, and the reason says what to measure."""
     length = records()[0].arm.link_length
     assert length is not None
-    found = altered(tmp_path, lambda _, x: x, 1.05 * length)
+    found = altered(tmp_path, lambda _, x: x, 1.08 * length)
     assert found.tuned is not None
-    assert found.verdict.status == "not-determined"
+    assert found.verdict.status == "partly-determined"
     first = found.tuned.suspects[0]
     assert first.name == "link_length"
-    assert first.value == pytest.approx(length, rel=0.015)  # one linear step of 5 %
+    assert first.value == pytest.approx(length, rel=0.04)  # by one linear step
     reason = found.verdict.reasons[0]
     assert "likely causes in this order: link_length" in reason
     assert "measure the distance between the axes" in reason

@@ -88,7 +88,10 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         tuple(one.test for one in tested),
         tuple(causes_of(refits.fits, arm)),
     )
-    suspects = suspects_of(fit, arm, criticism.causes) if is_disagreement(agreement) else ()
+    doubtful = any(test.is_far_above_noise for test in criticism.residuals)
+    suspects = (
+        suspects_of(fit, arm, criticism.causes) if doubtful or is_disagreement(agreement) else ()
+    )
     repeated = [
         log
         for log in start.logs
