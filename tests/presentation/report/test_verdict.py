@@ -11,7 +11,14 @@ import pytest
 import strainwave
 from elastic_results import elastic_identification
 from results import identification, prediction
-from strainwave.domain import Activity, Diagnostic, Identification, Parameter, Suspicion
+from strainwave.domain import (
+    Activity,
+    Diagnostic,
+    Identification,
+    Parameter,
+    SuspectConstant,
+    Suspicion,
+)
 from strainwave.presentation.report import remedies
 from strainwave.presentation.report.blocks import Callout, Facts, Paragraph, Table
 from strainwave.presentation.report.verdict import named, verdict
@@ -82,6 +89,14 @@ def test_identified_parameters_are_counted() -> None:
     assert "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: beta" in of(
         failures=("nothing moved",)
     )
+
+
+def test_likely_causes_of_a_disagreement_have_their_experiment() -> None:
+    one = elastic_identification()
+    assert one.tuned is not None
+    suspect = SuspectConstant("torque_per_volt", 2, 0.42, 0.0321, "N m/V", "measure the current")
+    text = words_of(verdict(replace(one, tuned=replace(one.tuned, suspects=(suspect,)))))
+    assert "|torque_per_volt of joint 2|0.0321 N m/V|42 %|measure the current|" in text
 
 
 def test_a_value_near_zero_has_its_own_class() -> None:

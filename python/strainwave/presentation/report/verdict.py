@@ -54,6 +54,7 @@ def verdict(identification: Identification) -> Callout:
         paragraph(Span(title, kind="badge", mark=mark), f" {_count(identification.decisions)}"),
         *(paragraph(sentence(reason)) for reason in reasons),
         *_suspicions(identification),
+        *_suspects(identification),
         *_validation(identification),
         *_warnings(identification),
     ]
@@ -71,6 +72,27 @@ def _suspicions(identification: Identification) -> Iterator[Block]:
     ]
     heads = ("channel or key", "observed", "correction")
     yield from table("Faults of the input", heads, rows, heading=False)
+
+
+def _suspects(identification: Identification) -> Iterator[Block]:
+    """If the stages disagree: likely causes, each with the experiment that separates it."""
+    tuned = identification.tuned
+    rows: list[Row] = [
+        (
+            one.name if one.joint is None else f"{one.name} of joint {one.joint}",
+            number("" if one.value is None else f"{one.value:.4g} {one.unit}".rstrip()),
+            number(f"{100.0 * one.share:.3g} %"),
+            prose(one.experiment),
+        )
+        for one in (tuned.suspects if tuned else ())
+    ]
+    heads: Row = (
+        "likely cause, most likely first",
+        number("would be"),
+        number("explains"),
+        "experiment that separates it",
+    )
+    yield from table("Likely causes of the disagreement", heads, rows, heading=False)
 
 
 def _groups(identification: Identification) -> Iterator[tuple[str, str]]:
