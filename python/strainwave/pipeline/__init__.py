@@ -380,7 +380,7 @@ def with_report_loading(progress: Progress) -> Progress:
     threads: list[Thread] = []
 
     def follow(event: ProgressEvent) -> None:
-        if event.part == "tuned" and not threads:
+        if event.stage == "tuned" and not threads:
             threads.append(Thread(target=_load_report))
             threads[0].start()
         progress(event)
