@@ -1,4 +1,4 @@
-"""The commands as a user runs them: what they print, write and exit with."""
+"""The commands as a user runs them: output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
-    """The demonstration's folder and what it printed."""
+    """Folder and output of the demonstration."""
     folder = tmp_path_factory.mktemp("demo") / "out"
     done = run("demo", "--quick", "--out", str(folder))
     assert done.returncode == 0, done.stderr
@@ -43,12 +43,12 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return folder, done.stdout
 
 
-def test_the_demonstration_finds_its_arm(demo: tuple[Path, str]) -> None:
+def test_the_demonstration_identifies_its_arm(demo: tuple[Path, str]) -> None:
     folder, printed = demo
     document = json.loads((folder / "result.json").read_text())
     truth = virtual.derived(scara.parameters(), scara.study(folder).arm)
     names = [p["name"] for p in document["parameters"]]
-    # its gears have three slopes, not one
+    # the gears have three slopes
     assert "gear_stiffness" not in names
     assert names.count("gear_stiffness_k3") == names.count("gear_knee_t2") == 2
     for p in document["parameters"]:
@@ -68,7 +68,7 @@ def test_the_demonstration_finds_its_arm(demo: tuple[Path, str]) -> None:
     assert str(folder / "report.html") in printed
 
 
-def test_identify_reads_what_the_demonstration_wrote(
+def test_identify_reads_the_study_of_the_demonstration(
     demo: tuple[Path, str], tmp_path: Path
 ) -> None:
     folder, _ = demo
@@ -82,7 +82,7 @@ def test_identify_reads_what_the_demonstration_wrote(
     assert again["study"] == first["study"]
 
 
-def test_the_stages_option_names_a_beginning(demo: tuple[Path, str], tmp_path: Path) -> None:
+def test_the_stages_option_takes_the_first_stages(demo: tuple[Path, str], tmp_path: Path) -> None:
     study = str(demo[0] / "study.toml")
     assert run("identify", study, "--out", str(tmp_path), "--stages", "rigid").returncode == 0
     done = run("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
@@ -93,7 +93,7 @@ def test_the_stages_option_names_a_beginning(demo: tuple[Path, str], tmp_path: P
 
 
 @pytest.mark.parametrize(
-    ("study", "log", "said"),
+    ("study", "log", "message"),
     [
         (studies.STUDY.replace("gear_ratio = 0.01", "gear_ratio = 100", 1), None, "0.01"),
         (studies.STUDY.replace("spring", "sprung", 1), None, "'spring'"),
@@ -101,13 +101,13 @@ def test_the_stages_option_names_a_beginning(demo: tuple[Path, str], tmp_path: P
         (studies.STUDY, "", "motion.csv"),
     ],
 )
-def test_faults_exit_with_two_and_one_message(
-    study: str, log: str | None, said: str, tmp_path: Path
+def test_wrong_input_exits_with_two_and_one_message(
+    study: str, log: str | None, message: str, tmp_path: Path
 ) -> None:
     path = studies.write(tmp_path, study, log)
     done = run("identify", str(path), "--out", str(tmp_path / "out"))
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert "Remedy:" in done.stderr
     assert "Traceback" not in done.stderr
     assert done.stderr.count("\n") == 1
@@ -115,7 +115,7 @@ def test_faults_exit_with_two_and_one_message(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_fault_leaves_an_earlier_result_alone(tmp_path: Path) -> None:
+def test_wrong_input_keeps_an_earlier_result(tmp_path: Path) -> None:
     path = studies.write(tmp_path, studies.STUDY, "")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text("earlier")
@@ -133,7 +133,7 @@ def test_no_motion_exits_with_three_and_a_result(tmp_path: Path) -> None:
     assert "motion" in document["reason"]
 
 
-def test_what_identifies_nothing_is_not_determined(demo: tuple[Path, str], tmp_path: Path) -> None:
+def test_a_run_without_estimates_is_not_determined(demo: tuple[Path, str], tmp_path: Path) -> None:
     for path in demo[0].glob("*.parquet"):
         (tmp_path / path.name).symlink_to(path.resolve())
     text = (demo[0] / "study.toml").read_text().replace('use = "motion"', 'use = "check"')
@@ -148,10 +148,8 @@ def test_what_identifies_nothing_is_not_determined(demo: tuple[Path, str], tmp_p
     assert document["verdict"]["identified"] == []
 
 
-def test_channels_that_contradict_the_study_exit_with_three(
-    demo: tuple[Path, str], tmp_path: Path
-) -> None:
-    """Accelerations in g: the cause and its remedy come first, and motor signals still answer."""
+def test_inconsistent_channels_exit_with_three(demo: tuple[Path, str], tmp_path: Path) -> None:
+    """Accelerations in g: cause and remedy come first; the rigid stage uses motor signals."""
     for path in demo[0].glob("*.parquet"):
         (tmp_path / path.name).symlink_to(path.resolve())
     text = (demo[0] / "study.toml").read_text()
@@ -175,8 +173,8 @@ def test_channels_that_contradict_the_study_exit_with_three(
     assert "The input contradicts itself." in page
 
 
-def test_one_way_motion_exits_with_three_and_what_it_shows(tmp_path: Path) -> None:
-    """A drive that never turns back: Coulomb friction and offset are one number."""
+def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:
+    """Coulomb friction and friction offset cannot be separated."""
     t = 1e-3 * np.arange(12000)
     rate = 40.0 + 20.0 * np.sin(2.0 * t) + 9.0 * np.sin(5.3 * t)
     angle = 40.0 * t - 10.0 * np.cos(2.0 * t) - 9.0 / 5.3 * np.cos(5.3 * t)
@@ -202,7 +200,7 @@ def test_one_way_motion_exits_with_three_and_what_it_shows(tmp_path: Path) -> No
     }
 
 
-def test_simulate_repeats_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
+def test_simulate_runs_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: Path) -> None:
     values = scara.parameters(disks=3)
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
     (tmp_path / "p.json").write_text(json.dumps(document))
@@ -217,7 +215,7 @@ def test_simulate_repeats_a_study_on_another_arm(demo: tuple[Path, str], tmp_pat
     assert beta == pytest.approx(values["beta", None], rel=0.03)
 
 
-def test_simulate_keeps_off_the_study_it_reads(tmp_path: Path) -> None:
+def test_simulate_does_not_overwrite_its_study(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
     write_study(study, study.path)
     (tmp_path / "p.json").write_text('{"parameters": []}')
@@ -227,8 +225,8 @@ def test_simulate_keeps_off_the_study_it_reads(tmp_path: Path) -> None:
     assert "another directory" in done.stderr
 
 
-def test_excite_designs_for_a_guess_and_refuses_to_without(tmp_path: Path) -> None:
-    study = replace(scara.study(tmp_path, "rigid"), experiments=())  # it needs none
+def test_excite_needs_assumed_parameters(tmp_path: Path) -> None:
+    study = replace(scara.study(tmp_path, "rigid"), experiments=())  # none is needed
     write_study(study, study.path)
     values = scara.parameters(spring="rigid")
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
@@ -242,10 +240,10 @@ def test_excite_designs_for_a_guess_and_refuses_to_without(tmp_path: Path) -> No
         ([*arguments, *guess, "--out", str(tmp_path)], "another directory"),
         ([*arguments, *guess, "--out", str(out), "--kind", "noise"], "multisine"),
     ]
-    for given, said in faults:
-        done = run(*given)
+    for command, message in faults:
+        done = run(*command)
         assert done.returncode == 2
-        assert said in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
     assert not out.exists()
     done = run(*arguments, *guess, "--out", str(out))
@@ -260,12 +258,21 @@ def test_version_help_and_wrong_usage() -> None:
 
     assert run("--version").stdout == f"strainwave {strainwave.__version__}\n"
     assert "identify" in run("--help").stdout
-    wrong = run("identify")
-    assert wrong.returncode == 2
-    assert "Traceback" not in wrong.stderr
+    for command in ([], ["identify"], ["campaign"]):
+        short, long = run(*command, "-h"), run(*command, "--help")
+        assert short.returncode == long.returncode == 0
+        assert short.stdout == long.stdout
+    for command, hint in (
+        (["identfy"], "identify"),
+        (["export", "r", "--fromat", "c"], "--format"),
+    ):
+        wrong = run(*command)
+        assert wrong.returncode == 2
+        assert hint in wrong.stderr
+        assert "Traceback" not in wrong.stderr
 
 
-def test_compare_exits_by_whether_results_differ(tmp_path: Path) -> None:
+def test_the_exit_code_of_compare_is_four_if_results_differ(tmp_path: Path) -> None:
     rng = np.random.default_rng(5)
     S = compared_results.covariance(rng)
     january, june = (
@@ -282,25 +289,25 @@ def test_compare_exits_by_whether_results_differ(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (4, "", "")
 
 
-def test_compare_refuses_what_it_cannot_compare(tmp_path: Path) -> None:
+def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
     S = compared_results.covariance(np.random.default_rng(5))
     document = compared_results.drawn(np.random.default_rng(0), S)
     one = str(compared_results.write(document, tmp_path / "one"))
     none = str(compared_results.write(document | {"parameters": []}, tmp_path / "none"))
-    for arguments, code, said in (
+    for arguments, code, message in (
         ((one,), 2, "needs two results"),
-        ((one, one, "--level", "5"), 2, "no probability"),
+        ((one, one, "--level", "5"), 2, "not a probability"),
         ((one, str(tmp_path / "missing")), 2, "does not exist"),
         ((one, none), 3, "nothing to compare"),
     ):
         done = run("compare", *arguments, "--out", str(tmp_path / "out"))
         assert done.returncode == code
-        assert said in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
         assert not (tmp_path / "out").exists()
 
 
-def test_trend_exits_by_whether_an_arm_changes(tmp_path: Path) -> None:
+def test_the_exit_code_of_trend_is_four_if_an_arm_changes(tmp_path: Path) -> None:
     factors = {"arm-1": visited_arms.healthy, "arm-2": visited_arms.softening}
     store = str(visited_arms.fleet(tmp_path / "store", factors, seed=3))
     done = run("trend", store, "--out", str(tmp_path / "out"))
@@ -311,17 +318,17 @@ def test_trend_exits_by_whether_an_arm_changes(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_trend_refuses_what_it_cannot_follow(tmp_path: Path) -> None:
+def test_trend_refuses_wrong_arguments(tmp_path: Path) -> None:
     few = {"arm-1": visited_arms.healthy}
     store = str(visited_arms.fleet(tmp_path / "store", few, visits=3))
-    for arguments, code, said in (
+    for arguments, code, message in (
         ((str(tmp_path),), 2, "holds no runs"),
-        ((store, "--arm", "("), 2, "no regular expression"),
+        ((store, "--arm", "("), 2, "not a regular expression"),
         ((store, "--covariates", str(tmp_path / "none.csv")), 2, "does not exist"),
-        ((store,), 3, "visits enough"),
+        ((store,), 3, "enough visits"),
     ):
         done = run("trend", *arguments, "--out", str(tmp_path / "out"))
         assert done.returncode == code, done.stderr
-        assert said in done.stderr
+        assert message in done.stderr
         assert done.stderr.count("\n") == 1
         assert not (tmp_path / "out").exists()

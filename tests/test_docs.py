@@ -231,4 +231,4 @@ def test_every_exit_code_is_explained() -> None:
     page = (ROOT / "docs" / "troubleshooting.md").read_text(encoding="utf-8")
     table = page.split("## Exit codes")[1].split("## ")[0]
     codes = {int(code) for code in re.findall(r"^\| (\d) \|", table, re.MULTILINE)}
-    assert codes == {cli.DONE, cli.AT_FAULT, cli.NOT_ANSWERED, cli.CHANGED, 1}
+    assert codes == {cli.DONE, cli.INPUT_AT_FAULT, cli.NOT_DETERMINED, cli.CHANGED, 1}

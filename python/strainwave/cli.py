@@ -1,7 +1,7 @@
-"""The command line: arguments, progress, exit codes. No arithmetic.
+"""The command line: arguments, progress, exit codes.
 
-Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data cannot answer the question; 4 what
-was compared differs or changes; 130 the user stopped it by Ctrl-C.
+Exit codes: 0 done; 1 a bug; 2 the input is at fault; 3 the data do not determine the model; 4 the
+compared results differ, or an arm changes; 130 stopped by Ctrl-C.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 
 app = typer.Typer(
     name="strainwave",
-    help="From the logs of a robot arm with elastic joints to a physical model you can trust.",
+    help="Identify the physical model of a robot arm with elastic joints from its logs.",
+    context_settings={"help_option_names": ["-h", "--help"]},
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -27,14 +28,14 @@ app = typer.Typer(
 )
 
 Out = Annotated[Path, typer.Option("--out", help="Directory for the results.", metavar="DIR")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUDY.toml")]
 Figures = Annotated[
-    bool, typer.Option("--figures", help="Also every figure as SVG and PNG, in DIR/figures.")
+    bool, typer.Option("--figures", help="Also write every figure as SVG and PNG to DIR/figures.")
 ]
-Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensors' noise and of the motions.")]
+Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensor noise and of the motions.")]
 
-DONE, AT_FAULT, NOT_ANSWERED, CHANGED = 0, 2, 3, 4
+DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
 
 
 @app.callback(invoke_without_command=True)
@@ -47,7 +48,7 @@ def _root(
 
 
 @app.command(
-    short_help="Write a study file to complete from logs.",
+    short_help="Write a draft of a study file from logs.",
     epilog="Example: strainwave init run1.csv run2.csv --out study.toml",
 )
 def init(
@@ -59,26 +60,26 @@ def init(
     ] = Path("study.toml"),
     quiet: Quiet = False,
 ) -> None:
-    """Look at logs and write a study file to complete: guesses with reasons, and what is TODO."""
+    """Write a draft of a study file from logs: guesses with reasons; what is unknown is TODO."""
     from strainwave.study_draft import start_study
 
-    with _progress(quiet) as follow:
-        follow("looking at the logs")
-        started = start_study(logs, out)
+    with _progress(quiet) as report:
+        report("inspecting the logs")
+        draft = start_study(logs, out)
     if not quiet:
-        if started.limit:
-            typer.echo(f"limit: {started.limit}")
+        if draft.limit:
+            typer.echo(f"limit: {draft.limit}")
         typer.echo(
-            f"{started.path}: {started.joints} joint(s), {started.experiments} record(s), "
-            f"{len(started.channels)} channel(s) guessed ({', '.join(started.channels)}); "
-            f"{started.todos} value(s) are TODO"
+            f"{draft.path}: {draft.joints} joint(s), {draft.experiments} record(s), "
+            f"{len(draft.channels)} channel(s) guessed ({', '.join(draft.channels)}); "
+            f"{draft.todos} value(s) are TODO"
         )
-        for warning in started.warnings:
+        for warning in draft.warnings:
             typer.echo(f"warning: {warning}")
 
 
 @app.command(
-    short_help="Identify the arm: logs in, result and report out.",
+    short_help="Identify an arm from its logs.",
     epilog="Example: strainwave identify study.toml --out results",
 )
 def identify(
@@ -92,28 +93,28 @@ def identify(
         list[str] | None,
         typer.Option(
             "--set",
-            help="An option of a stage, over the study's: links.order=1, statespace.method=n4sid.",
+            help="An option of a stage, which overrides the study: links.order=1.",
             metavar="STAGE.KEY=VALUE",
         ),
     ] = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Identify the arm: logs in, DIR/result.json and DIR/report.html out."""
+    """Identify the arm of a study; write DIR/result.json and DIR/report.html."""
     from strainwave import pipeline
     from strainwave.presentation.matplotlib_backend import require_matplotlib
 
     if figures:
-        require_matplotlib()  # before the work, not after it
-    chosen = pipeline.STAGES if stages is None else tuple(s.strip() for s in stages.split(","))
-    with _progress(quiet) as follow:
+        require_matplotlib()  # before the long run
+    chosen = pipeline.check_stages(stages or pipeline.STAGES)
+    with _progress(quiet) as report:
         identification = pipeline.identify(
             study,
             stages=chosen,
             options=options or None,
-            progress=pipeline.with_report_loading(follow),
+            progress=pipeline.with_report_loading(report),
         )
-        pipeline.write(identification, out, figures=figures, progress=follow)
+        pipeline.write(identification, out, figures=figures, progress=report)
     if not quiet:
         from strainwave.presentation.terminal import print_summary
 
@@ -122,35 +123,37 @@ def identify(
 
 
 @app.command(
-    short_help="Run a study's experiments on a virtual arm.",
+    short_help="Simulate a study on a virtual arm.",
     epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual",
 )
 def simulate(
     study: StudyFile,
     parameters: Annotated[
         Path,
-        typer.Option("--parameters", help="A result.json, or a file like it.", metavar="P.json"),
+        typer.Option(
+            "--parameters", help="A result.json, or another file of parameters.", metavar="P.json"
+        ),
     ],
     out: Out,
     seed: Seed = 0,
     ideal: Annotated[
-        bool, typer.Option("--ideal", help="Sensors without noise, bias and rounding.")
+        bool, typer.Option("--ideal", help="Simulate sensors without noise, bias and rounding.")
     ] = False,
     quiet: Quiet = False,
 ) -> None:
-    """Run the study's experiments on a virtual arm: logs and a study.toml that identify reads."""
+    """Simulate the experiments of a study on a virtual arm; write logs and a study.toml."""
     from strainwave.virtual.experiments import simulate_study_file
 
-    with _progress(quiet) as follow:
+    with _progress(quiet) as report:
         written = simulate_study_file(
-            study, parameters, out, seed=seed, ideal=ideal, progress=follow
+            study, parameters, out, seed=seed, ideal=ideal, progress=report
         )
     if not quiet:
         typer.echo(f"{written} logs and study.toml are in {out}")
 
 
 @app.command(
-    short_help="Write the arm for MuJoCo, ROS, MATLAB or C.",
+    short_help="Export an arm to MuJoCo, URDF, MATLAB, C, ...",
     epilog="Example: strainwave export results/result.json --out arm.xml",
 )
 def export(
@@ -162,19 +165,19 @@ def export(
         str | None,
         typer.Option(
             "--format",
-            help="mjcf, urdf, state-space, matlab, c or json; without it, by FILE's ending.",
+            help="mjcf, urdf, state-space, matlab, c or json; default: by the ending of FILE.",
             metavar="FORMAT",
         ),
     ] = None,
     study: Annotated[
         Path | None,
         typer.Option(
-            "--study", help="The study file, if not where the result says.", metavar="STUDY.toml"
+            "--study", help="Study file with other gear ratios and lengths.", metavar="STUDY.toml"
         ),
     ] = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the identified arm for MuJoCo, ROS, MATLAB, C or as plain numbers."""
+    """Export an identified arm to MuJoCo, URDF, MATLAB, C or JSON."""
     from strainwave.export import export_file
 
     written = export_file(result, out, form=form, study=study)
@@ -195,35 +198,42 @@ def excite(
     study: StudyFile,
     out: Out,
     limit_angle: Annotated[
-        str, typer.Option("--limit-angle", help="Of the links, either side of zero [rad].")
+        str, typer.Option("--limit-angle", help="Largest link angle on either side of zero [rad].")
     ],
     limit_velocity: Annotated[
-        str, typer.Option("--limit-velocity", help="Of the motors [rad/s]; one per joint: 180,150.")
+        str,
+        typer.Option(
+            "--limit-velocity", help="Largest motor velocity [rad/s]; or one per joint: 180,150."
+        ),
     ],
     parameters: Annotated[
         Path | None,
         typer.Option(
-            "--parameters", help="A guess of the arm, or an earlier result.json.", metavar="P.json"
+            "--parameters", help="Assumed parameters, or an earlier result.json.", metavar="P.json"
         ),
     ] = None,
     limit_voltage: Annotated[
         str | None,
-        typer.Option("--limit-voltage", help="Of the drives [V]; the servo's limit without."),
+        typer.Option(
+            "--limit-voltage", help="Largest voltage [V]; default: the limit of the servo."
+        ),
     ] = None,
     limit_torque: Annotated[
         str | None,
-        typer.Option("--limit-torque", help="Of the gears, at the link [N m]; none without."),
+        typer.Option(
+            "--limit-torque", help="Largest gear torque at the link [N m]; default: no limit."
+        ),
     ] = None,
     kind: Annotated[
-        str, typer.Option("--kind", help="Of the voltages: prbs or multisine.")
+        str, typer.Option("--kind", help="Kind of excitation: prbs or multisine.")
     ] = "prbs",
-    seed: Annotated[int, typer.Option("--seed", help="Seed of the search and of phases.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", help="Seed of the search and of the phases.")] = 0,
     quiet: Quiet = False,
 ) -> None:
-    """Design the experiments to record: what to apply, for how long, and what the arm will do."""
+    """Design the experiments to record: signals, durations, and the expected motion."""
     from strainwave import experiment_design as design
 
-    with _progress(quiet) as follow:
+    with _progress(quiet) as report:
         planned = design.excite_study_file(
             study,
             parameters,
@@ -234,7 +244,7 @@ def excite(
             limit_torque=limit_torque,
             kind=kind,
             seed=seed,
-            progress=follow,
+            progress=report,
         )
     if not quiet:
         from strainwave.experiment_design.summary import print_design
@@ -243,14 +253,15 @@ def excite(
 
 
 @app.command(
-    short_help="Compare results of one arm: what has changed?",
+    short_help="Compare results of one arm.",
     epilog="Example: strainwave compare january/result.json june/result.json --out compared",
 )
 def compare(
     results: Annotated[
         list[Path],
         typer.Argument(
-            help="Two or more result.json of one arm, or directories with one.", metavar="RESULT..."
+            help="Two or more result.json of one arm, or directories that contain one.",
+            metavar="RESULT...",
         ),
     ],
     out: Annotated[
@@ -261,29 +272,29 @@ def compare(
     ] = None,
     level: Annotated[
         float,
-        typer.Option("--level", help="Probability of naming a difference where there is none."),
+        typer.Option("--level", help="Probability of reporting a difference where there is none."),
     ] = 0.05,
     quiet: Quiet = False,
 ) -> None:
-    """Compare results of one arm; exit code 0 where they agree, 4 where they differ."""
+    """Compare results of one arm. The exit code is 0 if they agree and 4 if they differ."""
     from strainwave.monitoring import comparison_output
     from strainwave.monitoring.comparison import compare as compare_results
     from strainwave.monitoring.estimates import read_estimates
 
-    found = compare_results(read_estimates(results), level)
+    comparison = compare_results(read_estimates(results), level)
     if out is not None:
-        comparison_output.write(found, out)
+        comparison_output.write(comparison, out)
     if not quiet:
-        comparison_output.print_comparison(found, out)
-    raise typer.Exit(CHANGED if found.differs else DONE)
+        comparison_output.print_comparison(comparison, out)
+    raise typer.Exit(CHANGED if comparison.differs else DONE)
 
 
 @app.command(
-    short_help="Follow arms over their visits: does anything change?",
-    epilog="Example: strainwave trend store --covariates visits.csv --out trend",
+    short_help="Detect changes of arms over their visits.",
+    epilog="Example: strainwave trend store --arm 'fleet/([^/]+)/' --out trend",
 )
 def trend(
-    store: Annotated[str, typer.Argument(help="Of strainwave campaign.", metavar="STORE")],
+    store: Annotated[str, typer.Argument(help="A store of strainwave campaign.", metavar="STORE")],
     out: Annotated[
         Path | None,
         typer.Option("--out", help="Directory for trend.json and trend.html.", metavar="DIR"),
@@ -292,8 +303,8 @@ def trend(
         str | None,
         typer.Option(
             "--arm",
-            help="What names an arm: a column of the runs, or an expression with a group, searched "
-            "for in the study's path; its folder without.",
+            help="Name of the arm: a column of the runs, or a regular expression with a group, "
+            "searched for in the path of the study. Default: the folder of the study.",
             metavar="COLUMN|REGEX",
         ),
     ] = None,
@@ -301,56 +312,57 @@ def trend(
         Path | None,
         typer.Option(
             "--covariates",
-            help="A table with columns study, time and numbers to regress out.",
+            help="CSV table with the columns study, time, and covariates.",
             metavar="FILE.csv",
         ),
     ] = None,
     level: Annotated[
-        float, typer.Option("--level", help="Probability of a false alarm, per arm.")
+        float, typer.Option("--level", help="Probability of a false alarm per arm.")
     ] = 0.01,
     quiet: Quiet = False,
 ) -> None:
-    """Follow arms over their visits; exit code 0 where none changes, 4 where one does."""
+    """Detect changes of arms over their visits. The exit code is 4 if an arm changes, else 0."""
     from strainwave.monitoring import trend_output
     from strainwave.monitoring.trend import trend as trend_of
     from strainwave.monitoring.visits import read_histories
 
-    with _progress(quiet) as follow:
-        follow("reading the store")
+    with _progress(quiet) as report:
+        report("reading the store")
         histories = read_histories(store, arm=arm, covariates=covariates)
-        follow("looking for changes")
-        found = trend_of(histories, level)
+        report("testing for changes")
+        result = trend_of(histories, level)
         if out is not None:
-            trend_output.write(found, out)
+            trend_output.write(result, out)
     if not quiet:
-        trend_output.print_trend(found, out)
-    raise typer.Exit(CHANGED if found.concern else DONE)
+        trend_output.print_trend(result, out)
+    raise typer.Exit(CHANGED if result.concern else DONE)
 
 
 @app.command(
-    short_help="Identify the built-in arm, compare with the truth.",
+    short_help="Identify the built-in virtual arm.",
     epilog="Example: strainwave demo --as-published --seeds 10 --out demo",
 )
 def demo(
     out: Out,
     seed: Seed = 0,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Leave out the comparisons with the published figures.")
+        bool, typer.Option("--quick", help="Skip the comparison with the published figures.")
     ] = False,
     seeds: Annotated[
         int,
-        typer.Option("--seeds", min=1, help="Of how many seeds to compare the published figures."),
+        typer.Option("--seeds", min=1, help="Number of seeds for the published figures."),
     ] = 1,
     as_published: Annotated[
         bool,
         typer.Option(
-            "--as-published", help="Compare the published figures by the paper's settings as well."
+            "--as-published",
+            help="Also compare the published figures with the settings of the paper.",
         ),
     ] = False,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the built-in SCARA-type arm, identify it, and compare with the truth."""
+    """Simulate the built-in SCARA arm, identify it, and compare with the true parameters."""
     from strainwave.paper.run import write_comparisons
     from strainwave.presentation.matplotlib_backend import require_matplotlib
     from strainwave.presentation.terminal import print_comparisons, print_summary
@@ -358,22 +370,22 @@ def demo(
 
     if figures:
         require_matplotlib()
-    with _progress(quiet) as follow:
-        identification, truth = demonstrate(out, seed=seed, progress=follow, figures=figures)
+    with _progress(quiet) as report:
+        identification, truth = demonstrate(out, seed=seed, progress=report, figures=figures)
     if not quiet:
         print_summary(identification, out, truth=truth, figures=figures)
     if not quick:
-        with _progress(quiet) as follow:
-            found = write_comparisons(
+        with _progress(quiet) as report:
+            comparisons = write_comparisons(
                 identification,
                 out,
                 seed=seed,
                 seeds=seeds,
                 as_published=as_published,
-                progress=follow,
+                progress=report,
             )
         if not quiet:
-            print_comparisons(found, out)
+            print_comparisons(comparisons, out)
     raise typer.Exit(identification.verdict.exit_code)
 
 
@@ -399,40 +411,43 @@ def campaign(
     options: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", help="An option of a stage, over the studies'.", metavar="STAGE.KEY=VALUE"
+            "--set",
+            help="An option of a stage, which overrides the studies.",
+            metavar="STAGE.KEY=VALUE",
         ),
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option("--workers", min=1, help="Studies at a time; one per core without."),
+        typer.Option("--workers", min=1, help="Number of worker processes; default: one per core."),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(
-            "--scheduler", help="Of a running Dask cluster: tcp://host:8786.", metavar="ADDRESS"
+            "--scheduler",
+            help="Address of a running Dask scheduler: tcp://host:8786.",
+            metavar="ADDRESS",
         ),
     ] = None,
     cluster: Annotated[
         Path | None,
-        typer.Option(
-            "--cluster", help="A Dask cluster to start: class, arguments, workers.", metavar="FILE"
-        ),
+        typer.Option("--cluster", help="TOML file of a Dask cluster to start.", metavar="FILE"),
     ] = None,
     time_limit: Annotated[
-        float, typer.Option("--time-limit", min=1.0, help="Of one study [s].")
+        float, typer.Option("--time-limit", min=1.0, help="Time limit of one study [s].")
     ] = 600.0,
     memory_limit: Annotated[
-        int | None, typer.Option("--memory-limit", min=1, help="Of one worker [MiB].")
+        int | None, typer.Option("--memory-limit", min=1, help="Memory limit of one worker [MiB].")
     ] = None,
     retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Run again what is recorded as failed.")
+        bool, typer.Option("--retry-failed", help="Repeat runs that are recorded as failed.")
     ] = False,
     quiet: Annotated[
         bool, typer.Option("--quiet", "-q", help="Print one line at the end, and errors.")
     ] = False,
 ) -> None:
-    """Identify many studies and record each run in STORE; what is recorded is not run again."""
+    """Identify many studies and record each run in STORE; recorded runs are not repeated."""
     from strainwave import campaign as campaigns
+    from strainwave import pipeline
 
     if scheduler is not None and cluster is not None:
         raise InvalidInput(
@@ -441,7 +456,7 @@ def campaign(
         )
     settings = campaigns.Settings(
         store=out,
-        stages=None if stages is None else [s.strip() for s in stages.split(",")],
+        stages=None if stages is None else pipeline.check_stages(stages),
         options=options or (),
         workers=workers,
         scheduler=scheduler,
@@ -453,17 +468,17 @@ def campaign(
     summary = campaigns.run(studies, settings)
     typer.echo(summary.tally.line())
     if not quiet and summary.exit_code != DONE:
-        for line in summary.tally.causes():
+        for line in summary.undetermined:
             typer.echo(line)
-    for said in (summary.ended_early, summary.unmerged):
-        if said:
-            print(f"strainwave: {said}.", file=sys.stderr)
+    for message in (summary.ended_early, summary.unmerged):
+        if message:
+            print(f"strainwave: {message}.", file=sys.stderr)
     raise typer.Exit(summary.exit_code)
 
 
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
-    """One line on stderr that says what is being done, where a person watches."""
+    """Show the current activity on one line of stderr, if stderr is a terminal."""
     if quiet or not sys.stderr.isatty():
         yield lambda _: None
         return
@@ -474,7 +489,7 @@ def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
 
 
 def main() -> None:
-    """Run the command line; the errors that a user can mend are one sentence, without traceback."""
+    """Run the command line; errors of the input are one sentence without traceback."""
     from strainwave.numerics.parallel import own_process
 
     own_process()
@@ -482,10 +497,10 @@ def main() -> None:
         app()
     except InvalidInput as error:
         print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(AT_FAULT)
+        sys.exit(INPUT_AT_FAULT)
     except (NotIdentifiable, NumericalFailure) as error:
         print(f"strainwave: {error}", file=sys.stderr)
-        sys.exit(NOT_ANSWERED)
-    except BrokenPipeError:  # the reader of our output has gone, as in `strainwave ... | head`
+        sys.exit(NOT_DETERMINED)
+    except BrokenPipeError:  # stdout was closed, as in `strainwave ... | head`
         sys.stderr.close()
         sys.exit(DONE)

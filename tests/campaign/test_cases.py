@@ -1,4 +1,4 @@
-"""A kind of case that is no study file: a drive made in memory by its number, with known values."""
+"""A kind of case without study file: a numbered drive in memory with known parameters."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Truth = dict[tuple[str, int | None], float]
 
 @dataclass(frozen=True)
 class DrawnCase:
-    """The rig of a number, without files."""
+    """A numbered rig without files."""
 
     number: int
     bandwidth_hz: float | None = None
@@ -70,7 +70,7 @@ def task_of(case: DrawnCase, store: Path, **options: Any) -> Task:
     return Task.from_json(task.to_json())
 
 
-def test_true_values_and_classes_go_into_the_tables(tmp_path: Path) -> None:
+def test_true_values_and_classes_are_in_the_tables(tmp_path: Path) -> None:
     outcome = worker.answer(task_of(DrawnCase(3), tmp_path))
     assert outcome.status == "determined"
     (row,) = sw.read_runs(tmp_path).to_pylist()
@@ -86,7 +86,7 @@ def test_true_values_and_classes_go_into_the_tables(tmp_path: Path) -> None:
     assert parameters["motor_viscous_friction"]["true_value"] is None
 
 
-def test_options_of_a_case_win_and_count(tmp_path: Path) -> None:
+def test_options_of_a_case_override_and_are_hashed(tmp_path: Path) -> None:
     plain = task_of(DrawnCase(3), tmp_path, rigid={"bandwidth_hz": 9.0})
     own = task_of(DrawnCase(3, 7.0), tmp_path, rigid={"bandwidth_hz": 9.0})
     assert plain.options_sha256 != own.options_sha256

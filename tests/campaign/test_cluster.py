@@ -1,4 +1,4 @@
-"""A campaign on Dask: workers, the scheduler and the driver are killed, and nothing is lost."""
+"""A campaign on Dask loses nothing if workers, scheduler or driver are killed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUIET = {"DASK_DISTRIBUTED__LOGGING__DISTRIBUTED": "error"}
 
 @dataclass
 class Dask:
-    """A scheduler and its workers, a process each."""
+    """A scheduler and its workers, one process each."""
 
     address: str
     scheduler: subprocess.Popen[bytes]
@@ -79,7 +79,7 @@ def failures(store: Path) -> list[dict[str, Any]]:
 
 
 def test_a_worker_and_then_the_driver_are_killed(studies: Path, tmp_path: Path) -> None:
-    """The other worker does what the one was at; another driver goes on with the same cluster."""
+    """The other worker repeats the run; another driver continues on the same cluster."""
     out = tmp_path / "store"
     with dask(tmp_path) as it:
         arguments = (studies, "--out", out, "--scheduler", it.address)
@@ -102,7 +102,7 @@ def test_a_worker_and_then_the_driver_are_killed(studies: Path, tmp_path: Path) 
     assert {run: found[run] for run in first} == first
 
 
-def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
+def test_the_scheduler_is_killed_and_another_cluster_continues(
     studies: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "store"
@@ -115,7 +115,7 @@ def test_the_scheduler_is_killed_and_a_cluster_of_its_own_goes_on(
         _, errors = driver.communicate(timeout=60.0)
     assert driver.returncode == 3, errors
     assert errors.count("\n") == 1, errors
-    assert "the Dask scheduler has gone; the same command goes on" in errors
+    assert "the Dask scheduler is lost; the same command continues" in errors
     recorded = sw.read_runs(out).num_rows
     assert 3 <= recorded < COUNT
     description = tmp_path / "cluster.toml"
@@ -158,7 +158,7 @@ def planned(folder: Path) -> tuple[Any, Plan]:
     return found, plan
 
 
-def test_a_study_whose_workers_die_again_and_again_has_failed(tmp_path: Path) -> None:
+def test_a_study_whose_workers_die_repeatedly_has_failed(tmp_path: Path) -> None:
     from distributed import KilledWorker
 
     task, plan = planned(tmp_path)
@@ -169,34 +169,34 @@ def test_a_study_whose_workers_die_again_and_again_has_failed(tmp_path: Path) ->
     assert row["message"] == outcome.message
 
 
-def test_a_run_that_a_dying_worker_ended_is_not_done_again(tmp_path: Path) -> None:
+def test_a_run_recorded_by_a_dying_worker_is_not_repeated(tmp_path: Path) -> None:
     found, plan = planned(tmp_path)
     task: Task = found.task
     limits = {"time_s": 60.0, "memory_mib": None, "tasks": 100}
     first = cluster.perform(task.to_json(), limits, found.since.isoformat())
     started = sw.read_runs(tmp_path / "store")["started"].to_pylist()
     again = cluster.perform(task.to_json(), limits, found.since.isoformat())
-    cluster._own.runner.close()
+    cluster._thread.runner.close()
     assert json.loads(again)["status"] == json.loads(first)["status"] == "determined"
     assert sw.read_runs(tmp_path / "store")["started"].to_pylist() == started
     assert plan.store.recorded(task.run) is not None
 
 
 @pytest.mark.parametrize(
-    ("future", "error", "said"),
+    ("future", "error", "message"),
     [
         (Future("error", ModuleNotFoundError("No module 's'")), sw.InvalidInput, "No module 's'"),
         (Future("error", sw.InvalidInput("does not start")), sw.InvalidInput, "does not start"),
-        (Future("cancelled"), cluster.ClusterLost, "scheduler has gone"),
-        (Future("finished", OSError("in <TCP>: closed")), cluster.ClusterLost, "scheduler has"),
-        (Future("finished", CancelledError()), cluster.ClusterLost, "scheduler has gone"),
+        (Future("cancelled"), cluster.ClusterLost, "scheduler is lost"),
+        (Future("finished", OSError("in <TCP>: closed")), cluster.ClusterLost, "scheduler is"),
+        (Future("finished", CancelledError()), cluster.ClusterLost, "scheduler is lost"),
     ],
 )
-def test_other_faults_of_the_workers_end_the_campaign(
-    future: Future, error: type[Exception], said: str, tmp_path: Path
+def test_other_errors_of_workers_end_the_campaign(
+    future: Future, error: type[Exception], message: str, tmp_path: Path
 ) -> None:
     task, plan = planned(tmp_path)
-    with pytest.raises(error, match=said):
+    with pytest.raises(error, match=message):
         cluster._outcome(task, future, plan)
 
 
@@ -205,10 +205,10 @@ def test_other_faults_of_the_workers_end_the_campaign(
     [
         (Future("closed", RuntimeError("the client is closed")), cluster.ClusterLost),
         (Future("running", OSError("in <TCP>: closed")), cluster.ClusterLost),
-        (Future("running", TypeError("of our own making")), TypeError),
+        (Future("running", TypeError("a bug")), TypeError),
     ],
 )
-def test_a_scheduler_may_go_before_it_gets_a_task(
+def test_a_scheduler_lost_before_a_task_is_submitted(
     client: Future, error: type[Exception], tmp_path: Path
 ) -> None:
     task, _ = planned(tmp_path)
@@ -217,36 +217,36 @@ def test_a_scheduler_may_go_before_it_gets_a_task(
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("class = ", "is not valid TOML"),
         ("klass = 'a'", "unknown key 'klass'.*did you mean 'class'"),
         ("workers = 3", "'class' is missing"),
-        ("class = 'dask_jobqueue.Nothing'", "cannot be made"),
+        ("class = 'dask_jobqueue.Nothing'", "cannot be created"),
         (
             "class = 'distributed.LocalCluster'\narguments = 3",
-            "'arguments' is missing or of another",
+            "'arguments' is missing or has the wrong",
         ),
         (
             "class = 'distributed.LocalCluster'\narguments = { foo = 3, dashboard_address = ':0' }",
-            "cannot be made",
+            "cannot be created",
         ),
     ],
 )
-def test_a_description_at_fault_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_wrong_descriptions_are_refused(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "cluster.toml"
     path.write_text(text)
     with (
-        pytest.raises(sw.InvalidInput, match=rf"cluster\.toml: .*{said}"),
+        pytest.raises(sw.InvalidInput, match=rf"cluster\.toml: .*{message}"),
         cluster.connected(None, path),
     ):
         pass
 
 
-def test_nobody_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cluster, "_CONNECT", 0.5)
+def test_no_scheduler_at_the_address(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cluster, "_CONNECT_TIMEOUT_S", 0.5)
     with (
-        pytest.raises(sw.InvalidInput, match="no Dask scheduler answers there"),
+        pytest.raises(sw.InvalidInput, match="no Dask scheduler answers"),
         cluster.connected("tcp://127.0.0.1:9", None),
     ):
         pass

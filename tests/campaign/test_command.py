@@ -1,4 +1,4 @@
-"""The command: exit codes, what it prints, faults in its arguments."""
+"""The campaign command: exit codes, output, wrong arguments."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from rich.console import Console
 import strainwave as sw
 from campaign_commands import campaign, command
 from campaign_rigs import log, rig, rigs
-from strainwave.campaign import Settings
+from strainwave.campaign import Settings, _undetermined
 from strainwave.campaign import run as run_campaign
-from strainwave.campaign.progress import Tally, _display, cause
+from strainwave.campaign.progress import MAX_LISTED, Tally, _display, cause
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import Outcome
 
 
-def test_the_exit_code_says_whether_all_are_determined(tmp_path: Path) -> None:
+def test_the_exit_code_is_zero_only_if_all_are_determined(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 2)
     done = campaign(tmp_path / "rigs", "--out", tmp_path / "store")
     assert (done.returncode, done.stderr) == (0, "")
@@ -32,7 +32,19 @@ def test_the_exit_code_says_whether_all_are_determined(tmp_path: Path) -> None:
     counts = "2 determined, 1 partly-determined, 1 failed"
     assert done.stdout.startswith(f"4 of 4 studies, 2 of them recorded before: {counts}; ")
     assert done.stdout.count("\n") == 3
-    assert "  1 failed: ..." in done.stdout
+    rows = {row["study"]: row for row in sw.read_runs(tmp_path / "store").to_pylist()}
+    for path, status in (
+        (one_way, "partly-determined (exit code 3)"),
+        (broken, "failed (exit code 2)"),
+    ):
+        (line,) = (each for each in done.stdout.splitlines() if str(path) in each)
+        assert line.startswith(f"  {path}: {status}: ")
+        assert "Remedy" not in line
+        row = rows[str(path)]
+        result = row["result"] or f"runs, run {row['run'][:8]}"
+        assert line.endswith(f"[{tmp_path / 'store'}/{result}]")
+    assert "not identified: motor_coulomb_friction 1" in done.stdout
+    assert f"{broken.parent / 'motion.csv'}" in done.stdout
     again = campaign(tmp_path / "rigs", "--out", tmp_path / "store", "--quiet")
     assert (again.returncode, again.stderr) == (3, "")
     assert again.stdout.startswith(f"4 of 4 studies, 4 of them recorded before: {counts}; ")
@@ -47,7 +59,7 @@ def test_the_exit_code_says_whether_all_are_determined(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["absent"], "absent: does not exist"),
         (["rigs", "--stages", "tuned"], "cannot run the stages tuned"),
@@ -58,8 +70,8 @@ def test_the_exit_code_says_whether_all_are_determined(tmp_path: Path) -> None:
         (["rigs", "--workers", "0"], "--workers"),
     ],
 )
-def test_faults_exit_with_two_and_write_nothing(
-    arguments: list[str], said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_wrong_arguments_exit_with_two_and_write_nothing(
+    arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     rig(tmp_path / "rigs")
@@ -68,12 +80,12 @@ def test_faults_exit_with_two_and_write_nothing(
     line = [*command(*arguments), "--out", "store"]
     done = subprocess.run(line, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert said in done.stderr
+    assert message in done.stderr
     assert "Traceback" not in done.stderr
     assert not list(tmp_path.glob("store/*/*"))
 
 
-def test_a_store_that_cannot_be_made(tmp_path: Path) -> None:
+def test_a_store_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     rig(tmp_path / "rigs")
     (tmp_path / "store").write_text("a file")
     done = campaign(tmp_path / "rigs", "--out", tmp_path / "store")
@@ -82,7 +94,7 @@ def test_a_store_that_cannot_be_made(tmp_path: Path) -> None:
     assert "cannot write there" in done.stderr
 
 
-def test_options_of_the_command_are_of_every_study(tmp_path: Path) -> None:
+def test_options_of_the_command_apply_to_every_study(tmp_path: Path) -> None:
     rig(tmp_path / "rigs")
     campaign(tmp_path / "rigs", "--out", tmp_path / "store")
     done = campaign(tmp_path / "rigs", "--out", tmp_path / "store", "--set", "rigid.bandwidth_hz=9")
@@ -98,7 +110,9 @@ def test_options_of_the_command_are_of_every_study(tmp_path: Path) -> None:
     assert bandwidths == {None, 9.0}
 
 
-def test_small_files_are_merged_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_small_files_are_merged_during_the_campaign(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     merged: list[int] = []
     merge = Store.merge
     monkeypatch.setattr("strainwave.campaign.MERGE_AFTER", 4)
@@ -112,12 +126,12 @@ def test_small_files_are_merged_meanwhile(tmp_path: Path, monkeypatch: pytest.Mo
     files = [each.name for each in (tmp_path / "store" / "runs").glob("*.parquet")]
     small = [name for name in files if not name.startswith("part-")]
     assert len(files) == 1 + len(small)
-    assert len(small) <= 1  # one that came after a merge had listed them stays as it is
+    assert len(small) <= 1  # a file written after the last listing is not merged
     assert sum(merged) == 10 - len(small)
     assert sw.read_runs(tmp_path / "store").num_rows == 10
 
 
-def test_a_merge_without_room_is_said_and_costs_nothing(
+def test_a_failed_merge_is_reported_and_loses_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(_: Store) -> int:
@@ -139,7 +153,7 @@ def outcome(status: str, message: str = "", *, skipped: bool = False) -> Outcome
     )
 
 
-def test_the_display_counts_by_cause() -> None:
+def test_the_display_groups_runs_by_cause() -> None:
     tally = Tally(9)
     for number in range(3):
         tally.add(outcome("failed", f"/rigs/{number}/motion.csv: has {number} rows. Remedy: more"))
@@ -157,7 +171,18 @@ def test_the_display_counts_by_cause() -> None:
     assert Tally(9).seconds_left is None
 
 
-def test_a_cause_leaves_out_what_differs_by_study() -> None:
+def test_many_undetermined_runs_are_summarised(tmp_path: Path) -> None:
+    tally = Tally(50)
+    for number in range(50):
+        tally.add(outcome("failed", f"/rigs/{number}/motion.csv: has {number} rows. Remedy: more"))
+    lines = list(_undetermined(tally, Store.at(tmp_path)))
+    assert lines[0] == "  50 failed: ... has # rows."
+    assert len(lines) == 1 + MAX_LISTED + 1
+    assert lines[1].startswith("  s: failed (exit code 3): /rigs/0/motion.csv: has 0 rows. [")
+    assert lines[-1] == "  ... and 30 more: see sw.read_runs"
+
+
+def test_a_cause_has_no_file_names_and_numbers() -> None:
     one = cause("a/study.toml, line 3: unknown key 'x'. Remedy: mend line 3")
     assert one == cause("b/c/study.toml, line 17: unknown key 'x'. Remedy: mend line 17")
     assert len(cause("word " * 100)) <= 90

@@ -1,4 +1,4 @@
-"""A campaign on a family of virtual arms: cases by number, true values and classes in the store."""
+"""A campaign on a family of virtual arms: numbered cases, true values and classes."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ def task_of(case: Case, store: Path) -> Task:
     return Task.from_json(task.to_json())
 
 
-def test_a_family_is_a_case_per_arm(tmp_path: Path) -> None:
+def test_a_family_has_one_case_per_arm(tmp_path: Path) -> None:
     found = cases(tmp_path, "[family]\narms = 12\n")
     assert [case.name for case in found] == [f"{tmp_path}/campaign.toml#{n}" for n in range(12)]
     assert len({case.hashes().inputs_sha256 for case in found}) == 12
 
 
-def test_more_arms_leave_those_that_are_recorded(tmp_path: Path) -> None:
+def test_more_arms_do_not_repeat_recorded_ones(tmp_path: Path) -> None:
     few, many = (cases(tmp_path, f"[family]\narms = {count}\n") for count in (2, 12))
     other = cases(tmp_path, "[family]\narms = 2\nseed = 1\n")
     assert few[1].hashes() == many[1].hashes() != other[1].hashes()
 
 
-def test_true_values_and_the_fault_stand_in_the_store(tmp_path: Path) -> None:
+def test_true_values_and_the_fault_are_in_the_store(tmp_path: Path) -> None:
     text = '[family]\narms = 2\nfaults = ["angle-sign", "late-sensors"]\n'
     for case in cases(tmp_path, text):
         worker.answer(task_of(case, tmp_path / "store"))
@@ -53,7 +53,9 @@ def test_true_values_and_the_fault_stand_in_the_store(tmp_path: Path) -> None:
     assert all(row["true_value"] for row in values if row["name"] == "motor_inertia")
 
 
-def test_a_refused_run_says_its_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refused_run_has_the_fault_as_message(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise InvalidInput("no", where="here", remedy="none")
 
@@ -65,14 +67,14 @@ def test_a_refused_run_says_its_fault(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("[family]\narms = 1\nseeds = 3\n", "the key 'seeds' is unknown"),
-        ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "beside [studies]"),
-        ("family = 3\n", "is no table"),
+        ('[family]\narms = 1\n[studies]\npaths = ["a"]\n', "both [family] and [studies]"),
+        ("family = 3\n", "is not a table"),
     ],
 )
-def test_a_wrong_family_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_wrong_family_is_refused(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(InvalidInput, match=r"campaign\.toml") as refused:
         cases(tmp_path, text)
-    assert said in str(refused.value)
+    assert message in str(refused.value)

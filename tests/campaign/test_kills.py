@@ -1,4 +1,4 @@
-"""kill -9 of a worker process or of the driver in the middle: the same command goes on."""
+"""After kill -9 of a worker or of the driver the same command continues."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ def studies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return rigs(tmp_path_factory.mktemp("studies"), COUNT)
 
 
-def test_a_worker_that_is_killed_is_one_failed_study(studies: Path, tmp_path: Path) -> None:
+def test_a_killed_worker_is_one_failed_study(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
         wait_for(tmp_path, 4)
         workers_of(driver)[0].kill()
-        said, _ = driver.communicate()
+        stdout, _ = driver.communicate()
     rows = sw.read_runs(tmp_path).to_pylist()
     assert set(records_by_study(tmp_path).values()) == {1}
     assert len(rows) == COUNT
     failed = [row for row in rows if row["status"] == "failed"]
-    # killed between two studies, it cost none
+    # none, if it is killed between two studies
     assert len(failed) <= 1
     for row in failed:
         assert row["exit_code"] == 137
         assert "SIGKILL" in row["message"]
     assert driver.returncode == (3 if failed else 0)
-    assert f"{COUNT} of {COUNT} studies" in said
+    assert f"{COUNT} of {COUNT} studies" in stdout
 
 
-def test_a_driver_that_is_killed_loses_nothing(studies: Path, tmp_path: Path) -> None:
+def test_a_killed_driver_loses_nothing(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
         wait_for(tmp_path, 4)
         workers = workers_of(driver)
@@ -60,25 +60,25 @@ def test_a_driver_that_is_killed_loses_nothing(studies: Path, tmp_path: Path) ->
 
 
 @pytest.fixture
-def heard() -> Iterator[None]:
-    """Ctrl-C counts in every child, even where the tests themselves run in the background."""
+def interrupts_reach_children() -> Iterator[None]:
+    """A child of a process in the background would ignore the signal."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.mark.usefixtures("heard")
-def test_ctrl_c_ends_the_workers_and_keeps_what_is_finished(studies: Path, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("interrupts_reach_children")
+def test_ctrl_c_ends_the_workers_and_keeps_finished_runs(studies: Path, tmp_path: Path) -> None:
     with running(studies, "--out", tmp_path, "--workers", "2") as driver:
         wait_for(tmp_path, 4)
         workers = workers_of(driver)
-        begin = time.monotonic()
+        start = time.monotonic()
         driver.send_signal(signal.SIGINT)
-        _, said = driver.communicate()
-        assert time.monotonic() - begin < 30.0  # a machine may have others to serve
+        _, stderr = driver.communicate()
+        assert time.monotonic() - start < 30.0  # on a busy machine
     assert driver.returncode == 130
-    assert "stopped" in said
-    assert "runs" in said
+    assert "stopped" in stderr
+    assert "runs" in stderr
     _, alive = psutil.wait_procs(workers, timeout=5.0)
     assert alive == []
     rows = sw.read_runs(tmp_path).to_pylist()
@@ -114,7 +114,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(folder)], check=True)
 
 
-def test_a_full_disk_ends_a_campaign_that_goes_on_later(studies: Path, small_disk: Path) -> None:
+def test_a_campaign_continues_after_a_full_disk(studies: Path, small_disk: Path) -> None:
     filler = small_disk / "filler"
     filler.write_bytes(bytes(350_000))
     done = campaign(studies, "--out", small_disk / "store")

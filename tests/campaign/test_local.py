@@ -1,4 +1,4 @@
-"""Worker processes on this machine: what kills one of them is one study's failure."""
+"""Worker processes on this machine: the death of one is a failure of one study."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from strainwave.errors import InvalidInput
 
 
 class InProcess(Runner):
-    """Does without processes what their lives do not matter to."""
+    """Runs tasks in this process, for tests without process failures."""
 
     def run(self, task: Task) -> Outcome:
         return worker.answer(task)
@@ -46,7 +46,7 @@ def run(studies: Path, store: Path, workers: int = 2, **changes: Any) -> dict[st
 
 
 def workers() -> list[psutil.Process]:
-    """Worker processes of this one that are alive."""
+    """Live worker processes of this process."""
     entries = {"strainwave.campaign.worker", "campaign_workers"}
     children = [p for p in psutil.Process().children() if p.status() != psutil.STATUS_ZOMBIE]
     return [child for child in children if entries & set(child.cmdline())]
@@ -89,7 +89,7 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
 
 
 @pytest.mark.parametrize(
-    ("name", "exit_code", "said"),
+    ("name", "exit_code", "message"),
     [
         ("exits", 7, "exit code 7"),
         ("crashes", 139, "SIGSEGV"),
@@ -102,21 +102,21 @@ def poisoned(tmp_path_factory: pytest.TempPathFactory) -> dict[str, dict[str, An
     ],
 )
 def test_a_poisoned_study_is_a_failed_row(
-    poisoned: dict[str, dict[str, Any]], name: str, exit_code: int, said: str
+    poisoned: dict[str, dict[str, Any]], name: str, exit_code: int, message: str
 ) -> None:
     row = poisoned[name]
     assert (row["status"], row["exit_code"]) == ("failed", exit_code)
-    assert said in row["message"]
+    assert message in row["message"]
     assert "\n" not in row["message"]
     assert row["result"] is None
 
 
-def test_the_others_go_on(poisoned: dict[str, dict[str, Any]]) -> None:
+def test_the_other_studies_are_identified(poisoned: dict[str, dict[str, Any]]) -> None:
     assert len(poisoned) == 10
     assert {poisoned[name]["status"] for name in ("whole-1", "whole-2")} == {"determined"}
 
 
-def test_failed_runs_are_done_again_where_it_is_wanted(tmp_path: Path) -> None:
+def test_failed_runs_are_repeated_on_request(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "crashes")
     rig(tmp_path / "rigs" / "whole")
     run(tmp_path / "rigs", tmp_path / "store", start=POISONED)
@@ -134,7 +134,7 @@ def test_failed_runs_are_done_again_where_it_is_wanted(tmp_path: Path) -> None:
     assert rows(tmp_path / "store") == second
 
 
-def test_what_changes_the_answer_runs_anew(tmp_path: Path) -> None:
+def test_changed_inputs_and_options_are_run(tmp_path: Path) -> None:
     path, store = rig(tmp_path / "rigs" / "one"), tmp_path / "store"
 
     def count(**changes: Any) -> int:
@@ -167,7 +167,7 @@ def test_a_worker_of_another_version_refuses(tmp_path: Path) -> None:
     assert "the campaign 0.0.1" in outcome.message
 
 
-def test_a_process_is_used_again_and_replaced_in_time(tmp_path: Path) -> None:
+def test_a_process_is_reused_and_replaced(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 7)
     run(tmp_path / "rigs", tmp_path / "store", 1, limits=Limits(tasks=3))
     ordered = sorted(rows(tmp_path / "store").values(), key=lambda row: row["started"])
@@ -175,7 +175,7 @@ def test_a_process_is_used_again_and_replaced_in_time(tmp_path: Path) -> None:
     assert [workers.count(each) for each in dict.fromkeys(workers)] == [3, 3, 1]
 
 
-def test_a_process_that_was_killed_while_it_waited_costs_no_study(tmp_path: Path) -> None:
+def test_a_process_killed_between_studies_is_replaced(tmp_path: Path) -> None:
     rigs(tmp_path / "rigs", 2)
     runner = Runner(Limits())
     for case in find([str(tmp_path / "rigs")]).cases:
@@ -188,8 +188,8 @@ def test_a_process_that_was_killed_while_it_waited_costs_no_study(tmp_path: Path
     runner.close()
 
 
-def test_a_memory_limit_is_one_study_s_failure(tmp_path: Path) -> None:
-    """The hoarder's 8 GiB are never touched: without a limit it gets them."""
+def test_the_memory_limit_fails_one_study(tmp_path: Path) -> None:
+    """Without a limit the 8 GiB would be allocated, because they are never written."""
     rig(tmp_path / "rigs" / "hoards")
     rig(tmp_path / "rigs" / "whole")
     limits = Limits(memory_mib=4096)
@@ -200,8 +200,8 @@ def test_a_memory_limit_is_one_study_s_failure(tmp_path: Path) -> None:
     assert "more memory" in found["hoards"]["message"]
 
 
-def test_a_worker_that_ended_itself_for_its_time_says_so(tmp_path: Path) -> None:
-    """As one does whose parent was stopped: its traceback's last line says nothing."""
+def test_a_worker_that_ends_itself_reports_the_timeout(tmp_path: Path) -> None:
+    """As without a parent; the last line of the traceback is not the cause."""
     script = (
         "import faulthandler, time; print('{}', flush=True);"
         "faulthandler.dump_traceback_later(0.1, exit=True); time.sleep(60.0)"
@@ -222,22 +222,22 @@ def test_a_worker_that_does_not_start_ends_the_campaign(tmp_path: Path) -> None:
     assert not (tmp_path / "store" / "runs").exists()
 
 
-def test_who_leaves_ends_the_processes(tmp_path: Path) -> None:
+def test_closing_the_generator_kills_the_processes(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "hangs-1")
     rig(tmp_path / "rigs" / "hangs-2")
     rig(tmp_path / "rigs" / "a-whole")
     cases = find([str(tmp_path / "rigs")]).cases
     outcomes = local.run(cases, plan(tmp_path / "store"), 2, Limits(), POISONED)
     assert next(outcomes).status == "determined"
-    begin = time.monotonic()
+    start = time.monotonic()
     outcomes.close()
-    assert time.monotonic() - begin < 30.0  # they hang for an hour
+    assert time.monotonic() - start < 30.0  # they hang for an hour
     psutil.wait_procs(workers(), timeout=5.0)
     assert workers() == []
     assert list(rows(tmp_path / "store")) == ["a-whole"]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="asks /proc for the worker's limit")
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
 def test_a_worker_has_one_thread_for_blas(tmp_path: Path) -> None:
     rig(tmp_path / "rigs" / "one")
     task = plan(tmp_path / "store").next(find([str(tmp_path / "rigs")]).cases[0])

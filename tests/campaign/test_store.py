@@ -1,4 +1,4 @@
-"""The store: no row lost, none twice, none half, whoever writes, merges or reads meanwhile."""
+"""The store: rows are complete and unique under concurrent writes, merges and reads."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def runs(store: Path | str) -> list[str]:
 
 
 def queried(sql: str) -> list[Any]:
-    """What DuckDB answers."""
+    """Rows of a DuckDB query."""
     return duckdb.connect().execute(sql).fetchall()
 
 
@@ -69,7 +69,7 @@ def test_many_writers_mergers_and_readers_at_once(tmp_path: Path) -> None:
     )
 )
 @settings(max_examples=30)
-def test_a_run_stands_once_as_it_was_done_last(
+def test_a_repeated_run_has_its_last_row(
     steps: list[tuple[str, int, bool]], tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     folder = tmp_path_factory.mktemp("store")
@@ -92,7 +92,7 @@ def test_a_run_stands_once_as_it_was_done_last(
         assert store.recorded("another") is None
 
 
-def test_a_merge_that_was_cut_off_leaves_doubles_that_are_read_once(
+def test_duplicates_of_an_interrupted_merge_are_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = Store.at(tmp_path)
@@ -110,8 +110,10 @@ def test_a_merge_that_was_cut_off_leaves_doubles_that_are_read_once(
     assert runs(tmp_path) == [f"run-{number}" for number in range(4)]
 
 
-def test_what_has_no_row_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A disk that is full when the row is written, or a process that is killed before."""
+def test_parameters_without_a_row_are_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The disk is full when the row is written, or the process is killed before."""
     store = Store.at(tmp_path)
     store.write(record("whole"))
     from strainwave.campaign.places import Folder
@@ -137,7 +139,7 @@ def test_what_has_no_row_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert set(sw.read_parameters(tmp_path)["run"].to_pylist()) == {"whole"}
 
 
-def test_a_file_written_aside_is_read_by_nobody(tmp_path: Path) -> None:
+def test_temporary_files_are_not_read(tmp_path: Path) -> None:
     Store.at(tmp_path).write(record("whole"))
     aside = tmp_path / "runs" / ".half.parquet.abc.aside"
     aside.write_bytes(b"PAR1")
@@ -156,14 +158,14 @@ def test_a_file_written_aside_is_read_by_nobody(tmp_path: Path) -> None:
 def test_a_foreign_file_is_named(tmp_path: Path) -> None:
     Store.at(tmp_path).write(record("whole"))
     (tmp_path / "runs" / "foreign.parquet").write_bytes(b"nothing")
-    with pytest.raises(sw.InvalidInput, match=r"foreign\.parquet: is no Parquet file"):
+    with pytest.raises(sw.InvalidInput, match=r"foreign\.parquet: is not a Parquet file"):
         sw.read_runs(tmp_path)
     with pytest.raises(sw.InvalidInput, match="holds no runs"):
         sw.read_runs(tmp_path / "absent")
 
 
 def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
-    """Also where a file's column has nothing but nulls, and others beside it do not."""
+    """Also if a column of one file has only nulls."""
     store = Store.at(tmp_path)
     store.write(record("a", 1.0))
     store.write(Record({"run": "b", "started": DAY, "status": "failed"}))
@@ -195,7 +197,7 @@ def test_columns_that_an_earlier_version_lacks_are_null(tmp_path: Path) -> None:
 
 
 def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
-    """As a campaign leaves them: merged, but for the last thousand."""
+    """Merged except for the last thousand, as after a campaign."""
     rows = [record(f"run-{number:05d}", number).row for number in range(9000)]
     (tmp_path / "runs").mkdir()
     pq.write_table(pa.Table.from_pylist(rows, schema=RUNS), tmp_path / "runs" / "part-0.parquet")
@@ -231,7 +233,7 @@ def test_a_store_at_a_url(scheme: str, tmp_path: Path) -> None:
     assert names == ["a.parquet", "b.parquet"]
 
 
-def test_a_lock_that_another_holds_is_not_waited_for(tmp_path: Path) -> None:
+def test_a_merge_does_not_wait_for_the_lock(tmp_path: Path) -> None:
     store = Store.at(tmp_path)
     store.write(record("a"))
     store.write(record("b"))
@@ -249,7 +251,7 @@ def test_a_lock_that_another_holds_is_not_waited_for(tmp_path: Path) -> None:
     assert runs(tmp_path) == ["a", "b"]
 
 
-def test_a_run_that_comes_while_a_merge_begins_is_counted(
+def test_a_run_recorded_when_a_merge_starts_is_counted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store = Store.at(tmp_path)
@@ -270,7 +272,7 @@ def test_a_run_that_comes_while_a_merge_begins_is_counted(
 
 
 def test_a_full_disk(tmp_path: Path) -> None:
-    """Files beyond a size are refused by the system, as all are where there is no room."""
+    """The system refuses files beyond a size, as a full disk refuses all."""
     limit = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))"
     work = "import sys; from strainwave.campaign.store import Record, Store"
     row = "Record({'run': 'big'}, (), b'x' * 10000)"

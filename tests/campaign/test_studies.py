@@ -1,4 +1,4 @@
-"""What the arguments of a campaign name, and what of it decides whether a study runs again."""
+"""Studies that the arguments of a campaign name, and their hashes."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import pytest
 import strainwave as sw
 from campaign_rigs import STUDY, rig, rigs
 from strainwave.campaign import kinds
-from strainwave.campaign.studies import Found, find
+from strainwave.campaign.studies import Selection, find
 from strainwave.campaign.study_files import StudyFile
 
 
-def names(found: Found, folder: Path | str) -> list[str]:
+def names(found: Selection, folder: Path | str) -> list[str]:
     return [case.name.removeprefix(f"{folder}/") for case in found.cases]
 
 
@@ -42,7 +42,9 @@ def test_files_folders_and_globs(folder: Path) -> None:
     ]
 
 
-def test_a_study_is_named_as_it_was_found(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_study_has_the_name_of_its_argument(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(folder / "a")
     found = find(["rig-001"])
     assert [case.name for case in found.cases] == ["rig-001/study.toml"]
@@ -94,17 +96,17 @@ def test_urls(scheme: str, folder: Path) -> None:
         find([f"{root}/absent.toml"])
 
 
-def test_a_log_at_a_url_lies_beside_its_study(tmp_path: Path) -> None:
+def test_a_log_at_a_url_is_in_the_folder_of_its_study(tmp_path: Path) -> None:
     path = tmp_path / "study.toml"
     path.write_text(STUDY.replace("motion.csv", "../secret.csv"))
     with (
-        pytest.raises(sw.InvalidInput, match="does not lie beside the study"),
+        pytest.raises(sw.InvalidInput, match="is not in the folder of the study"),
         StudyFile(path.as_uri(), path.as_uri()).opened(),
     ):
         pass
 
 
-def test_hashes_follow_the_study_and_its_logs(tmp_path: Path) -> None:
+def test_hashes_change_with_the_study_and_its_logs(tmp_path: Path) -> None:
     path = rig(tmp_path)
     case = find([str(path)]).cases[0]
     first = case.hashes()
@@ -125,7 +127,7 @@ def test_hashes_follow_the_study_and_its_logs(tmp_path: Path) -> None:
 
 
 def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
-    """As a bag is one."""
+    """For example a bag."""
     path = tmp_path / "study.toml"
     path.write_text(STUDY.replace("motion.csv", "bag"))
     (tmp_path / "bag").mkdir()
@@ -136,7 +138,7 @@ def test_a_folder_of_logs_is_hashed_file_by_file(tmp_path: Path) -> None:
     assert case.hashes() != first
 
 
-def test_a_case_goes_through_json(tmp_path: Path) -> None:
+def test_a_case_is_restored_from_json(tmp_path: Path) -> None:
     case = find([str(rig(tmp_path))]).cases[0]
     assert kinds.from_json(kinds.to_json(case)) == case
 
@@ -164,26 +166,26 @@ def test_a_campaign_file(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         (CAMPAIGN.replace("stages", "stage"), "unknown key 'stage'.*did you mean 'stages'"),
-        (CAMPAIGN.replace('["rigid"]', '"rigid"'), "'stages' is missing or of another form"),
-        (CAMPAIGN.replace("paths = ", "path = "), "'studies' is missing or of another form"),
-        (CAMPAIGN.replace('"a", ', "3, "), r"'studies\.paths' is missing or of another form"),
-        (CAMPAIGN.replace("{ bandwidth_hz = 30.0 }", "3"), "'options' is missing or of another"),
+        (CAMPAIGN.replace('["rigid"]', '"rigid"'), "'stages' is missing or invalid"),
+        (CAMPAIGN.replace("paths = ", "path = "), "'studies' is missing or invalid"),
+        (CAMPAIGN.replace('"a", ', "3, "), r"'studies\.paths' is missing or invalid"),
+        (CAMPAIGN.replace("{ bandwidth_hz = 30.0 }", "3"), "'options' is missing or invalid"),
         (CAMPAIGN.replace('"a"', '"absent"'), "absent: does not exist"),
         (CAMPAIGN + "[", "is not valid TOML"),
     ],
 )
-def test_a_campaign_file_at_fault(text: str, said: str, folder: Path) -> None:
+def test_wrong_campaign_files_are_refused(text: str, message: str, folder: Path) -> None:
     path = folder / "campaign.toml"
     path.write_text(text)
-    with pytest.raises(sw.InvalidInput, match=said):
+    with pytest.raises(sw.InvalidInput, match=message):
         find([str(path)])
 
 
 @pytest.mark.parametrize(
-    ("argument", "said"),
+    ("argument", "message"),
     [
         ("absent", "does not exist"),
         ("b", "there is no study.toml in this folder or below"),
@@ -194,17 +196,17 @@ def test_a_campaign_file_at_fault(text: str, said: str, folder: Path) -> None:
         ("nobody://x/study.toml", "this kind of URL cannot be read"),
     ],
 )
-def test_what_names_nothing_is_refused(
-    argument: str, said: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+def test_arguments_without_studies_are_refused(
+    argument: str, message: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
     Path("none.txt").write_text("# nothing\n")
     Path("none.csv").write_text("path\nb/other.toml\n")
-    with pytest.raises(sw.InvalidInput, match=said):
+    with pytest.raises(sw.InvalidInput, match=message):
         find([argument])
 
 
-def test_a_campaign_file_stands_alone(folder: Path) -> None:
+def test_a_campaign_file_is_given_alone(folder: Path) -> None:
     (folder / "campaign.toml").write_text(CAMPAIGN)
-    with pytest.raises(sw.InvalidInput, match="stands among other arguments"):
+    with pytest.raises(sw.InvalidInput, match="is given with other arguments"):
         find([str(folder / "campaign.toml"), str(folder / "a")])

@@ -1,4 +1,4 @@
-"""Comparisons of results: false alarms as promised, changes found, refusals."""
+"""Comparisons of results: false-alarm rate, detection, refusals."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from strainwave.monitoring.comparison import DIFFERS, SAME, ResultComparison, co
 from strainwave.monitoring.estimates import Estimates, degrees_of, estimates_of, read_estimates
 from virtual_arms import MOTION, motion_log, rigid_two_link, values_of
 
-SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
 
 
 def pair(rng: np.random.Generator, *, factor: float = 1.0, others: int = 1) -> ResultComparison:
@@ -32,23 +32,23 @@ def pair(rng: np.random.Generator, *, factor: float = 1.0, others: int = 1) -> R
 
 
 @pytest.mark.parametrize("others", [1, 3])
-def test_false_alarms_are_as_rare_as_promised(others: int) -> None:
+def test_the_false_alarm_rate_is_the_level(others: int) -> None:
     seed = secrets.randbits(32)
     rng = np.random.default_rng(seed)
     runs = 600
     found = [pair(rng, others=others) for _ in range(runs)]
     alarms = sum(one.differs for one in found)
-    assert alarms <= stats.binom.ppf(1.0 - SURE, runs, 0.05), seed
-    assert alarms > 0, seed  # of five tests and more, 2 % of all runs and more have one by chance
+    assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, runs, 0.05), seed
+    assert alarms > 0, seed  # by chance at least 2 % of the runs have one
     tests = [one.homogeneity if others > 1 else one.pairs[0].joint for one in found]
     p = [test.p for test in tests if test is not None]
     assert len(p) == runs
-    assert stats.kstest(p, "uniform").pvalue > SURE, seed
+    assert stats.kstest(p, "uniform").pvalue > FAILURE_P, seed
     singles = [one.p for each in found for one in each.pairs[0].parameters[:1]]
-    assert stats.kstest(singles, "uniform").pvalue > SURE, seed
+    assert stats.kstest(singles, "uniform").pvalue > FAILURE_P, seed
 
 
-def test_two_percent_of_stiffness_are_found_and_named() -> None:
+def test_a_loss_of_two_percent_of_stiffness_is_detected() -> None:
     """Ten standard deviations of a value, seven of the change."""
     found = pair(np.random.default_rng(5), factor=0.98)
     assert found.differs
@@ -59,8 +59,8 @@ def test_two_percent_of_stiffness_are_found_and_named() -> None:
     assert one.z == pytest.approx(one.change / one.std)
 
 
-def test_changes_that_only_their_sum_shows() -> None:
-    """Errors nearly opposite, changes alike: each is within its deviation, both are not."""
+def test_changes_are_detected_by_their_sum() -> None:
+    """Errors with correlation -0.999 and equal changes: only the joint test is significant."""
     S = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
     S[0, 1] = S[1, 0] = -0.999
     first, second = (drawn(np.random.default_rng(0), S) for _ in range(2))
@@ -73,7 +73,7 @@ def test_changes_that_only_their_sum_shows() -> None:
     assert found.differs
 
 
-def test_the_joint_test_counts_what_is_independent() -> None:
+def test_the_joint_test_counts_independent_values() -> None:
     found = pair(np.random.default_rng(2), others=2)
     assert found.pairs[0].joint is not None
     assert found.homogeneity is not None
@@ -91,7 +91,7 @@ def test_homogeneity_does_not_depend_on_the_order(order: list[int], seed: int) -
     assert found[0].statistic == pytest.approx(found[1].statistic, rel=1e-5)
 
 
-def test_results_without_covariance_are_compared_by_their_deviations() -> None:
+def test_results_without_covariance_are_compared_by_their_stds() -> None:
     rng = np.random.default_rng(1)
     S = covariance(rng)
     old = {key: value for key, value in drawn(rng, S).items() if key != "covariance"}
@@ -102,7 +102,7 @@ def test_results_without_covariance_are_compared_by_their_deviations() -> None:
     assert any("old" in note and "standard deviations alone" in note for note in found.notes)
 
 
-def test_what_one_result_lacks_is_left_out_with_the_reason() -> None:
+def test_parameters_of_one_result_only_are_left_out_with_the_reason() -> None:
     rng = np.random.default_rng(1)
     first, second = (drawn(rng, covariance(rng)) for _ in range(2))
     second["parameters"][0]["value"] = None
@@ -119,14 +119,14 @@ def test_what_one_result_lacks_is_left_out_with_the_reason() -> None:
     }
 
 
-def test_what_describes_one_record_is_not_compared() -> None:
+def test_parameters_of_one_record_are_not_compared() -> None:
     one = drawn(np.random.default_rng(0), np.eye(5))
     one["parameters"][0]["name"] = "accelerometer_drift"
     one["parameters"][1]["name"] = "friction_change[motion]"
     assert [p.label for p in estimates(one, "a").parameters] == list(NAMES[2:])
 
 
-def test_a_value_that_may_be_zero_has_no_change_in_percent() -> None:
+def test_a_value_near_zero_has_no_change_in_percent() -> None:
     S = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
     one = drawn(np.random.default_rng(0), S)
     one["parameters"][0]["value"] = 1.5
@@ -145,7 +145,7 @@ def test_refusals() -> None:
         compare([one, replace(one, parameters=())])
 
 
-def test_notes_on_doubtful_results_and_on_the_same_logs() -> None:
+def test_notes_on_undetermined_results_and_equal_logs() -> None:
     one = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
     same = replace(one, study=("study.toml", "12ab"), status="partly-determined")
     notes = compare([same, replace(same, label="b")]).notes
@@ -158,7 +158,7 @@ def test_values_of_different_stages_are_noted() -> None:
     second["parameters"][0]["stage"] = "rigid"
     notes = compare([estimates(first, "a"), estimates(second, "b")]).notes
     assert len(notes) == 1
-    assert "different stages" in notes[0]
+    assert "different systematic errors" in notes[0]
     assert "beta (tuned, rigid)" in notes[0]
 
 
@@ -172,7 +172,7 @@ def test_labels_distinguish_files(tmp_path: Path) -> None:
     assert [one.label for one in read_estimates([folders[0], other])] == ["arm", "other"]
 
 
-def test_broken_files_are_named(tmp_path: Path) -> None:
+def test_invalid_files_are_named(tmp_path: Path) -> None:
     document = drawn(np.random.default_rng(0), np.eye(5))
     fine = write(document, tmp_path / "fine")
     broken = write(document | {"covariance": {"names": []}}, tmp_path / "broken")
@@ -191,7 +191,7 @@ def test_degrees_follow_from_the_interval(nu: float) -> None:
 
 
 def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estimates:
-    """The built-in arm with rigid gears in a motion of its own, identified: the rigid step."""
+    """Estimates of the rigid stage from a new motion of the built-in arm with rigid gears."""
     study = rigid_two_link()
     values = values_of(study, 5)
     values["motor_coulomb_friction", 1] *= friction
@@ -204,18 +204,18 @@ def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estima
     return estimates_of(found.document, Path(f"{seed}/result.json"))
 
 
-def test_repeats_of_an_arm_agree_as_often_as_promised() -> None:
-    """40 pairs of visits to an unchanged arm at 5 %: two alarms are expected at most."""
+def test_visits_to_an_unchanged_arm_agree() -> None:
+    """40 pairs of visits at a level of 5 %: at most two alarms are expected."""
     seed = secrets.randbits(20)
     rng = np.random.default_rng(seed)
     found = [compare([repeat(seed + k, rng), repeat(seed + 100 + k, rng)]) for k in range(40)]
     alarms = sum(one.differs for one in found)
-    assert alarms <= stats.binom.ppf(1.0 - SURE, 40, 0.05), seed
+    assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, 40, 0.05), seed
     z = [one.z for each in found for one in each.pairs[0].parameters]
-    assert 0.6 < float(np.std(z)) < 1.5, seed  # deviations are neither invented nor inflated
+    assert 0.6 < float(np.std(z)) < 1.5, seed  # standard deviations are realistic
 
 
-def test_ten_percent_more_friction_is_found_in_a_repeat() -> None:
+def test_ten_percent_more_friction_is_detected() -> None:
     rng = np.random.default_rng(4)
     found = compare([repeat(1, rng), repeat(2, rng, friction=1.1)])
     named = [one.first.label for one in found.pairs[0].parameters if found.verdict(one) == DIFFERS]

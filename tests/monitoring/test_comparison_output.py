@@ -1,4 +1,4 @@
-"""What a comparison writes and prints."""
+"""Files and terminal output of a comparison."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def printed(found: ResultComparison, folder: Path | None = None) -> str:
     return text.getvalue()
 
 
-def test_the_document_has_every_test(tmp_path: Path) -> None:
+def test_the_document_contains_every_test(tmp_path: Path) -> None:
     found = made(0.98, others=2)
     output.write(found, tmp_path)
     document = json.loads((tmp_path / "comparison.json").read_text())
@@ -45,7 +45,7 @@ def test_the_document_has_every_test(tmp_path: Path) -> None:
     assert document["homogeneity"]["degrees_of_freedom"] is None
 
 
-def test_the_page_escapes_and_names_what_differs() -> None:
+def test_the_page_escapes_names_and_lists_differences() -> None:
     page = output.render(made(0.98))
     assert "<january>" not in page
     assert "&lt;january&gt;" in page
@@ -60,17 +60,17 @@ def test_the_terminal_has_a_row_per_parameter_and_the_verdict() -> None:
     rows = {line[:24].strip(): line for line in text.splitlines()}
     assert rows["gear_stiffness 1"].split()[-1] == DIFFERS
     assert rows["beta"].split()[-1] == "agrees"
-    assert "all at once:" in text
+    assert "all parameters together:" in text
     assert "verdict: the results differ at the level of 5 %: gear_stiffness 1" in text
     assert "written: out/comparison.html" in text
     assert "verdict: no difference at the level of 5 %" in printed(made(1.0, others=2))
 
 
-def test_the_forest_keeps_what_differs_in_sight() -> None:
+def test_the_figure_shows_all_differences() -> None:
     found = made(0.5)
-    drawn_ = output.forest(found, found.pairs[0])
-    assert drawn_ is not None
-    upper, lower = drawn_.panels
+    figure = output.forest(found, found.pairs[0])
+    assert figure is not None
+    upper, lower = figure.panels
     assert [getattr(mark, "name", "") for mark in upper.marks] == [DIFFERS, "agrees"]
     assert upper.axis.range is not None
     assert upper.axis.range[1] > 50.0

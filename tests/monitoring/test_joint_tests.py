@@ -1,4 +1,4 @@
-"""Tests of several differences at once, against their distributions and against SciPy."""
+"""Joint tests and adjusted p-values against their distributions and SciPy."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ KNOWN = float("inf")
 
 
 @given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 12))
-def test_the_statistic_is_that_of_a_solved_system(seed: int, n: int) -> None:
+def test_the_statistic_equals_the_quadratic_form(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n, n)) + 2.0 * np.eye(n)
     S, d = root @ root.T, rng.normal(size=n)
     found = joint_test(d, [S], [KNOWN])
     assert found is not None
-    if np.linalg.cond(S) < 1e6:  # beyond it, directions count as dependent
+    if np.linalg.cond(S) < 1e6:  # otherwise directions count as dependent
         expected = float(d @ np.linalg.solve(S, d))
         assert found.statistic == pytest.approx(expected, rel=1e-6)
         assert found.rank == n
         assert found.p == pytest.approx(stats.chi2.sf(expected, n), rel=1e-5)
 
 
-def test_what_follows_from_others_is_not_counted_and_units_do_not_matter() -> None:
+def test_dependent_values_do_not_count_and_units_do_not_matter() -> None:
     rng = np.random.default_rng(3)
     W = np.vstack([np.eye(3), [1.0, 2.0, 0.0]])
     root = rng.normal(size=(3, 3))
@@ -41,7 +41,7 @@ def test_what_follows_from_others_is_not_counted_and_units_do_not_matter() -> No
     assert found.statistic == pytest.approx(plain.statistic, rel=1e-6)
 
 
-def test_estimated_covariances_keep_their_promise() -> None:
+def test_estimated_covariances_keep_the_level() -> None:
     """Each covariance from 12 samples: an exact chi-square would reject a fifth of all."""
     rng = np.random.default_rng(8)
     nu, n, runs = 12, 4, 2000
@@ -59,30 +59,30 @@ def test_estimated_covariances_keep_their_promise() -> None:
     assert np.mean(naive < 0.05) > 0.12
 
 
-def test_too_few_degrees_answer_nothing() -> None:
+def test_too_few_degrees_give_no_test() -> None:
     assert joint_test(np.zeros(5), [np.eye(5)], [4.0]) is None
     assert joint_test(np.zeros(0), [np.zeros((0, 0))], [KNOWN]) is None
     assert joint_test(np.zeros(2), [np.diag([1.0, 0.0])], [KNOWN]) is None
 
 
-def test_one_difference_is_welch_s() -> None:
+def test_one_difference_is_tested_as_by_welch() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(size=9), 3.0 * rng.normal(size=15)
-    deviations = [float(np.std(x, ddof=1) / np.sqrt(len(x))) for x in (a, b)]
-    _, p = welch_test(float(b.mean() - a.mean()), deviations, [8.0, 14.0])
+    stds = [float(np.std(x, ddof=1) / np.sqrt(len(x))) for x in (a, b)]
+    _, p = welch_test(float(b.mean() - a.mean()), stds, [8.0, 14.0])
     assert p == pytest.approx(stats.ttest_ind(a, b, equal_var=False).pvalue, rel=1e-9)
     z, p = welch_test(3.0, [0.0, 1.5], [KNOWN, KNOWN])
     assert z == 2.0
     assert p == pytest.approx(2.0 * stats.norm.sf(2.0))
 
 
-def test_holm_s_example_and_order() -> None:
+def test_an_example_of_holm() -> None:
     assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert holm([]) == []
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
-def test_holm_raises_and_keeps_the_order(p: list[float]) -> None:
+def test_adjusted_p_values_are_larger_and_keep_the_order(p: list[float]) -> None:
     adjusted = holm(p)
     assert all(a >= b for a, b in zip(adjusted, p, strict=True))
     assert min(adjusted) == pytest.approx(min(1.0, len(p) * min(p)))

@@ -1,8 +1,11 @@
-"""What a comparison and a trend share in their output."""
+"""Output that comparisons and trends share."""
 
 from __future__ import annotations
 
+import io
+
 import pytest
+from rich.console import Console
 
 from strainwave.monitoring import output
 
@@ -10,5 +13,16 @@ from strainwave.monitoring import output
 @pytest.mark.parametrize(
     ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
 )
-def test_probabilities_in_words(p: float, text: str) -> None:
+def test_p_values_as_text(p: float, text: str) -> None:
     assert output.probability(p) == text
+
+
+@pytest.mark.parametrize("width", [20, 60])
+def test_tables_are_never_truncated(width: int) -> None:
+    text = io.StringIO()
+    table = output.printed_table()
+    for head in ("parameter", "value"):
+        table.add_column(head)
+    table.add_row("motor_viscous_friction 1", "1.234567e-04")
+    output.print_table(Console(file=text, width=width), table)
+    assert "motor_viscous_friction 1 1.234567e-04" in text.getvalue()

@@ -1,4 +1,4 @@
-"""Changes over time: against textbook tests, false alarms as promised, changes found."""
+"""Changes over time: against textbook tests, false-alarm rate, detection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy import stats
 
 from strainwave.domain import FloatArray
 from strainwave.monitoring.shapes import (
-    FEWEST,
+    MIN_VISITS,
     Change,
     Series,
     Shape,
@@ -24,7 +24,7 @@ from strainwave.monitoring.shapes import (
     union_of_caps,
 )
 
-SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
 
 
 def series(
@@ -44,8 +44,8 @@ def found(one: Series, seed: int = 0) -> Change:
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 30))
-def test_a_drift_is_a_regression_where_visits_scatter(seed: int, n: int) -> None:
-    """Runs surer than visits agree, and all alike: ordinary least squares and Student's t."""
+def test_a_drift_equals_linear_regression_if_visits_scatter(seed: int, n: int) -> None:
+    """With equal, small standard deviations of the runs: ordinary least squares, Student's t."""
     value = 100.0 + 50.0 * np.random.default_rng(seed).normal(size=n)
     one = series(value, 0.01)
     change, plain = found(one), stats.linregress(one.time, value)
@@ -54,8 +54,8 @@ def test_a_drift_is_a_regression_where_visits_scatter(seed: int, n: int) -> None
     assert change.drift_p == pytest.approx(plain.pvalue, rel=1e-3)
 
 
-def test_runs_own_deviations_are_the_least() -> None:
-    """Values that agree better than their deviations allow: no change is surer than these."""
+def test_standard_deviations_of_runs_are_the_minimum() -> None:
+    """Values that agree better than their standard deviations allow no smaller p-value."""
     n = 20
     value = 100.0 + 1e-3 * np.random.default_rng(0).normal(size=n) + 0.1 * (np.arange(n) >= 10)
     change = found(series(value, 1.0))
@@ -66,8 +66,8 @@ def test_runs_own_deviations_are_the_least() -> None:
 
 @pytest.mark.parametrize("between", [0.0, 1.0, 5.0])
 @pytest.mark.parametrize("n", [7, 16])
-def test_false_alarms_are_as_rare_as_promised(n: int, between: float) -> None:
-    """Runs of unlike deviations and a covariate; conservative where visits scatter by nothing."""
+def test_the_false_alarm_rate_is_the_level(n: int, between: float) -> None:
+    """Unequal standard deviations and a covariate; conservative without scatter of visits."""
     seed = secrets.randbits(32)
     rng = np.random.default_rng(seed)
     runs = 300
@@ -81,13 +81,13 @@ def test_false_alarms_are_as_rare_as_promised(n: int, between: float) -> None:
         p[k] = change.p
     for level in (0.2, 0.05):
         alarms = int(np.sum(p < level))
-        # weights are estimated as well: a fifth more than promised would pass unnoticed
-        assert alarms <= stats.binom.ppf(1.0 - SURE, runs, 1.2 * level), (seed, level)
-    if between == 5.0:  # and not rarer where the scatter between visits is what counts
-        assert np.sum(p < 0.2) >= stats.binom.ppf(SURE, runs, 0.2 / 1.5), seed
+        # the weights are estimated: tolerate a rate 20 % above the level
+        assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, runs, 1.2 * level), (seed, level)
+    if between == 5.0:  # and not lower if the scatter between visits dominates
+        assert np.sum(p < 0.2) >= stats.binom.ppf(FAILURE_P, runs, 0.2 / 1.5), seed
 
 
-def test_a_step_is_found_where_it_is() -> None:
+def test_a_step_is_located() -> None:
     rng = np.random.default_rng(3)
     value = 100.0 + 0.3 * rng.normal(size=24)
     value[15:] -= 2.0
@@ -99,7 +99,7 @@ def test_a_step_is_found_where_it_is() -> None:
     assert 0.1 < change.repeatability < 0.5
 
 
-def test_wear_that_begins_is_dated() -> None:
+def test_the_beginning_of_a_drift_is_located() -> None:
     value = 10.0 + 0.01 * np.random.default_rng(1).normal(size=24)
     value[12:] += 0.1 * np.arange(1, 13)
     change = found(series(value, 0.005))
@@ -111,7 +111,7 @@ def test_wear_that_begins_is_dated() -> None:
     assert line[-1] == (7.0 * 23, change.level + change.size)
 
 
-def test_a_covariate_that_explains_it_takes_the_alarm_away() -> None:
+def test_a_covariate_explains_a_change() -> None:
     rng = np.random.default_rng(2)
     warm = 20.0 + np.linspace(0.0, 8.0, 20) + 3.0 * rng.normal(size=20)
     value = 0.06 * (1.0 - 0.01 * (warm - 20.0)) + 1e-4 * rng.normal(size=20)
@@ -119,7 +119,7 @@ def test_a_covariate_that_explains_it_takes_the_alarm_away() -> None:
     assert found(series(value, 5e-5, warm[:, None])).p > 0.05
 
 
-def test_covariates_that_say_nothing_new_are_dropped() -> None:
+def test_redundant_covariates_are_dropped() -> None:
     rng = np.random.default_rng(0)
     warm = rng.normal(size=12)
     table = np.column_stack([warm, np.full(12, 3.0), 2.0 * warm - 5.0, rng.normal(size=12)])
@@ -128,33 +128,35 @@ def test_covariates_that_say_nothing_new_are_dropped() -> None:
     np.testing.assert_allclose(X[:, 1:].mean(axis=0), 0.0, atol=1e-12)
 
 
-def test_time_that_a_covariate_is_leaves_no_answer() -> None:
+def test_time_as_a_covariate_allows_no_test() -> None:
     one = series(np.arange(10.0), 1.0, np.arange(10.0)[:, None])
     assert change_of(one, np.random.default_rng(0)) is None
 
 
-def test_too_few_visits_or_one_time_leave_no_answer() -> None:
+def test_too_few_visits_or_equal_times_allow_no_test() -> None:
     rng = np.random.default_rng(0)
-    assert change_of(series(np.zeros(FEWEST)), rng) is None
-    assert change_of(series(rng.normal(size=FEWEST + 1)), rng) is not None
+    assert change_of(series(np.zeros(MIN_VISITS)), rng) is None
+    assert change_of(series(rng.normal(size=MIN_VISITS + 1)), rng) is not None
     still = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
     assert change_of(still, rng) is None
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 4.0))
-def test_the_moments_are_kept(seed: int, between: float) -> None:
+def test_the_moment_equation_is_solved(seed: int, between: float) -> None:
     rng = np.random.default_rng(seed)
     std = np.exp(rng.normal(size=15))
     value = between * rng.normal(size=15) + std * rng.normal(size=15)
     X = np.column_stack([np.ones(15), np.arange(15.0)])
     tau2 = moment_variance(value, std, X)
     root = 1.0 / np.sqrt(std**2 + tau2)
-    left = root * value - (X * root[:, None]) @ np.linalg.lstsq(X * root[:, None], root * value)[0]
-    total = float(left @ left)
+    residual = (
+        root * value - (X * root[:, None]) @ np.linalg.lstsq(X * root[:, None], root * value)[0]
+    )
+    total = float(residual @ residual)
     assert total == pytest.approx(13.0, rel=1e-6) if tau2 > 0.0 else total <= 13.0
 
 
-def test_the_moments_are_unbiased() -> None:
+def test_the_moment_estimate_is_unbiased() -> None:
     rng = np.random.default_rng(0)
     std = np.exp(0.5 * rng.normal(size=30))
     X = np.ones((30, 1))
@@ -165,7 +167,7 @@ def test_the_moments_are_unbiased() -> None:
     assert float(np.mean(found_)) == pytest.approx(4.0, rel=0.08)  # four standard errors
 
 
-def test_the_union_of_caps_is_counted_by_brute_force() -> None:
+def test_the_union_of_caps_equals_a_monte_carlo_count() -> None:
     """Steps and drifts in 12 visits; a million directions at 5 %."""
     rng = np.random.default_rng(7)
     n = 12
@@ -187,7 +189,7 @@ def test_the_union_of_caps_is_counted_by_brute_force() -> None:
         )  # 3 % of 1000 counts, as much of samples
 
 
-def test_one_direction_is_student_s_and_far_tails_are_the_sum() -> None:
+def test_one_direction_is_student_s_and_small_p_values_add_up() -> None:
     rng = np.random.default_rng(0)
     free, apart = np.eye(9), np.eye(9)[:, :4]
     for t2 in (0.3, 9.0, 400.0):

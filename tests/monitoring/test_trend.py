@@ -1,10 +1,11 @@
-"""Trends of a fleet: who is named, in what order, what is written and printed."""
+"""Trends of a fleet: detection, false alarms, order, files and terminal."""
 
 from __future__ import annotations
 
 import io
 import json
 import secrets
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from strainwave.monitoring import trend_output as output
 from strainwave.monitoring.trend import Trend, trend
 from strainwave.monitoring.visits import Histories, read_histories
 
-SURE = 1e-4  # probability that a test with a fresh seed fails though all is well
+FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Trend:
     return trend(read_histories(store))
 
 
-def test_the_worn_arms_come_first(fleet: Trend) -> None:
+def test_changed_arms_come_first(fleet: Trend) -> None:
     named = {arm.history.arm: fleet.concerns(arm) for arm in fleet.arms}
     assert list(named)[:2] == ["arm-3", "arm-2"]
     assert [one.history.label for one in named["arm-3"]] == ["motor_coulomb_friction 1"]
@@ -48,20 +49,20 @@ def test_the_worn_arms_come_first(fleet: Trend) -> None:
     assert fleet.concern
 
 
-def test_the_same_store_gives_the_same_answer(fleet: Trend) -> None:
+def test_the_same_store_gives_the_same_result(fleet: Trend) -> None:
     again = trend(Histories(tuple(arm.history for arm in fleet.arms), (), "recorded"))
     assert [arm.p for arm in again.arms] == [arm.p for arm in fleet.arms]
 
 
-def test_healthy_arms_are_named_as_rarely_as_promised() -> None:
+def test_the_false_alarm_rate_is_at_most_the_level() -> None:
     """200 arms of 12 correlated parameters, at the 1 % of the command."""
     seed = secrets.randbits(32)
     counted = false_alarms(np.random.default_rng(seed), 200)
     named = sum(alarms for _, alarms in counted.values())
-    assert named <= stats.binom.ppf(1.0 - SURE, 200, 0.012), seed
+    assert named <= stats.binom.ppf(1.0 - FAILURE_P, 200, 0.012), seed
 
 
-def test_a_loss_of_stiffness_is_named_within_few_visits() -> None:
+def test_a_loss_of_stiffness_is_detected_within_few_visits() -> None:
     what, size, own, between, _, wear = CASES[2]
     assert (what, between, wear) == ("stiffness -2 %", 0.002, step)
     rng = np.random.default_rng(1)
@@ -72,14 +73,26 @@ def test_a_loss_of_stiffness_is_named_within_few_visits() -> None:
 
 def test_refusals(tmp_path: Path) -> None:
     histories = healthy_arm(np.random.default_rng(0), 10)
-    with pytest.raises(InvalidInput, match="no probability"):
+    with pytest.raises(InvalidInput, match="not a probability"):
         trend(histories, level=1.0)
     few = visited_arms.fleet(tmp_path, {"a": visited_arms.healthy}, visits=4)
-    with pytest.raises(NotIdentifiable, match="at most 4 visit"):
+    with pytest.raises(NotIdentifiable, match=r"at most 4 visit.*unless --arm names it"):
         trend(read_histories(few))
 
 
-def test_the_document_holds_every_visit(fleet: Trend, tmp_path: Path) -> None:
+def test_many_arms_of_one_visit_bring_a_hint(fleet: Trend) -> None:
+    """As if every visit had a folder of its own, and --arm were forgotten."""
+    arm = fleet.arms[0].history
+    alone = [replace(arm, arm=visit.run, visits=(visit,)) for visit in arm.visits]
+    notes = trend(Histories((arm, *alone), (), "recorded")).notes
+    assert len(notes) == 1
+    assert notes[0].startswith("24 of 25 arms have one visit; an arm is the folder")
+    assert "--arm" in notes[0]
+    assert "such as 'fleet/arm-3/" in notes[0]
+    assert not fleet.notes or "--arm '" not in " ".join(fleet.notes)
+
+
+def test_the_document_contains_every_visit(fleet: Trend, tmp_path: Path) -> None:
     output.write(fleet, tmp_path)
     document = json.loads((tmp_path / "trend.json").read_text())
     assert document["schema"] == "strainwave/trend/1"
@@ -91,7 +104,7 @@ def test_the_document_holds_every_visit(fleet: Trend, tmp_path: Path) -> None:
     assert worst["drift"]["per_day"] * 161 == pytest.approx(0.4 * 0.06, rel=0.3)
 
 
-def test_the_page_has_a_row_per_arm_and_escapes(fleet: Trend) -> None:
+def test_the_page_has_a_row_per_arm_and_escapes_names(fleet: Trend) -> None:
     page = output.render(fleet)
     assert "arm-<1>" not in page
     assert "arm-&lt;1&gt;" in page

@@ -1,4 +1,4 @@
-"""A store read as arms and visits: names, times, covariates, what is left out, faults."""
+"""Arms and visits of a store: names, times, covariates, omissions, refusals."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_an_arm_is_the_folder_of_its_studies(store: Path) -> None:
     stiffness = next(p for p in arm.parameters if p.label == "gear_stiffness 1")
     np.testing.assert_allclose(stiffness.series.time, 7.0 * np.arange(6))
     assert stiffness.series.covariates.shape == (6, 0)
-    assert any("not recorded" in note for note in found.notes)
+    assert any("not of the recordings" in note for note in found.notes)
 
 
 def test_an_arm_by_column_or_expression(store: Path) -> None:
@@ -54,7 +54,7 @@ def test_a_time_in_the_path(tmp_path: Path) -> None:
     assert [f"{visit.time:%m}" for visit in found.arms[0].visits] == ["01", "02", "03"]
     assert found.time_from == "recorded"
     assert not found.notes
-    with pytest.raises(InvalidInput, match="is no time"):
+    with pytest.raises(InvalidInput, match="is not a time"):
         read_histories(tmp_path, arm=r"(?P<time>fleet)")
 
 
@@ -73,21 +73,21 @@ def test_covariates_and_times_by_the_end_of_the_path(store: Path, tmp_path: Path
         (25.0,),
     ]
     assert arm.start == datetime(2025, 1, 1, tzinfo=UTC)
-    assert any("7 visits have no complete row" in note for note in found.notes)
+    assert any("7 visits are left out" in note for note in found.notes)
 
 
 def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 4, np.random.default_rng(0))
     runs[0]["status"] = "failed"
-    runs[2]["study"] = runs[1]["study"]  # done again later
+    runs[2]["study"] = runs[1]["study"]  # repeated later
     visited_arms.write(tmp_path, runs, parameters)
     found = read_histories(tmp_path)
     assert [visit.run for visit in found.arms[0].visits] == ["a-2", "a-3"]
-    assert any("1 of 4 runs did not answer" in note for note in found.notes)
-    assert any("earlier ones of the same study" in note for note in found.notes)
+    assert any("1 of 4 runs are left out: they failed" in note for note in found.notes)
+    assert any("the same study has a later run" in note for note in found.notes)
 
 
-def test_values_of_another_stage_or_without_deviation_are_left_out(tmp_path: Path) -> None:
+def test_values_of_another_stage_or_without_std_are_left_out(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 5, np.random.default_rng(0))
     stiffness = [p for p in parameters if p["name"] == "gear_stiffness"]
     stiffness[0]["stage"] = "decoupled"
@@ -104,7 +104,7 @@ def test_values_of_another_stage_or_without_deviation_are_left_out(tmp_path: Pat
     assert "gyro_drift 1" not in own
 
 
-def test_merged_files_that_double_a_run_count_once(tmp_path: Path) -> None:
+def test_a_run_in_two_files_counts_once(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 3, np.random.default_rng(0))
     visited_arms.write(tmp_path, runs, parameters)
     for kind in ("runs", "parameters"):
@@ -116,32 +116,32 @@ def test_merged_files_that_double_a_run_count_once(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arm", "said"),
+    ("arm", "message"),
     [
-        ("(", "no regular expression"),
+        ("(", "not a regular expression"),
         ("status2", "neither a column"),
-        ("(nothing)", "fits no study"),
+        ("(nothing)", "matches no study.*such as 'fleet/"),
     ],
 )
-def test_expressions_at_fault(store: Path, arm: str, said: str) -> None:
-    with pytest.raises(InvalidInput, match=said):
+def test_wrong_expressions_are_refused(store: Path, arm: str, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
         read_histories(store, arm=arm)
 
 
-def test_tables_at_fault(store: Path, tmp_path: Path) -> None:
+def test_wrong_tables_are_refused(store: Path, tmp_path: Path) -> None:
     path = tmp_path / "visits.csv"
-    for lines, said in (
+    for lines, message in (
         (("arm,temperature", "a,1"), "no column 'study'"),
-        (("study,temperature", "a,warm"), "line 2: 'warm' is no finite number"),
-        (("study,time", "a,yesterday"), "is no time"),
+        (("study,temperature", "a,warm"), "line 2: 'warm' is not a finite number"),
+        (("study,time", "a,yesterday"), "is not a time"),
     ):
-        with pytest.raises(InvalidInput, match=said):
+        with pytest.raises(InvalidInput, match=message):
             read_conditions(table(path, *lines))
     with pytest.raises(InvalidInput, match="no study of the table"):
         read_histories(store, covariates=table(path, "study,temperature", "elsewhere,1"))
 
 
-def test_a_folder_that_is_no_store(tmp_path: Path) -> None:
+def test_another_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="holds no runs"):
         read_histories(tmp_path)
 

@@ -1,7 +1,7 @@
-"""One case of a campaign: a study to identify, small enough to be sent to any worker.
+"""Cases of a campaign: studies to identify, small enough to be sent to any worker.
 
-A worker opens the case and gets a study with its logs. `kinds` lists the kinds of cases: a study
-file is one, and a virtual arm drawn by its number may be another.
+A worker opens a case and gets a study with its logs. `strainwave.campaign.kinds` lists the kinds:
+study files, and virtual arms of a family.
 """
 
 from __future__ import annotations
@@ -17,54 +17,45 @@ from strainwave.io.logs.in_memory import Data
 
 
 class Hashes(NamedTuple):
-    """What a case's result depends on, but for options and version."""
+    """Hashes of the inputs of a case."""
 
-    study_sha256: str | None  # None where the study file cannot be read
+    study_sha256: str | None  # None: the study file cannot be read
     inputs_sha256: str
 
 
 @dataclass(frozen=True)
 class Opened:
-    """A case as `pipeline.identify` takes it, and what is known of it beforehand."""
+    """A case as `pipeline.identify` takes it."""
 
     study: Study | Path
     data: Data | None = None
     truth: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
-    """(name, joint) -> true value, of a virtual arm."""
+    """(name, joint) -> true value of a virtual arm."""
     classes: Mapping[str, Any] = field(default_factory=dict)
-    """What the arm was drawn with: plain JSON values."""
+    """Properties with which a virtual arm was drawn, as plain JSON values."""
 
 
 class Case(Protocol):
-    """One study of a campaign. A frozen dataclass of plain JSON values is one."""
+    """One study of a campaign: a frozen dataclass of plain JSON values."""
 
     kind: ClassVar[str]
 
     @property
     def name(self) -> str:
-        """As in the column `study`."""
+        """Value of the column `study`."""
 
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """Options of this case alone, over the campaign's: stage -> key -> value."""
+        """Options of this case, which override those of the campaign: stage -> key -> value."""
 
     def hashes(self) -> Hashes:
-        """Of the study and of its inputs.
-
-        Raises
-        ------
-        InvalidInput
-            The place cannot be read at all.
-        """
+        """Hashes of the study and its inputs; `InvalidInput` if the place cannot be read at all."""
 
     def opened(self) -> AbstractContextManager[Opened]:
-        """What a worker identifies; leaving removes what was fetched for it.
+        """The study to identify; temporary copies are removed on exit.
 
-        Raises
-        ------
-        InvalidInput
-            The study or an input is at fault.
+        Raises `InvalidInput` if the study or an input is at fault.
         """
 
     def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case is made again."""
+        """Plain JSON values from which the case can be created again."""

@@ -1,7 +1,7 @@
-"""A campaign on a Dask cluster: each thread of a Dask worker has a worker process of its own.
+"""A campaign on a Dask cluster: each thread of a Dask worker has one worker process.
 
-What is sent is a line of JSON each way; studies and the store are reached by path or URL from
-wherever a worker runs.
+Tasks and outcomes are sent as one line of JSON each. Studies and store must be reachable by path or
+URL from every worker.
 """
 
 from __future__ import annotations
@@ -26,59 +26,50 @@ from strainwave.campaign.rows import now
 from strainwave.campaign.runner import Runner, failed
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED, Limits, Outcome, Task
-from strainwave.errors import InvalidInput, StrainwaveError
+from strainwave.errors import InvalidInput, StrainwaveError, require
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.toml_files import check_keys, parsed_toml
 
-_CONNECT = 10.0  # [s] for a scheduler to answer
-_POLL = 0.5  # [s] between two looks at whether it is still there
-_MISSING = 10.0  # [s] without the scheduler, after which it is given up
-_AHEAD = 2  # tasks per thread of the cluster that wait there
-_LEAST_AHEAD = 16
-_PLANNERS = 4  # threads that look what is recorded
+_CONNECT_TIMEOUT_S = 10.0  # of the scheduler
+_POLL_S = 0.5  # between two checks of the scheduler
+_MAX_ABSENCE_S = 10.0  # of the scheduler before the campaign ends
+_QUEUED_PER_THREAD = 2  # tasks that wait at the scheduler, so that no thread idles
+_MIN_QUEUED = 16  # for clusters that still start
+_N_PLANNERS = 4  # threads that check which runs are recorded
 _KEYS = ("class", "arguments", "workers")
 
-_own = threading.local()
+_thread = threading.local()
 
 
 class ClusterLost(StrainwaveError):  # noqa: N818
-    """The scheduler has gone; the same command goes on where this one ended."""
+    """The scheduler is lost; the same command continues where this one ended."""
 
     def __init__(self) -> None:
-        super().__init__("the Dask scheduler has gone")
+        super().__init__("the Dask scheduler is lost")
 
 
 def perform(line: str, limits: dict[str, Any], since: str) -> str:
-    """What a Dask worker does: one task in the worker process of this thread.
+    """Perform one task in the worker process of this thread, on a Dask worker.
 
-    Parameters
-    ----------
-    line : str
-        Of a task.
-    limits : dict
-        Of `Limits`.
-    since : str
-        ISO 8601: when the task was planned. A run recorded later is this task's, done by a worker
-        process whose Dask worker has died meanwhile.
-
-    Returns
-    -------
-    str
-        An outcome as JSON.
+    `line` is a `Task`, `limits` the fields of `Limits`; returns an `Outcome`, both as JSON. A run
+    recorded after `since`, the ISO 8601 time of planning, is that of this task: its Dask worker
+    died after its worker process had recorded it.
     """
     task = Task.from_json(line)
-    known = _store(task.store).recorded(task.run)
-    if known and (known.status != FAILED or known.started >= datetime.fromisoformat(since)):
-        return Outcome.of(task.run, task.case.name, known).to_json()
-    if getattr(_own, "limits", None) != limits:
-        _own.limits, _own.runner = limits, Runner(Limits(**limits))
-    runner: Runner = _own.runner
+    recorded = _store(task.store).recorded(task.run)
+    if recorded and (
+        recorded.status != FAILED or recorded.started >= datetime.fromisoformat(since)
+    ):
+        return Outcome.of(task.run, task.case.name, recorded).to_json()
+    if getattr(_thread, "limits", None) != limits:
+        _thread.limits, _thread.runner = limits, Runner(Limits(**limits))
+    runner: Runner = _thread.runner
     return runner.run(task).to_json()
 
 
 @cache
 def _store(where: str) -> Store:
-    """One for all tasks of a Dask worker: what it has read of merged files it keeps."""
+    """One store for all tasks of a Dask worker, which caches merged files."""
     return Store.at(where)
 
 
@@ -86,44 +77,26 @@ def _store(where: str) -> Store:
 def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
     """A client of a running scheduler, or of a cluster that is started for this campaign.
 
-    Parameters
-    ----------
-    scheduler : str, optional
-        Its address, tcp://host:8786.
-    description : Path, optional
-        A TOML file with `class`, `arguments` and `workers` of a Dask cluster.
-
-    Yields
-    ------
-    distributed.Client
-
-    Raises
-    ------
-    InvalidInput
-        Dask is not installed, nobody answers, or the cluster cannot be made.
+    `scheduler` is an address such as tcp://host:8786, `description` a TOML file with `class`,
+    `arguments` and `workers`. Raises `InvalidInput` if Dask is not installed, the scheduler does
+    not answer, or the cluster cannot be created.
     """
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InvalidInput(
-            "a cluster needs Dask, which is not installed",
-            remedy='pip install "strainwave[cluster]"',
-        ) from error
+    Client = require("distributed", "a cluster", '"strainwave[cluster]"').Client
     _silence()
     cluster = None if description is None else _started(description)
     try:
         try:
-            client = Client(cluster or scheduler, timeout=_CONNECT, set_as_default=False)
+            client = Client(cluster or scheduler, timeout=_CONNECT_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InvalidInput(
-                f"no Dask scheduler answers there ({' '.join(str(error).split())})",
+                f"no Dask scheduler answers ({' '.join(str(error).split())})",
                 where=scheduler,
                 remedy="start one by `dask scheduler`, or check the address",
             ) from error
         try:
             yield client
         finally:
-            with suppress(Exception):  # of a scheduler that has gone
+            with suppress(Exception):  # a lost scheduler does not answer
                 client.close(timeout=1.0)
     finally:
         if cluster is not None:
@@ -132,7 +105,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
 
 
 def _silence() -> None:
-    """What Dask logs of a scheduler that has gone, one sentence says."""
+    """Suppress log messages on a lost scheduler, which `ClusterLost` reports."""
     for name in list(logging.root.manager.loggerDict):
         if name.split(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
@@ -140,7 +113,7 @@ def _silence() -> None:
 
 @dataclass(frozen=True)
 class _Planned:
-    """A case's task, since when it may have been recorded."""
+    """A task and the time since when it may have been recorded."""
 
     task: Task
     since: datetime
@@ -149,50 +122,32 @@ class _Planned:
 def run(
     cases: Iterable[Case], plan: Plan, client: Any, limits: Limits, workers: int | None = None
 ) -> Generator[Outcome]:
-    """Run cases on the workers of a scheduler.
+    """Run cases on the workers of a scheduler; yield outcomes as they come.
 
-    Parameters
-    ----------
-    cases : iterable of Case
-    plan : Plan
-    client : distributed.Client
-    limits : Limits
-    workers : int, optional
-        Most tasks at a time; without, as many as the cluster has threads.
-
-    Yields
-    ------
-    Outcome
-        As they come.
-
-    Raises
-    ------
-    ClusterLost
-        The scheduler has gone.
-    InvalidInput
-        The workers cannot run strainwave, or a case cannot be looked for at all.
+    `workers` limits the number of submitted tasks. Raises `ClusterLost` if the scheduler is lost,
+    and `InvalidInput` if the workers cannot run strainwave or a case cannot be read at all.
     """
     waiting: Iterator[Case] | None = iter(cases)
     events: queue.SimpleQueue[Any] = queue.SimpleQueue()
-    flying: dict[str, tuple[_Planned, Any]] = {}
+    submitted: dict[str, tuple[_Planned, Any]] = {}
     planning = 0
-    room = _Room(client, workers)
-    pool = ThreadPoolExecutor(_PLANNERS)
+    capacity = _Capacity(client, workers)
+    pool = ThreadPoolExecutor(_N_PLANNERS)
     try:
         while True:
-            while waiting is not None and planning + len(flying) < room.tasks():
+            while waiting is not None and planning + len(submitted) < capacity.tasks():
                 case = next(waiting, None)
                 if case is None:
                     waiting = None
                     break
                 planning += 1
                 pool.submit(_plan, plan, case).add_done_callback(events.put)
-            if not planning and not flying:
+            if not planning and not submitted:
                 return
             try:
-                event = events.get(timeout=_POLL)
+                event = events.get(timeout=_POLL_S)
             except queue.Empty:
-                room.check()
+                capacity.check()
                 continue
             if getattr(event, "key", None) is None:  # a case was planned
                 planning -= 1
@@ -201,10 +156,10 @@ def run(
                     yield planned
                 else:
                     future = _submit(client, planned, limits)
-                    flying[future.key] = planned, future
+                    submitted[future.key] = planned, future
                     future.add_done_callback(events.put)
             else:
-                planned, future = flying.pop(event.key)
+                planned, future = submitted.pop(event.key)
                 yield _outcome(planned, future, plan)
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
@@ -217,7 +172,7 @@ def _plan(plan: Plan, case: Case) -> _Planned | Outcome:
 
 
 def _submit(client: Any, planned: _Planned, limits: Limits) -> Any:
-    with _answered(client):
+    with _connected_call(client):
         return client.submit(
             perform,
             planned.task.to_json(),
@@ -229,8 +184,8 @@ def _submit(client: Any, planned: _Planned, limits: Limits) -> Any:
 
 
 @contextmanager
-def _answered(client: Any) -> Iterator[None]:
-    """A call that needs the scheduler, which may go before it answers."""
+def _connected_call(client: Any) -> Iterator[None]:
+    """A call of the scheduler, which may be lost during the call."""
     try:
         yield
     except Exception as error:  # a broken connection is an OSError, a closed client is not
@@ -240,11 +195,11 @@ def _answered(client: Any) -> Iterator[None]:
 
 
 def _outcome(planned: _Planned, future: Any, plan: Plan) -> Outcome:
-    """What a Dask task came to; one whose workers died again and again is a run that failed."""
+    """Outcome of a Dask task; a task whose workers died repeatedly is a failed run."""
     from distributed import KilledWorker
 
     if future.status == "finished":
-        with _answered(future.client):
+        with _connected_call(future.client):
             return Outcome.from_json(future.result())
     if future.status != "error":
         raise ClusterLost
@@ -260,56 +215,59 @@ def _outcome(planned: _Planned, future: Any, plan: Plan) -> Outcome:
     )
 
 
-class _Room:
-    """How many tasks to have at the scheduler, and whether it is still there."""
+class _Capacity:
+    """Number of tasks to submit, and check of the scheduler."""
 
     def __init__(self, client: Any, workers: int | None) -> None:
         self._client = client
         self._workers = workers
-        self._known, self._looked = _LEAST_AHEAD, -_POLL
-        self._seen = time.monotonic()
+        self._n_tasks, self._checked = _MIN_QUEUED, -_POLL_S
+        self._last_contact = time.monotonic()
 
     def tasks(self) -> int:
-        """Those asked for, or so many that no thread of the cluster waits."""
+        """The number of workers, or enough tasks for all threads of the cluster."""
         if self._workers is not None:
             return self._workers
-        if time.monotonic() - self._looked > _POLL:
+        if time.monotonic() - self._checked > _POLL_S:
             with suppress(OSError, TimeoutError):
                 threads = sum(self._client.nthreads().values())
-                self._known = max(_LEAST_AHEAD, (1 + _AHEAD) * threads)
-            self._looked = time.monotonic()
-        return self._known
+                self._n_tasks = max(_MIN_QUEUED, (1 + _QUEUED_PER_THREAD) * threads)
+            self._checked = time.monotonic()
+        return self._n_tasks
 
     def check(self) -> None:
-        """Raise `ClusterLost` where the scheduler has been away too long."""
+        """Raise `ClusterLost` if the scheduler does not answer for too long."""
         if self._client.status == "running":
-            self._seen = time.monotonic()
-        elif self._client.status == "closed" or time.monotonic() - self._seen > _MISSING:
+            self._last_contact = time.monotonic()
+        elif (
+            self._client.status == "closed"
+            or time.monotonic() - self._last_contact > _MAX_ABSENCE_S
+        ):
             raise ClusterLost
 
 
 def _started(path: Path) -> Any:
-    """The cluster that a file describes."""
+    """The cluster that a TOML file describes."""
     text = decode(read_bytes(path, "the cluster's description"), path)
     document = parsed_toml(text, path)
     check_keys(document, _KEYS, path)
-    wanted = {"class": str, "arguments": dict, "workers": int}
-    given: dict[str, Any] = {"arguments": {}, "workers": 0} | document
-    for key, kind in wanted.items():
-        if not isinstance(given.get(key), kind):
+    types = {"class": str, "arguments": dict, "workers": int}
+    values: dict[str, Any] = {"arguments": {}, "workers": 0} | document
+    for key, kind in types.items():
+        if not isinstance(values.get(key), kind):
             raise InvalidInput(
-                f"'{key}' is missing or of another type",
+                f"'{key}' is missing or has the wrong type",
                 where=str(path),
                 remedy='give class = "dask_jobqueue.SLURMCluster", arguments = {...}, workers = 10',
             )
-    module, _, name = given["class"].rpartition(".")
+    module, _, name = values["class"].rpartition(".")
     try:
-        cluster = getattr(importlib.import_module(module), name)(**given["arguments"])
-        if given["workers"]:
-            cluster.scale(given["workers"])
-    except Exception as error:  # whatever a class from elsewhere says to its arguments
+        cluster = getattr(importlib.import_module(module), name)(**values["arguments"])
+        if values["workers"]:
+            cluster.scale(values["workers"])
+    except Exception as error:  # a foreign class may raise anything
         raise InvalidInput(
-            f"{given['class']} cannot be made ({type(error).__name__}: {error})",
+            f"{values['class']} cannot be created ({type(error).__name__}: {error})",
             where=str(path),
             remedy="check the class, its package and its arguments",
         ) from error

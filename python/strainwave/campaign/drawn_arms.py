@@ -1,4 +1,4 @@
-"""The case of a virtual arm, drawn by its number and recorded in memory where it is identified."""
+"""Cases of virtual arms, which the worker draws by their number and records in memory."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from strainwave.virtual.families import Family, draw, family_of, fields_of, reco
 
 @dataclass(frozen=True)
 class DrawnArm:
-    """One arm of a family; no file is needed where it is drawn again."""
+    """One arm of a family, which any process can draw again."""
 
     name: str  # campaign.toml#number
     family: Mapping[str, Any]  # as in `[family]`
@@ -25,26 +25,21 @@ class DrawnArm:
 
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """None: the campaign has them."""
+        """No options: the campaign has them."""
         return {}
 
     def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case is made again."""
+        """Plain JSON values from which the case can be created again."""
         return asdict(self)
 
     def hashes(self) -> Hashes:
-        """Of the family but for its count of arms, and of the number within it.
-
-        Returns
-        -------
-        Hashes
-        """
+        """Hashes of the family without its number of arms, and of the number of this arm."""
         drawn_from = {key: value for key, value in self.family.items() if key != "arms"}
         return Hashes(_sha256(drawn_from), _sha256([drawn_from, self.number]))
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:
-        """The arm's study and logs, its true values, and what it was drawn with."""
+        """Study, logs, true values and properties of the arm."""
         family = family_of(self.family, Path(self.name), "")
         arm = draw(family, self.number)
         recorded = record(arm)
@@ -52,18 +47,7 @@ class DrawnArm:
 
 
 def arms_of(family: Family, path: Path) -> list[DrawnArm]:
-    """A case per arm.
-
-    Parameters
-    ----------
-    family : Family
-    path : Path
-        Of the campaign.toml, for names.
-
-    Returns
-    -------
-    list of DrawnArm
-    """
+    """One case per arm of the family that the campaign.toml at `path` describes."""
     table = fields_of(family)
     return [DrawnArm(f"{path}#{number}", table, number) for number in range(family.arms)]
 

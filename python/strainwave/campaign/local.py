@@ -1,17 +1,15 @@
-"""A campaign on this machine: as many worker processes as there are slots."""
+"""A campaign on this machine, with one worker process per slot."""
 
 from __future__ import annotations
 
 import queue
-import threading
 from collections.abc import Callable, Generator, Iterable
+from concurrent.futures import ThreadPoolExecutor, as_completed
 
 from strainwave.campaign.cases import Case
 from strainwave.campaign.plan import Plan
-from strainwave.campaign.runner import Runner, Stopping
+from strainwave.campaign.runner import Runner
 from strainwave.campaign.tasks import Limits, Outcome
-
-_GRACE = 0.5  # [s] for a slot to clear up after its process has been ended
 
 
 def run(
@@ -21,68 +19,35 @@ def run(
     limits: Limits,
     start: Callable[[Limits], Runner] = Runner,
 ) -> Generator[Outcome]:
-    """Run cases, each in one of the worker processes.
+    """Run cases in `workers` processes, which `start` creates; yield outcomes as they come.
 
-    Where the caller leaves, the processes are ended and what they were at is not recorded.
-
-    Parameters
-    ----------
-    cases : iterable of Case
-    plan : Plan
-    workers : int
-        Processes at a time.
-    limits : Limits
-    start : callable
-        Makes a runner.
-
-    Yields
-    ------
-    Outcome
-        As they come.
-
-    Raises
-    ------
-    InvalidInput
-        The worker processes do not start, or a case cannot be looked for at all.
+    If the caller closes the generator, the processes are killed and their runs are not recorded.
+    Raises `InvalidInput` if the worker processes do not start or a case cannot be read at all.
     """
-    waiting, mutex = iter(cases), threading.Lock()
-    ended: queue.SimpleQueue[Outcome | BaseException | None] = queue.SimpleQueue()
     runners = [start(limits) for _ in range(workers)]
-    left = threading.Event()
+    idle: queue.SimpleQueue[Runner] = queue.SimpleQueue()
+    for runner in runners:
+        idle.put(runner)
 
-    def slot(runner: Runner) -> None:
+    def outcome_of(case: Case) -> Outcome:
+        task = plan.next(case)
+        if isinstance(task, Outcome):
+            return task
+        runner = idle.get()
         try:
-            while not left.is_set():
-                with mutex:
-                    case = next(waiting, None)
-                if case is None:
-                    break
-                task = plan.next(case)
-                ended.put(task if isinstance(task, Outcome) else runner.run(task))
-            runner.close()
-        except Stopping:
-            runner.close()
-        except BaseException as error:  # raised again where outcomes are waited for
-            ended.put(error)
+            return runner.run(task)
         finally:
-            ended.put(None)
+            idle.put(runner)
 
-    threads = [threading.Thread(target=slot, args=(each,), daemon=True) for each in runners]
-    for thread in threads:
-        thread.start()
+    pool = ThreadPoolExecutor(workers)
     try:
-        busy = workers
-        while busy:
-            outcome = ended.get()
-            if outcome is None:
-                busy -= 1
-            elif isinstance(outcome, BaseException):
-                raise outcome
-            else:
-                yield outcome
+        for future in as_completed([pool.submit(outcome_of, case) for case in cases]):
+            yield future.result()
+        for runner in runners:
+            runner.close()
     finally:
-        left.set()
+        pool.shutdown(wait=False, cancel_futures=True)
         for runner in runners:
             runner.stop()
-        for thread in threads:
-            thread.join(_GRACE)
+        for runner in runners:
+            runner.close()

@@ -1,7 +1,7 @@
-"""Where files lie: a local path or a URL, read and written through one interface.
+"""Folders at a local path or a URL, with one interface.
 
-A file appears whole or not at all. Local files are written aside, flushed to the disk and renamed;
-an object store puts whole objects.
+A file appears completely or not at all. Local files are written to a temporary file, flushed to the
+disk and renamed; an object store writes whole objects.
 """
 
 from __future__ import annotations
@@ -16,60 +16,39 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from strainwave.errors import InvalidInput
+from strainwave.errors import InvalidInput, require
 
-_ABANDONED = 3600.0  # [s] after which a file written aside has no writer
+_MAX_WRITE_S = 3600.0  # [s]; the process that wrote an older temporary file has died
 
 
 def is_url(text: str) -> bool:
-    """Whether a place is named by a URL in place of a path.
-
-    Parameters
-    ----------
-    text : str
-
-    Returns
-    -------
-    bool
-    """
+    """Whether the text is a URL instead of a path."""
     return "://" in text
 
 
 class Place(Protocol):
-    """A folder of whole files, by names with slashes relative to it."""
+    """A folder whose files have names with slashes relative to it."""
 
     def __str__(self) -> str: ...
 
     def put(self, name: str, data: bytes) -> None:
-        """Write a file, whole or not at all.
-
-        Raises
-        ------
-        OSError
-            It cannot be written; nothing of it can be read.
-        """
+        """Write a file completely or not at all; OSError if that fails."""
 
     def get(self, name: str) -> bytes:
-        """A file's bytes.
-
-        Raises
-        ------
-        FileNotFoundError
-            There is no such file.
-        """
+        """A file's bytes; FileNotFoundError if there is none."""
 
     def names(self, folder: str, ending: str) -> list[str]:
-        """Files of a folder by their ending, as `folder/file`; none where there is no folder."""
+        """Files of a subfolder by ending, as `folder/file`; none if there is no such folder."""
 
     def exists(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Whether the file exists."""
 
     def delete(self, names: Iterable[str]) -> None:
-        """Remove files; those that are gone already do not matter."""
+        """Delete files that still exist."""
 
     @contextmanager
     def lock(self) -> Iterator[bool]:
-        """Hold the folder's lock; false, at once, where another holds it or there is none."""
+        """Hold the lock of the folder; yields false if another process holds it."""
 
 
 @dataclass(frozen=True)
@@ -82,10 +61,10 @@ class Folder:
         return str(self.path)
 
     def put(self, name: str, data: bytes) -> None:
-        """Write aside under a name that no reader matches, flush, rename."""
+        """Write a hidden temporary file, flush it to the disk, and rename it."""
         final = self.path / name
         final.parent.mkdir(parents=True, exist_ok=True)
-        handle, aside = tempfile.mkstemp(
+        handle, temporary = tempfile.mkstemp(
             prefix=f".{final.name}.", suffix=".aside", dir=final.parent
         )
         try:
@@ -93,11 +72,11 @@ class Folder:
                 file.write(data)
                 file.flush()
                 os.fsync(file.fileno())
-            Path(aside).chmod(0o644)
-            Path(aside).replace(final)
+            Path(temporary).chmod(0o644)
+            Path(temporary).replace(final)
         except OSError:
             with suppress(OSError):
-                Path(aside).unlink()
+                Path(temporary).unlink()
             raise
 
     def get(self, name: str) -> bytes:
@@ -105,34 +84,34 @@ class Folder:
         return (self.path / name).read_bytes()
 
     def names(self, folder: str, ending: str) -> list[str]:
-        """Files of a folder by their ending; those written aside begin with a dot."""
+        """Files of a subfolder by ending; temporary files begin with a dot."""
         try:
             with os.scandir(self.path / folder) as entries:
-                found = [e.name for e in entries if e.name.endswith(ending) and e.name[0] != "."]
+                names = [e.name for e in entries if e.name.endswith(ending) and e.name[0] != "."]
         except FileNotFoundError:
             return []
-        return [f"{folder}/{name}" for name in sorted(found)]
+        return [f"{folder}/{name}" for name in sorted(names)]
 
     def exists(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Whether the file exists."""
         return (self.path / name).exists()
 
     def delete(self, names: Iterable[str]) -> None:
-        """Remove files; those that are gone already do not matter."""
+        """Delete files that still exist."""
         for name in names:
             (self.path / name).unlink(missing_ok=True)
 
     def sweep(self, folder: str) -> None:
-        """Remove what processes that died had written aside."""
-        before = time.time() - _ABANDONED
+        """Delete temporary files of processes that died."""
+        before = time.time() - _MAX_WRITE_S
         for path in (self.path / folder).glob(".*.aside"):
-            with suppress(OSError):  # renamed meanwhile
+            with suppress(OSError):  # renamed in the meantime
                 if path.stat().st_mtime < before:
                     path.unlink()
 
     @contextmanager
     def lock(self) -> Iterator[bool]:
-        """Hold `.lock` in the folder; false where another process holds it."""
+        """Hold `.lock` in the folder; yields false if another process holds it."""
         with (self.path / ".lock").open("ab") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -155,7 +134,7 @@ class Bucket:
         return file_system(f"{self.url.rstrip('/')}/{name}")
 
     def put(self, name: str, data: bytes) -> None:
-        """Put a whole object; on a file system without objects, write aside and move."""
+        """Write a whole object; on a local file system as `Folder` does."""
         system, path = self._at(name)
         if "file" not in _protocols(system):
             system.pipe_file(path, data)
@@ -168,23 +147,23 @@ class Bucket:
         return bytes(system.cat_file(path))
 
     def names(self, folder: str, ending: str) -> list[str]:
-        """Files of a folder by their ending."""
+        """Files of a subfolder by ending."""
         system, path = self._at(folder)
         system.invalidate_cache()
         try:
-            found = [str(each).rsplit("/", 1)[-1] for each in system.ls(path, detail=False)]
+            names = [str(each).rsplit("/", 1)[-1] for each in system.ls(path, detail=False)]
         except FileNotFoundError:
             return []
-        return [f"{folder}/{n}" for n in sorted(found) if n.endswith(ending) and n[0] != "."]
+        return [f"{folder}/{n}" for n in sorted(names) if n.endswith(ending) and n[0] != "."]
 
     def exists(self, name: str) -> bool:
-        """Whether there is such a file."""
+        """Whether the file exists."""
         system, path = self._at(name)
         system.invalidate_cache()
         return bool(system.exists(path))
 
     def delete(self, names: Iterable[str]) -> None:
-        """Remove files; those that are gone already do not matter."""
+        """Delete files that still exist."""
         for name in names:
             system, path = self._at(name)
             with suppress(FileNotFoundError):
@@ -192,50 +171,23 @@ class Bucket:
 
     @contextmanager
     def lock(self) -> Iterator[bool]:
-        """An object store has no locks."""
+        """Yields false: an object store has no locks."""
         yield False
 
 
 def place_of(where: Path | str) -> Place:
-    """The folder at a path or a URL.
-
-    Parameters
-    ----------
-    where : Path or str
-
-    Returns
-    -------
-    Place
-    """
+    """The folder at a path or a URL."""
     return Bucket(where) if isinstance(where, str) and is_url(where) else Folder(Path(where))
 
 
 def file_system(url: str) -> tuple[Any, str]:
-    """What reads a URL, and the path in it.
+    """The fsspec file system of a URL, and the path in it.
 
-    Parameters
-    ----------
-    url : str
-
-    Returns
-    -------
-    (fsspec.AbstractFileSystem, str)
-
-    Raises
-    ------
-    InvalidInput
-        fsspec is not installed, or what it needs for this kind of URL.
+    Raises `InvalidInput` if fsspec or its package for this kind of URL is not installed.
     """
+    core = require("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
     try:
-        from fsspec.core import url_to_fs
-    except ImportError as error:
-        raise InvalidInput(
-            "a URL needs fsspec, which is not installed",
-            where=url,
-            remedy='pip install "strainwave[cluster]", or give a path',
-        ) from error
-    try:
-        system, path = url_to_fs(url)
+        system, path = core.url_to_fs(url)
     except (ImportError, ValueError) as error:
         raise InvalidInput(
             f"this kind of URL cannot be read ({error})",
@@ -246,5 +198,5 @@ def file_system(url: str) -> tuple[Any, str]:
 
 
 def _protocols(system: Any) -> tuple[str, ...]:
-    found = system.protocol
-    return (found,) if isinstance(found, str) else tuple(found)
+    protocol = system.protocol
+    return (protocol,) if isinstance(protocol, str) else tuple(protocol)

@@ -1,4 +1,4 @@
-"""Which cases still have to run: those that the store does not have at these hashes."""
+"""The cases that still have to run: those without a recorded run with the same hashes."""
 
 from __future__ import annotations
 
@@ -13,25 +13,16 @@ from strainwave.campaign.tasks import FAILED, Outcome, Task, merged
 
 @dataclass(frozen=True)
 class Plan:
-    """What is done with every case of a campaign."""
+    """Stages and options of a campaign, and its store."""
 
     store: Store
-    campaign: str  # its name in the runs' rows
+    campaign: str  # its name in the rows of the runs
     stages: tuple[str, ...]
     options: Mapping[str, Mapping[str, Any]]
     retry_failed: bool = False
 
     def next(self, case: Case) -> Task | Outcome:
-        """A case's task, or how it ended where that is recorded.
-
-        Parameters
-        ----------
-        case : Case
-
-        Returns
-        -------
-        Task or Outcome
-        """
+        """The task of a case, or its outcome if that is recorded."""
         hashes = case.hashes()
         task = Task(
             case=case,
@@ -42,7 +33,7 @@ class Plan:
             store=str(self.store.place),
             campaign=self.campaign,
         )
-        known = self.store.recorded(task.run)
-        if known is None or (self.retry_failed and known.status == FAILED):
+        recorded = self.store.recorded(task.run)
+        if recorded is None or (self.retry_failed and recorded.status == FAILED):
             return task
-        return Outcome.of(task.run, case.name, known, skipped=True)
+        return Outcome.of(task.run, case.name, recorded, skipped=True)

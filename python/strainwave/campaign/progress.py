@@ -1,4 +1,4 @@
-"""How far a campaign is: counts while it runs, a live display where a person watches."""
+"""Progress of a campaign: counts, undetermined runs, and a live display."""
 
 from __future__ import annotations
 
@@ -12,41 +12,46 @@ from typing import Any
 
 from strainwave.campaign.tasks import FAILED, Outcome
 
-_PLACE = re.compile(r"\S*/\S*|\S+\.(?:toml|csv|parquet)\S*")
+_PATH = re.compile(r"\S*/\S*|\S+\.(?:toml|csv|parquet)\S*")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
-_LONGEST = 90  # characters of a cause
-_CAUSES = 6  # that are displayed
+_MAX_CAUSE_LENGTH = 90  # characters: one line of a terminal
+_MAX_CAUSES = 6  # displayed
+MAX_LISTED = 20
+"""Undetermined runs that are listed by name: a screen."""
 STATUSES = ("determined", "partly-determined", "not-determined", "inconsistent-input", FAILED)
 
 
 @dataclass
 class Tally:
-    """What has come of a campaign's cases so far."""
+    """Counts of the outcomes of a campaign so far."""
 
     total: int
-    begin: float = field(default_factory=time.monotonic)
+    start: float = field(default_factory=time.monotonic)
     done: int = 0  # in this campaign
     skipped: int = 0  # recorded before
     by_status: Counter[str] = field(default_factory=Counter)
     by_cause: Counter[tuple[str, str]] = field(default_factory=Counter)
+    undetermined: list[Outcome] = field(default_factory=list)  # the first `MAX_LISTED`
 
     def add(self, outcome: Outcome) -> None:
-        """Count an outcome.
-
-        Parameters
-        ----------
-        outcome : Outcome
-        """
+        """Count an outcome."""
         self.done += not outcome.skipped
         self.skipped += outcome.skipped
         self.by_status[outcome.status] += 1
         if outcome.status != "determined":
             self.by_cause[outcome.status, cause(outcome.message)] += 1
+            if len(self.undetermined) < MAX_LISTED:
+                self.undetermined.append(outcome)
+
+    @property
+    def n_undetermined(self) -> int:
+        """Number of runs that are not determined or failed."""
+        return self.by_status.total() - self.by_status["determined"]
 
     @property
     def seconds(self) -> float:
-        """Since the campaign began."""
-        return time.monotonic() - self.begin
+        """Time since the start of the campaign."""
+        return time.monotonic() - self.start
 
     @property
     def rate(self) -> float:
@@ -55,7 +60,7 @@ class Tally:
 
     @property
     def seconds_left(self) -> float | None:
-        """At the rate so far; None before the first run has ended."""
+        """Remaining time at the present rate; None before the first run ends."""
         waiting = self.total - self.done - self.skipped
         return waiting / self.rate if self.done else None
 
@@ -69,40 +74,25 @@ class Tally:
         )
 
     def causes(self) -> list[str]:
-        """The commonest causes of what is not determined, a line each."""
-        common = self.by_cause.most_common(_CAUSES)
-        return [f"  {count} {status}: {why}" for (status, why), count in common]
+        """The most frequent causes of undetermined runs, one line each."""
+        common = self.by_cause.most_common(_MAX_CAUSES)
+        return [f"  {count} {status}: {reason}" for (status, reason), count in common]
 
 
 def cause(message: str) -> str:
-    """The class of a message: without names of files and numbers, which differ by study.
+    """A message without file names and numbers, which differ between studies of one cause."""
+    text = _NUMBER.sub("#", _PATH.sub("...", reason(message)))
+    return text if len(text) <= _MAX_CAUSE_LENGTH else text[: _MAX_CAUSE_LENGTH - 3] + "..."
 
-    Parameters
-    ----------
-    message : str
 
-    Returns
-    -------
-    str
-    """
-    text = _NUMBER.sub("#", _PLACE.sub("...", message.split(" Remedy:", maxsplit=1)[0]))
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+def reason(message: str) -> str:
+    """A message without its remedy, on one line."""
+    return " ".join(message.split(" Remedy:", maxsplit=1)[0].split())
 
 
 @contextmanager
 def live(tally: Tally, dashboard: str | None) -> Iterator[None]:
-    """Display a tally on stderr while it changes.
-
-    Parameters
-    ----------
-    tally : Tally
-    dashboard : str, optional
-        Address of Dask's own page.
-
-    Yields
-    ------
-    None
-    """
+    """Display a tally on stderr; `dashboard` is the address of the Dask dashboard."""
     from rich.console import Console
     from rich.live import Live
 

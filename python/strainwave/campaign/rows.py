@@ -1,4 +1,4 @@
-"""What a run leaves, as rows of the store's tables."""
+"""Runs as rows of the tables of a store."""
 
 from __future__ import annotations
 
@@ -18,52 +18,22 @@ from strainwave.io.results import to_document, to_json
 
 
 def now() -> datetime:
-    """The time as the column `started` has it: UTC, without a zone.
-
-    Returns
-    -------
-    datetime
-    """
+    """The present time as in the column `started`: UTC, without a zone."""
     return datetime.now(UTC).replace(tzinfo=None)
 
 
 def worker_name(process: int | None = None) -> str:
-    """The column `worker`: host and process.
-
-    Parameters
-    ----------
-    process : int, optional
-        This one without.
-
-    Returns
-    -------
-    str
-    """
+    """Value of the column `worker`: host and process, by default this one."""
     return f"{socket.gethostname()}:{os.getpid() if process is None else process}"
 
 
 def record_of(
-    task: Task, opened: Opened, found: Identification, *, started: datetime, seconds: float
+    task: Task, opened: Opened, identification: Identification, *, started: datetime, seconds: float
 ) -> Record:
-    """A run that came to a verdict.
-
-    Parameters
-    ----------
-    task : Task
-    opened : Opened
-        With the true values of a virtual arm.
-    found : Identification
-    started : datetime
-        UTC, without a zone.
-    seconds : float
-
-    Returns
-    -------
-    Record
-    """
-    verdict = found.verdict
-    known = task.row()
-    row = known | {
+    """Record of a run with a verdict; `opened` has the true values of a virtual arm."""
+    verdict = identification.verdict
+    task_row = task.row()
+    row = task_row | {
         "status": verdict.status,
         "exit_code": verdict.exit_code,
         "message": "; ".join(verdict.reasons),
@@ -77,13 +47,13 @@ def record_of(
         "validated_rigid": verdict.validated.rigid,
         "validated_elastic": verdict.validated.elastic,
         "suspected": [each.code for each in verdict.suspected],
-        "warnings": [each.code for each in found.warnings],
+        "warnings": [each.code for each in identification.warnings],
         "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
     }
-    row |= {f"{part}_s": found.timing_s.get(part) for part in TIMED}
-    keys = {"run": known["run"], "study": known["study"]}
-    parameters = [keys | _parameter(each, opened.truth) for each in found.parameters]
-    return Record(row, parameters, to_json(to_document(found)))
+    row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED}
+    keys = {"run": task_row["run"], "study": task_row["study"]}
+    parameters = [keys | _parameter(each, opened.truth) for each in identification.parameters]
+    return Record(row, parameters, to_json(to_document(identification)))
 
 
 def failure_of(
@@ -97,27 +67,7 @@ def failure_of(
     worker: str = "",
     classes: Mapping[str, Any] | None = None,
 ) -> Record:
-    """A run that came to no verdict.
-
-    Parameters
-    ----------
-    task : Task
-    message : str
-        Why, in one sentence.
-    exit_code : int
-    started : datetime
-        UTC, without a zone.
-    seconds : float
-    status : str
-    worker : str, optional
-        This process without.
-    classes : mapping, optional
-        What a virtual arm was drawn with, where that is known.
-
-    Returns
-    -------
-    Record
-    """
+    """Record of a run without a verdict; `message` is one sentence, `started` in UTC."""
     return Record(
         task.row()
         | {

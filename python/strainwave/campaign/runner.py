@@ -1,4 +1,4 @@
-"""The parent's side of a worker process: one task at a time, whatever becomes of the process."""
+"""A worker process as its parent sees it: one task at a time, with limits."""
 
 from __future__ import annotations
 
@@ -22,34 +22,30 @@ from strainwave.campaign.tasks import FAILED, Limits, Outcome, Task
 from strainwave.errors import InvalidInput
 
 HUNG = 124
-"""Exit code of a run beyond its time, as `timeout` gives it."""
+"""Exit code of a run that exceeds its time limit, as of the command `timeout`."""
 _ENTRY = ("-m", "strainwave.campaign.worker")
-_RESIDENT = 1024.0  # MiB that a worker may hold between tasks
-_FAREWELL = 5.0  # [s] for a worker without tasks to end
-_TAIL = 4096  # bytes of what a worker wrote to standard error last
-_SAYING = ("Fatal", "Timeout", "memory allocation")  # how a line begins that says why
+_MAX_RESIDENT_MIB = 1024.0  # of a worker between tasks, without a memory limit
+_EXIT_S = 5.0  # [s] for a worker without tasks to end
+_TAIL_BYTES = 4096  # of standard error that are searched for the cause of a death
+_FATAL_PREFIXES = ("Fatal", "Timeout", "memory allocation")  # of lines that state the cause
 
 
 class Stopping(Exception):  # noqa: N818
-    """The campaign ends; what was running is not recorded."""
+    """The campaign ends; the present run is not recorded."""
 
 
-class _Gone(Exception):  # noqa: N818
-    """The process ended before it answered."""
+class _Died(Exception):  # noqa: N818
+    """The process ended without an answer."""
 
 
 class _Late(Exception):  # noqa: N818
-    """The process did not answer in time."""
+    """The process exceeded the time limit."""
 
 
 class Runner:
-    """One worker process, started when it is needed, used again, and replaced when it dies.
+    """A worker process, started on demand, reused, and replaced when it dies.
 
-    Parameters
-    ----------
-    limits : Limits
-    entry : sequence of str
-        Arguments of Python that start the worker.
+    `entry` are the arguments of Python that start the worker.
     """
 
     def __init__(self, limits: Limits, entry: Sequence[str] = _ENTRY) -> None:
@@ -57,40 +53,27 @@ class Runner:
         self._entry = tuple(entry)
         self._child: subprocess.Popen[bytes] | None = None
         self._errors: IO[bytes] | None = None
-        self._rest = b""
+        self._buffer = b""
         self._done = 0
         self._stopped = False
         self._mutex = threading.Lock()
 
     def run(self, task: Task) -> Outcome:
-        """Have a task done; a process that dies or hangs is a run that failed.
+        """Perform a task; a process that dies or exceeds the time limit is a failed run.
 
-        Parameters
-        ----------
-        task : Task
-
-        Returns
-        -------
-        Outcome
-
-        Raises
-        ------
-        InvalidInput
-            The worker process does not start.
-        Stopping
-            `stop` was called.
+        Raises `InvalidInput` if the process does not start, `Stopping` after `stop`.
         """
         started, until = now(), time.perf_counter() + self._limits.time_s
         name = ""
         try:
-            child = self._begun(task, until)
+            child = self._start_task(task, until)
             name = worker_name(child.pid)
             answer = self._line(child, until)
         except _Late:
             self._end()
             message = f"took longer than {self._limits.time_s:g} s"
             code = HUNG
-        except _Gone:
+        except _Died:
             code, message = self._death()
         else:
             self._done += 1
@@ -101,34 +84,34 @@ class Runner:
         return failed(task, message, exit_code=code, started=started, worker=name)
 
     def close(self) -> None:
-        """Let the process end; it has no task."""
+        """Let the process, which has no task, end."""
         child = self._child
         if child is not None and child.stdin is not None:
             with suppress(OSError):
                 child.stdin.close()
             with suppress(subprocess.TimeoutExpired):
-                child.wait(_FAREWELL)
+                child.wait(_EXIT_S)
         self._end()
 
     def stop(self) -> None:
-        """End the process now, from any thread; `run` raises `Stopping`."""
+        """Kill the process, from any thread; `run` raises `Stopping`."""
         with self._mutex:
             self._stopped = True
             if self._child is not None:
                 _kill(self._child)
 
-    def _begun(self, task: Task, until: float) -> subprocess.Popen[bytes]:
-        """A process that has begun the task; one that died meanwhile is replaced once."""
+    def _start_task(self, task: Task, until: float) -> subprocess.Popen[bytes]:
+        """A process that has started the task; one that has died is replaced once."""
         line = (task.to_json() + "\n").encode()
         for _ in range(2):
-            child = self._started()
+            child = self._process()
             with suppress(BrokenPipeError):
                 assert child.stdin is not None
                 child.stdin.write(line)
                 child.stdin.flush()
             try:
                 self._line(child, until)
-            except _Gone:
+            except _Died:
                 if self._stopped:
                     raise
                 _, message = self._death()
@@ -142,7 +125,7 @@ class Runner:
             else "run `python -m strainwave.campaign.worker --time-limit 60` to see why",
         )
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _process(self) -> subprocess.Popen[bytes]:
         if self._child is not None and self._child.poll() is None:
             return self._child
         self._end()
@@ -159,15 +142,15 @@ class Runner:
                 stdout=subprocess.PIPE,
                 stderr=self._errors,
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": _path()},
-                start_new_session=True,  # Ctrl-C in the terminal is the parent's
+                start_new_session=True,  # so that the parent alone receives Ctrl-C
             )
-        self._rest, self._done = b"", 0
+        self._buffer, self._done = b"", 0
         return self._child
 
     def _line(self, child: subprocess.Popen[bytes], until: float) -> dict[str, Any]:
-        """The next line of the process."""
+        """The next line of the process, as JSON."""
         assert child.stdout is not None
-        while b"\n" not in self._rest:
+        while b"\n" not in self._buffer:
             ready, _, _ = select.select(
                 [child.stdout], [], [], max(0.0, until - time.perf_counter())
             )
@@ -175,42 +158,42 @@ class Runner:
                 raise _Late
             block = os.read(child.stdout.fileno(), 2**16)
             if not block:
-                raise _Gone
-            self._rest += block
-        line, self._rest = self._rest.split(b"\n", 1)
+                raise _Died
+            self._buffer += block
+        line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)
         return answer
 
     def _death(self) -> tuple[int, str]:
-        """Exit code and cause of a process that has ended."""
+        """Exit code and cause of the death of the process."""
         assert self._child is not None
         try:
-            code = self._child.wait(_FAREWELL)
+            code = self._child.wait(_EXIT_S)
         except subprocess.TimeoutExpired:
             code = -signal.SIGKILL
-        last = self._last_words()
+        cause = self._fatal_line()
         self._end()
         if code < 0:
             with suppress(ValueError):
-                return 128 - code, f"the process was ended by {signal.Signals(-code).name}{last}"
-            return 128 - code, f"the process was ended by signal {-code}{last}"
-        return code or 1, f"the process ended with exit code {code}{last}"
+                return 128 - code, f"the process was ended by {signal.Signals(-code).name}{cause}"
+            return 128 - code, f"the process was ended by signal {-code}{cause}"
+        return code or 1, f"the process ended with exit code {code}{cause}"
 
-    def _last_words(self) -> str:
-        """The line of standard error that says most: the fatal error's, or the last."""
+    def _fatal_line(self) -> str:
+        """The line of standard error on a fatal error, else the last one."""
         if self._errors is None:
             return ""
         size = self._errors.seek(0, os.SEEK_END)
-        self._errors.seek(max(0, size - _TAIL))
+        self._errors.seek(max(0, size - _TAIL_BYTES))
         lines = self._errors.read().decode(errors="replace").splitlines()
-        spoken = [line.strip() for line in lines if line.strip()]
-        fatal = [line for line in spoken if line.startswith(_SAYING)]
-        chosen = [*spoken[-1:], *fatal[-1:]]
-        return f": {chosen[-1]}" if chosen else ""
+        printed = [line.strip() for line in lines if line.strip()]
+        fatal = [line for line in printed if line.startswith(_FATAL_PREFIXES)]
+        candidates = [*printed[-1:], *fatal[-1:]]
+        return f": {candidates[-1]}" if candidates else ""
 
     def _replace_if_due(self, resident_mib: float) -> None:
-        most = self._limits.memory_mib
-        allowed = _RESIDENT if most is None else 0.5 * most
+        limit = self._limits.memory_mib
+        allowed = _MAX_RESIDENT_MIB if limit is None else 0.5 * limit
         if self._done >= self._limits.tasks or resident_mib > allowed:
             self.close()
 
@@ -238,29 +221,14 @@ def failed(
     worker: str = "",
     store: Store | None = None,
 ) -> Outcome:
-    """Record a run whose process did not, unless it had done so before it ended.
+    """Record a failed run, unless its process recorded the run before it ended.
 
-    Parameters
-    ----------
-    task : Task
-    message : str
-        Why, in one sentence.
-    exit_code : int
-    started : datetime
-        UTC, without a zone.
-    worker : str
-        Whose process ended.
-    store : Store, optional
-        The task's, where it is at hand.
-
-    Returns
-    -------
-    Outcome
+    `message` is one sentence, `started` in UTC; `store` is that of the task, if at hand.
     """
     store, unrecorded = store or Store.at(task.store), ""
-    known = store.recorded(task.run)
-    if known is not None and known.started >= started:
-        return Outcome.of(task.run, task.case.name, known)
+    recorded = store.recorded(task.run)
+    if recorded is not None and recorded.started >= started:
+        return Outcome.of(task.run, task.case.name, recorded)
     seconds = (now() - started).total_seconds()
     record = failure_of(
         task, message, exit_code=exit_code, started=started, seconds=seconds, worker=worker
@@ -281,12 +249,12 @@ def failed(
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:
-    """The process and those that it started."""
+    """Kill a process and its children."""
     if child.poll() is None:
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
 
 
 def _path() -> str:
-    """Where this process finds its modules, so that the worker finds the same."""
+    """PYTHONPATH with which the worker imports the same modules as this process."""
     return os.pathsep.join(each for each in sys.path if each)

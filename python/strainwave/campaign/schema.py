@@ -1,4 +1,4 @@
-"""Columns of a store's tables, fixed so that readers agree on types where all values are null."""
+"""Columns of the tables of a store, with types that do not depend on the values."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ TIMED = ("read", "consistency", "rigid", "decoupled", "tuned", "checks")
 
 RUNS = pa.schema(
     [
-        ("run", pa.string()),  # hash of the work: the same work has the same name
-        ("study", pa.string()),  # path or URL as found
+        ("run", pa.string()),  # hash of case, inputs, options and version
+        ("study", pa.string()),  # path or URL
         ("study_sha256", pa.string()),
         ("inputs_sha256", pa.string()),  # of the logs that the study names
         ("options_sha256", pa.string()),  # of stages and options
@@ -32,7 +32,7 @@ RUNS = pa.schema(
         ("suspected", pa.list_(pa.string())),  # codes
         ("warnings", pa.list_(pa.string())),  # codes
         *((f"{part}_s", pa.float64()) for part in TIMED),
-        ("classes", pa.string()),  # JSON: what a virtual arm was drawn with
+        ("classes", pa.string()),  # JSON: properties of a virtual arm
     ]
 )
 """One row per run."""

@@ -1,13 +1,13 @@
-"""The store of a campaign: one Parquet file a run, merged into larger ones as they become many.
+"""The store of a campaign: one Parquet file per run, merged into larger files.
 
-    runs/<run>.parquet               one row: the run's record, written last
+    runs/<run>.parquet               one row: the record of the run, written last
     parameters/<run>.parquet         one row per parameter
-    results/<run>/result.json        the whole result
+    results/<run>/result.json        the result
     runs/part-<hash>.parquet         many runs merged, `parameters/part-...` likewise
 
-`run` is a hash of the work, so the same work done twice, by two campaigns or after a crash, has one
-name and one row. A merge writes the part first and deletes the small files then; what stands twice
-in between is read once.
+`run` is a hash of the task, so repeating it, by two campaigns or after a crash, gives one name and
+one row. A merge writes the part before it deletes the small files; rows that are in both are read
+once.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from strainwave.campaign.schema import PARAMETERS, RUNS
 from strainwave.errors import InvalidInput
 
 MERGE_AFTER = 1000
-"""Small files from which a campaign that goes on merges them."""
-_LARGE = {"runs": 20_000, "parameters": 500_000}  # rows of a part that is left alone
-_TRIES = 50  # to read a store while others merge it
-_READERS = 8  # threads that read small files
+"""Number of runs after which a campaign merges small files."""
+_MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
+_MAX_TRIES = 50  # to read a store that other processes merge
+_N_READERS = 8  # threads that read small files; more do not speed up a local disk
 _SCHEMAS = {"runs": RUNS, "parameters": PARAMETERS}
 _KEYS = {"runs": ["run"], "parameters": ["run", "name", "joint"]}
 
@@ -42,7 +42,7 @@ Row = Mapping[str, Any]
 
 
 class Recorded(NamedTuple):
-    """What is known of a run without its row."""
+    """Columns of a run that the driver needs."""
 
     status: str
     exit_code: int
@@ -52,7 +52,7 @@ class Recorded(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """All that a run leaves: its row, its parameters, its result."""
+    """Row, parameters and result of a run."""
 
     row: Row
     parameters: Sequence[Row] = ()
@@ -60,7 +60,7 @@ class Record:
 
     @property
     def run(self) -> str:
-        """The run's name."""
+        """Name of the run."""
         return str(self.row["run"])
 
 
@@ -74,16 +74,13 @@ class Store:
 
     @classmethod
     def at(cls, where: Path | str) -> Store:
-        """The store at a path or URL, which need not exist yet."""
+        """The store at a path or URL, which need not exist."""
         return cls(place_of(where))
 
     def write(self, record: Record) -> None:
-        """Write what a run leaves: result, parameters, and at last the row that makes it count.
+        """Write result, parameters, and last the row that makes the run count.
 
-        Raises
-        ------
-        OSError
-            It cannot be written; no part of it can be read.
+        OSError if that fails; no part of it can be read then.
         """
         run = record.run
         files = {f"runs/{run}.parquet": _file([record.row], RUNS)}
@@ -93,31 +90,31 @@ class Store:
                 f"results/{run}/result.json": record.result,
                 f"parameters/{run}.parquet": parameters,
             } | files
-        begun: list[str] = []
+        written: list[str] = []
         try:
             for name, data in files.items():
                 self.place.put(name, data)
-                begun.append(name)
+                written.append(name)
         except OSError:
             if self.recorded(run) is None:
-                self.place.delete(begun)
+                self.place.delete(written)
             raise
 
     def recorded(self, run: str) -> Recorded | None:
-        """Status and begin of a run, whoever has recorded it; None where nobody has."""
-        own = self._of_file(f"runs/{run}.parquet").get(run)
+        """Status and start of a recorded run; None if it is not recorded."""
+        small = self._of_file(f"runs/{run}.parquet").get(run)
         with self._mutex:
-            found = self._in_parts(run)
-            if own is None and not found:
-                self._look_at_parts()
-                found = self._in_parts(run)
-        found += [own] if own else []
-        return max(found, key=lambda each: each.started, default=None)
+            rows = self._in_parts(run)
+            if small is None and not rows:
+                self._read_parts()
+                rows = self._in_parts(run)
+        rows += [small] if small else []
+        return max(rows, key=lambda each: each.started, default=None)
 
     def _in_parts(self, run: str) -> list[Recorded]:
         return [part[run] for part in self._parts.values() if run in part]
 
-    def _look_at_parts(self) -> None:
+    def _read_parts(self) -> None:
         names = [n for n in self.place.names("runs", ".parquet") if _is_part(n)]
         for name in names:
             if name not in self._parts:
@@ -130,48 +127,35 @@ class Store:
             table = self._table(name, ["run", *Recorded._fields])
         except FileNotFoundError:
             return {}
-        known = zip(*(table[each].to_pylist() for each in Recorded._fields), strict=True)
-        return dict(zip(table["run"].to_pylist(), map(Recorded._make, known), strict=True))
+        rows = zip(*(table[each].to_pylist() for each in Recorded._fields), strict=True)
+        return dict(zip(table["run"].to_pylist(), map(Recorded._make, rows), strict=True))
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """All rows of `runs` or `parameters`, each once: of a run done again, the last.
+        """All rows of `runs` or `parameters`, each once: of a repeated run, the last.
 
-        Parameters
-        ----------
-        kind : str
-        columns : sequence of str, optional
-            Those wanted; all without.
-
-        Returns
-        -------
-        pyarrow.Table
-
-        Raises
-        ------
-        InvalidInput
-            A file is no table of a store.
+        `columns` selects columns. Raises `InvalidInput` if a file is not a table of a store.
         """
         wanted = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
-        for _ in range(_TRIES):
+        for _ in range(_MAX_TRIES):
             names = self.place.names(kind, ".parquet")
             if _parts_of(names) != _parts_of(self.place.names(kind, ".parquet")):
-                continue  # merged while they were listed
+                continue  # merged while the files were listed
             try:
-                found = self._all(names, kind, wanted)
-            except FileNotFoundError:  # merged since they were listed
+                table = self._all(names, kind, wanted)
+            except FileNotFoundError:  # merged after the files were listed
                 continue
-            return found if columns is None else found.select(list(columns))
+            return table if columns is None else table.select(list(columns))
         raise InvalidInput(
-            f"the {kind} change faster than they can be read",
+            f"the {kind} change while they are read",
             where=str(self.place),
             remedy="read them again",
         )
 
     def _all(self, names: Sequence[str], kind: str, columns: list[str] | None) -> pa.Table:
-        """Rows of all files; small files come first, as they are the last written."""
+        """Rows of all files; small files, which are newer, come first."""
         ordered = sorted(names, key=_is_part)
-        if len(ordered) > _READERS:
-            with ThreadPoolExecutor(_READERS) as pool:
+        if len(ordered) > _N_READERS:
+            with ThreadPoolExecutor(_N_READERS) as pool:
                 tables = list(pool.map(lambda name: self._table(name, columns), ordered))
         else:
             tables = [self._table(name, columns) for name in ordered]
@@ -185,34 +169,22 @@ class Store:
     def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         try:
             file = pq.ParquetFile(pa.BufferReader(self.place.get(name)))
-            known = None
+            existing = None
             if columns is not None:
-                known = [each for each in columns if each in file.schema_arrow.names]
-            return file.read(columns=known, use_threads=False)
+                existing = [each for each in columns if each in file.schema_arrow.names]
+            return file.read(columns=existing, use_threads=False)
         except pa.ArrowInvalid as error:
             raise InvalidInput(
-                f"is no Parquet file ({error})",
+                f"is not a Parquet file ({error})",
                 where=f"{self.place}/{name}",
-                remedy="move it out of the store; its run is done again",
+                remedy="move it out of the store; its run is then repeated",
             ) from error
 
     def merge(self, *, at_least: int = 2) -> int:
-        """Merge small files into parts, where no other process does so and the store is local.
+        """Merge small files into parts, if the store is local and no other process does so.
 
-        Parameters
-        ----------
-        at_least : int
-            Small files of runs, below which nothing is done.
-
-        Returns
-        -------
-        int
-            Runs that were in small files, those that came while it went on among them.
-
-        Raises
-        ------
-        OSError
-            A part cannot be written; all rows are where they were.
+        Nothing happens below `at_least` small files of runs. Returns the number of runs that were
+        in small files. OSError if a part cannot be written; the rows remain where they were.
         """
         if not isinstance(self.place, Folder) or not self.place.path.is_dir():
             return 0
@@ -223,25 +195,25 @@ class Store:
             if not held:
                 return 0
             n_merged = 0
-            for kind in ("parameters", "runs"):  # no row stands without its parameters
+            for kind in ("parameters", "runs"):  # so that every row has its parameters
                 n_merged = self._merge(kind)
                 self.place.sweep(kind)
         return n_merged
 
     def _merge(self, kind: str) -> int:
-        """Merge what there is of a kind; small files that went into a part."""
+        """Merge the files of a kind; returns the number of small files in the new part."""
         names = self.place.names(kind, ".parquet")
-        chosen = [n for n in names if not _is_part(n) or self._rows(n) < _LARGE[kind]]
+        chosen = [n for n in names if not _is_part(n) or self._rows(n) < _MAX_MERGED_ROWS[kind]]
         tables = {name: self._table(name) for name in chosen}
-        again = pa.concat_tables(
+        chosen_runs = pa.concat_tables(
             [
                 pa.table({"run": pa.array([], pa.string())}),
                 *(t.select(["run"]) for t in tables.values()),
             ]
         )["run"]
-        for name in set(names) - set(chosen):  # a run done again stands in a large part as well
-            known = self._table(name, ["run"])["run"]
-            if pc.any(pc.is_in(known, value_set=again.combine_chunks())).as_py():
+        for name in set(names) - set(chosen):  # a repeated run is also in a large part
+            runs = self._table(name, ["run"])["run"]
+            if pc.any(pc.is_in(runs, value_set=chosen_runs.combine_chunks())).as_py():
                 tables[name] = self._table(name)
         if len(tables) < 2:
             return 0
@@ -261,47 +233,21 @@ _ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
 
 def read_runs(store: Path | str) -> pa.Table:
-    """The runs of a campaign's store.
+    """The runs of a campaign's store, one row each; see docs/campaign.md for the columns.
 
-    Parameters
-    ----------
-    store : Path or str
-        A folder, or a URL.
-
-    Returns
-    -------
-    pyarrow.Table
-        One row per run: study, hashes, status, message, times, verdict; see docs/campaign.md.
-
-    Raises
-    ------
-    InvalidInput
-        There is no store, or a file in it is none of its own.
+    `store` is a folder or a URL. Raises `InvalidInput` if there is no store.
     """
     return _existing(store).table("runs")
 
 
 def read_parameters(store: Path | str) -> pa.Table:
-    """The parameters of all runs of a campaign's store.
+    """The parameters of all runs of a campaign's store, one row each.
 
-    Parameters
-    ----------
-    store : Path or str
-        A folder, or a URL.
-
-    Returns
-    -------
-    pyarrow.Table
-        One row per parameter of a run: name, joint, value, std, 95 % interval, unit, stage.
-
-    Raises
-    ------
-    InvalidInput
-        There is no store, or a file in it is none of its own.
+    `store` is a folder or a URL. Raises `InvalidInput` if there is no store.
     """
-    found = _existing(store)
-    parameters = found.table("parameters")  # first: each run's row is written after them
-    runs = found.table("runs", ["run"])["run"]
+    existing = _existing(store)
+    parameters = existing.table("parameters")  # first: rows of runs are written after them
+    runs = existing.table("runs", ["run"])["run"]
     return parameters.filter(pc.is_in(parameters["run"], value_set=runs.combine_chunks()))
 
 
@@ -311,7 +257,7 @@ def _existing(where: Path | str) -> Store:
         raise InvalidInput(
             "holds no runs",
             where=str(where),
-            remedy="name the store that strainwave campaign was given by --out",
+            remedy="name the store that strainwave campaign wrote, its --out",
         )
     return store
 
@@ -342,7 +288,7 @@ def _bytes_of(table: pa.Table) -> bytes:
 
 
 def _as_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The columns of today's schema: those of earlier versions that lack one have nulls."""
+    """The columns of the present schema; columns that earlier versions lack are null."""
     if table.schema.equals(schema):
         return table
     columns = [
@@ -355,15 +301,15 @@ def _as_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 
 def _once(table: pa.Table, kind: str) -> pa.Table:
-    """Each run once, the last that began; of parameters, those that stand first."""
+    """Each run once, the last one started; of parameters, the first in the table."""
     if table.num_rows == 0:
         return table
-    table = table.combine_chunks()  # to take rows of many chunks is slow
+    table = table.combine_chunks()  # taking rows from many chunks is slow
     numbered = table.append_column("_row", pa.array(range(table.num_rows), pa.int64()))
     if kind == "runs":
         by_time = numbered.sort_by([("started", "descending"), ("_row", "ascending")])
-        kept = by_time.group_by("run", use_threads=False).aggregate([("_row", "first")])
-        rows = kept["_row_first"]
+        last = by_time.group_by("run", use_threads=False).aggregate([("_row", "first")])
+        rows = last["_row_first"]
     else:
         rows = numbered.group_by(_KEYS[kind]).aggregate([("_row", "min")])["_row_min"]
     if len(rows) == table.num_rows:

@@ -1,4 +1,4 @@
-"""What a campaign runs: study files, folders, globs, tables, URLs, or one campaign.toml."""
+"""Studies of a campaign: files, folders, globs, tables, URLs, or one campaign.toml."""
 
 from __future__ import annotations
 
@@ -25,47 +25,36 @@ _KEYS = ("stages", "options", "studies", "family")
 
 
 @dataclass(frozen=True)
-class Found:
-    """Cases in order, and what a campaign.toml says of stages and options."""
+class Selection:
+    """Cases in order, with stages and options of a campaign.toml."""
 
     cases: Sequence[Case]
     stages: tuple[str, ...] | None = None
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
-def find(arguments: Sequence[str]) -> Found:
+def find(arguments: Sequence[str]) -> Selection:
     """The cases that the arguments name, each once.
 
-    Parameters
-    ----------
-    arguments : sequence of str
-        Study files; folders, searched for files named study.toml; globs; tables, .txt with a path
-        a line or .csv with a column `study`; URLs of these; or one campaign.toml.
-
-    Returns
-    -------
-    Found
-
-    Raises
-    ------
-    InvalidInput
-        One names nothing, or a file is at fault.
+    Arguments are study files; folders, searched for files named study.toml; globs; tables, .txt
+    with one path per line or .csv with a column `study`; URLs of these; or one campaign.toml.
+    Raises `InvalidInput` if an argument names nothing or a file is at fault.
     """
     documents = [path for path in map(Path, arguments) if _is_campaign(path)]
     if documents:
         if len(arguments) > 1:
             raise InvalidInput(
-                "a campaign.toml stands among other arguments",
+                "a campaign.toml is given with other arguments",
                 where=str(documents[0]),
-                remedy="give it alone, or list its studies beside the others",
+                remedy="give it alone, or list its studies with the others",
             )
         return _of_document(documents[0])
-    return Found(_studies(arguments))
+    return Selection(_studies(arguments))
 
 
 def _studies(arguments: Sequence[str]) -> list[Case]:
-    found = [StudyFile(name, _absolute(name)) for each in arguments for name in _named(each)]
-    return list({case.location: case for case in found}.values())
+    cases = [StudyFile(name, _absolute(name)) for each in arguments for name in _named(each)]
+    return list({case.location: case for case in cases}.values())
 
 
 def _absolute(name: str) -> str:
@@ -73,7 +62,7 @@ def _absolute(name: str) -> str:
 
 
 def _named(argument: str) -> list[str]:
-    """Paths or URLs of study files that one argument stands for."""
+    """Paths or URLs of the study files of one argument."""
     where = _Url(argument) if is_url(argument) else _Local(argument)
     if _GLOB & set(argument) and not where.exists():
         matches = where.matches()
@@ -97,7 +86,7 @@ def _named(argument: str) -> list[str]:
 
 
 def _of_table(table: str, data: bytes) -> list[str]:
-    """Paths in a table; relative ones are beside it."""
+    """Paths in a table; relative ones refer to its folder."""
     text = decode(data, Path(table))
     if table.endswith(".csv"):
         rows = csv.DictReader(io.StringIO(text))
@@ -105,16 +94,16 @@ def _of_table(table: str, data: bytes) -> list[str]:
             raise InvalidInput(
                 "has no column 'study'",
                 where=table,
-                remedy="name the column of the study files' paths 'study'",
+                remedy="give the column of paths the name 'study'",
             )
         paths = [(row["study"] or "").strip() for row in rows]
     else:
         paths = [line.strip() for line in text.splitlines()]
-    beside = table.rsplit("/", 1)[0] if is_url(table) else str(Path(table).parent)
+    folder = table.rsplit("/", 1)[0] if is_url(table) else str(Path(table).parent)
     named = [path for path in paths if path and not path.startswith("#")]
     if not named:
-        raise InvalidInput("lists no studies", where=table, remedy="write a path a line")
-    return [_relative_to(beside, path) for path in named]
+        raise InvalidInput("lists no studies", where=table, remedy="write one path per line")
+    return [_relative_to(folder, path) for path in named]
 
 
 def _relative_to(folder: str, path: str) -> str:
@@ -167,8 +156,8 @@ class _Url:
 
     def search(self) -> list[str]:
         system, path = file_system(self.text)
-        found = sorted(p for p in system.find(path) if p.rsplit("/", 1)[-1] == _STUDY)
-        return [str(system.unstrip_protocol(each)) for each in found]
+        paths = sorted(p for p in system.find(path) if p.rsplit("/", 1)[-1] == _STUDY)
+        return [str(system.unstrip_protocol(each)) for each in paths]
 
     def matches(self) -> list[str]:
         system, path = file_system(self.text)
@@ -188,7 +177,7 @@ class _Url:
 
 
 def _is_campaign(path: Path) -> bool:
-    """Whether a file is a campaign.toml: one with studies or a family, and no arm."""
+    """Whether a file is a campaign.toml: it has studies or a family, but no arm."""
     if path.suffix != ".toml" or not path.is_file():
         return False
     if path.name == "campaign.toml":
@@ -196,11 +185,11 @@ def _is_campaign(path: Path) -> bool:
     try:
         document = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError, RecursionError):
-        return False  # its reader says what is wrong with it
+        return False  # its reader reports the fault
     return "arm" not in document and bool({"studies", "family"} & set(document))
 
 
-def _of_document(path: Path) -> Found:
+def _of_document(path: Path) -> Selection:
     text = decode(read_bytes(path, "the campaign"), path)
     document = parsed_toml(text, path)
     check_keys(document, _KEYS, path)
@@ -208,8 +197,8 @@ def _of_document(path: Path) -> Found:
     if stages is not None and not _is_list_of_text(stages):
         raise _wrong(path, "stages", 'a list of names, for example ["rigid"]')
     if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
-        raise _wrong(path, "options", "one table a stage, as in a study file")
-    return Found(
+        raise _wrong(path, "options", "one table per stage, as in a study file")
+    return Selection(
         _cases(document, path, text),
         stages=None if stages is None else tuple(stages),
         options=options,
@@ -217,20 +206,20 @@ def _of_document(path: Path) -> Found:
 
 
 def _cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
-    """Those of `[studies]`, or the arms of `[family]`."""
+    """Cases of `[studies]`, or the arms of `[family]`."""
     if "family" not in document:
         return _listed(document.get("studies"), path)
     if "studies" in document or not isinstance(document["family"], dict):
         raise InvalidInput(
-            "[family] stands beside [studies], or is no table",
+            "has both [family] and [studies], or [family] is not a table",
             where=str(path),
-            remedy="give one table: [family], or [studies] in a campaign.toml of its own",
+            remedy="give one of the two tables",
         )
     return arms_of(family_of(document["family"], path, text), path)
 
 
 def _listed(table: Any, path: Path) -> list[Case]:
-    """The cases of `[studies]`; relative paths are beside the campaign.toml."""
+    """The cases of `[studies]`; relative paths refer to the folder of the campaign.toml."""
     if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
         raise _wrong(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
     if not _is_list_of_text(table["paths"]):
@@ -243,6 +232,4 @@ def _is_list_of_text(value: Any) -> bool:
 
 
 def _wrong(path: Path, key: str, wanted: str) -> InvalidInput:
-    return InvalidInput(
-        f"'{key}' is missing or of another form", where=str(path), remedy=f"give {wanted}"
-    )
+    return InvalidInput(f"'{key}' is missing or invalid", where=str(path), remedy=f"give {wanted}")

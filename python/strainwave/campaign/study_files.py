@@ -1,4 +1,4 @@
-"""The case of a study file at a path or a URL."""
+"""Cases of study files at a path or a URL."""
 
 from __future__ import annotations
 
@@ -15,35 +15,30 @@ from strainwave.campaign.cases import Hashes, Opened
 from strainwave.campaign.places import file_system, is_url
 from strainwave.errors import InvalidInput
 
-_BLOCK = 2**20  # bytes read at a time
+_BLOCK = 2**20  # bytes read at a time, so that large logs need little memory
 
 
 @dataclass(frozen=True)
 class StudyFile:
-    """A study file at a path or a URL, with the logs that it names beside it."""
+    """A study file at a path or a URL; its logs are relative to its folder."""
 
     name: str
-    location: str  # absolute, so that any process finds it
+    location: str  # absolute path, or URL
     kind: ClassVar[str] = "study-file"
 
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """None: the file has its own."""
+        """No options: the file has its own."""
         return {}
 
     def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case is made again."""
+        """Plain JSON values from which the case can be created again."""
         return asdict(self)
 
     def hashes(self) -> Hashes:
-        """SHA-256 of the study file, and of its logs: contents of local ones.
+        """SHA-256 of the study file and of the contents of its logs.
 
-        Of a log at a URL the size and what the file system says of its version are hashed in place
-        of its contents.
-
-        Returns
-        -------
-        Hashes
+        Logs at a URL are hashed by size and version, as the file system reports them.
         """
         try:
             text = _read(self.location)
@@ -51,17 +46,14 @@ class StudyFile:
             return Hashes(None, hashlib.sha256().hexdigest())
         inputs = hashlib.sha256()
         for name in _inputs(text):
-            inputs.update(f"{name}\0{_stamp(_beside(self.location, name))}\0".encode())
+            inputs.update(f"{name}\0{_stamp(_relative(self.location, name))}\0".encode())
         return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
 
     @contextmanager
     def opened(self) -> Iterator[Opened]:
-        """The study file; one at a URL is fetched with its logs to a folder of its own.
+        """The study file; one at a URL is copied with its logs into a temporary folder.
 
-        Raises
-        ------
-        InvalidInput
-            The study file cannot be read.
+        Raises `InvalidInput` if the study file cannot be read.
         """
         if not is_url(self.location):
             yield Opened(Path(self.location))
@@ -71,7 +63,7 @@ class StudyFile:
 
 
 def _inputs(text: bytes) -> list[str]:
-    """Files that a study names, each once; none where it is no TOML."""
+    """Files that a study names, each once; none if it is not valid TOML."""
     try:
         document = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):
@@ -85,7 +77,7 @@ def _inputs(text: bytes) -> list[str]:
     return list(dict.fromkeys(name for name in named if isinstance(name, str) and name))
 
 
-def _beside(location: str, name: str) -> str:
+def _relative(location: str, name: str) -> str:
     if is_url(location):
         return f"{location.rsplit('/', 1)[0]}/{name}"
     return str(Path(location).parent / name)
@@ -99,7 +91,7 @@ def _read(location: str) -> bytes:
 
 
 def _stamp(location: str) -> str:
-    """What changes when an input does; empty where there is none."""
+    """A text that changes with the contents of an input; empty if it does not exist."""
     try:
         if is_url(location):
             return _version_at_url(location)
@@ -128,15 +120,15 @@ def _version_at_url(location: str) -> str:
 
 
 def _sha256(path: Path) -> str:
-    own = hashlib.sha256()
+    digest = hashlib.sha256()
     with path.open("rb") as file:
         while block := file.read(_BLOCK):
-            own.update(block)
-    return own.hexdigest()
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def _fetched(url: str, folder: Path) -> Path:
-    """Copy a study and the logs that exist; those that do not are found missing by its reader."""
+    """Copy a study and its existing logs; the reader of the study reports missing ones."""
     try:
         text = _read(url)
     except OSError as error:
@@ -148,11 +140,11 @@ def _fetched(url: str, folder: Path) -> Path:
     for name in _inputs(text):
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise InvalidInput(
-                f"the log {name!r} does not lie beside the study",
+                f"the log {name!r} is not in the folder of the study",
                 where=url,
-                remedy="give a name relative to the study file's folder",
+                remedy="give a name relative to the folder of the study file",
             )
-        system, source = file_system(_beside(url, name))
+        system, source = file_system(_relative(url, name))
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         if system.exists(source):

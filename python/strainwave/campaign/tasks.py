@@ -1,4 +1,4 @@
-"""What a worker is given, and what it answers: one line of JSON each."""
+"""Tasks of a worker and their outcomes, one line of JSON each."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from strainwave.campaign.kinds import from_json, to_json
 from strainwave.campaign.store import Recorded
 
 FAILED = "failed"
-"""Status of a run without a verdict: its input is at fault, or it crashed or took too long."""
+"""Status of a run without a verdict: wrong input, a crash, or the time limit."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a run may take."""
+    """Limits of a run."""
 
     time_s: float = 600.0
     memory_mib: int | None = None  # address space; None: no limit
-    tasks: int = 100  # of one worker process, which is replaced then
+    tasks: int = 100  # of one worker process before it is replaced
 
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A case, what to do with it, and where its run goes."""
+    """A case with stages, options and store."""
 
     case: Case
     study_sha256: str | None
@@ -41,17 +41,17 @@ class Task:
 
     @property
     def options_sha256(self) -> str:
-        """Of stages and options."""
+        """Hash of stages and options."""
         return _digest([self.stages, self.options])
 
     @property
     def run(self) -> str:
-        """The same for the same work: case, study, logs, options and version."""
+        """Name of the run: a hash of case, study, logs, options and version."""
         identity = [self.case.name, self.study_sha256, self.inputs_sha256]
         return _digest([*identity, self.options_sha256, self.version])[:32]
 
     def row(self) -> dict[str, Any]:
-        """The columns of a run's row that are known before it runs."""
+        """Columns of the row of a run that are known before it starts."""
         return {
             "run": self.run,
             "study": self.case.name,
@@ -65,20 +65,20 @@ class Task:
 
     def to_json(self) -> str:
         """One line."""
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        return json.dumps(own | {"case": to_json(self.case)})
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        return json.dumps(fields | {"case": to_json(self.case)})
 
     @classmethod
     def from_json(cls, text: str) -> Task:
         """The task of a line."""
-        own = json.loads(text)
-        own |= {"case": from_json(own["case"]), "stages": tuple(own["stages"])}
-        return cls(**own)
+        fields = json.loads(text)
+        fields |= {"case": from_json(fields["case"]), "stages": tuple(fields["stages"])}
+        return cls(**fields)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a run ended, for the driver; the store has the rest."""
+    """Outcome of a run for the driver; the store has the whole record."""
 
     run: str
     study: str
@@ -87,17 +87,17 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
     skipped: bool = False  # recorded before
-    unrecorded: str = ""  # why the store does not have it
+    unrecorded: str = ""  # reason why it is not in the store
 
     @classmethod
-    def of(cls, run: str, study: str, known: Recorded, *, skipped: bool = False) -> Outcome:
-        """The outcome of a run that the store has."""
+    def of(cls, run: str, study: str, recorded: Recorded, *, skipped: bool = False) -> Outcome:
+        """The outcome of a recorded run."""
         return cls(
             run=run,
             study=study,
-            status=known.status,
-            exit_code=known.exit_code,
-            message=known.message,
+            status=recorded.status,
+            exit_code=recorded.exit_code,
+            message=recorded.message,
             skipped=skipped,
         )
 
@@ -114,22 +114,12 @@ class Outcome:
 def merged(
     tables: Sequence[Mapping[str, Mapping[str, Any]]],
 ) -> dict[str, dict[str, Any]]:
-    """Tables of options over one another, the later winning.
-
-    Parameters
-    ----------
-    tables : sequence of mapping
-        Stage -> key -> value.
-
-    Returns
-    -------
-    dict
-    """
-    found: dict[str, dict[str, Any]] = {}
+    """Tables of options, stage -> key -> value, merged so that later ones override."""
+    options: dict[str, dict[str, Any]] = {}
     for table in tables:
-        for stage, own in table.items():
-            found.setdefault(stage, {}).update(own)
-    return found
+        for stage, values in table.items():
+            options.setdefault(stage, {}).update(values)
+    return options
 
 
 def _digest(values: object) -> str:

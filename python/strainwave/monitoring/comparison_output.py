@@ -1,4 +1,4 @@
-"""A comparison for programs and people: comparison.json, comparison.html, the terminal."""
+"""Output of a comparison: comparison.json, comparison.html, the terminal."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from strainwave.monitoring.comparison import (
     ResultComparison,
 )
 from strainwave.monitoring.joint_tests import JointTest
-from strainwave.monitoring.output import REACH, probability
+from strainwave.monitoring.output import INTERVAL_STDS, probability
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
@@ -40,37 +40,18 @@ from strainwave.presentation.report.document import document as page_of
 
 SCHEMA = "strainwave/comparison/1"
 
-_WIDE = 4.0  # times the median interval, from which one is cut off by the figure's edge
-_JOINTLY = "all at once"
+_MAX_INTERVAL_RATIO = 4.0  # to the median; wider intervals do not set the scale of the figure
+_MAX_HEADER = 14  # characters of a label in the terminal, as wide as the values below it
+_ALL_PARAMETERS = "all parameters together"
 
 
 def write(comparison: ResultComparison, folder: Path) -> None:
-    """Write comparison.json and comparison.html.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-    folder : Path
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to.
-    """
+    """Write comparison.json and comparison.html into a folder."""
     output.write("comparison", to_document(comparison), render(comparison), folder)
 
 
 def to_document(comparison: ResultComparison) -> dict[str, Any]:
-    """The comparison as plain JSON values, in the layout of docs/compare.md.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-
-    Returns
-    -------
-    dict
-    """
+    """The comparison as plain JSON values, in the layout of docs/compare.md."""
     whole = comparison.homogeneity
     return {
         "schema": SCHEMA,
@@ -92,7 +73,7 @@ def to_document(comparison: ResultComparison) -> dict[str, Any]:
                 "second": pair.second,
                 "parameters": [_difference(comparison, one) for one in pair.parameters],
                 "joint_test": pair.joint and _test(comparison, pair.joint),
-                "left_out": [{"parameter": p, "reason": why} for p, why in pair.left_out],
+                "left_out": [{"parameter": p, "reason": reason} for p, reason in pair.left_out],
             }
             for pair in comparison.pairs
         ],
@@ -133,95 +114,62 @@ def _test(comparison: ResultComparison, test: JointTest) -> dict[str, Any]:
 def print_comparison(
     comparison: ResultComparison, folder: Path | None = None, *, console: Console | None = None
 ) -> None:
-    """Print a table per pair, the tests of all parameters at once, and the verdict.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-    folder : Path, optional
-        Where the files were written.
-    console : rich Console, optional
-        The terminal, if not standard output.
-    """
+    """Print a table per pair, the joint tests, the verdict, and the files in `folder` if any."""
     console = console or Console(highlight=False)
     for pair in comparison.pairs:
         console.print(Text(f"{pair.second} against {pair.first}", style="bold"))
-        console.print(_printed(comparison, pair))
-        for line in _beside(comparison, pair):
+        output.print_table(console, _printed(comparison, pair))
+        for line in _lines_below(comparison, pair):
             console.print(Text(line))
     if comparison.homogeneity is not None:
-        said = _said(comparison, comparison.homogeneity)
-        console.print(Text(f"all {len(comparison.results)} results, {_JOINTLY}: {said}"))
+        sentence = _sentence(comparison, comparison.homogeneity)
+        console.print(Text(f"all {len(comparison.results)} results, {_ALL_PARAMETERS}: {sentence}"))
     output.print_end(
         console,
         "comparison",
-        headline(comparison),
+        comparison.headline,
         comparison.notes,
         folder,
         bad=comparison.differs,
     )
 
 
-def headline(comparison: ResultComparison) -> str:
-    """The verdict in one sentence.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-
-    Returns
-    -------
-    str
-    """
-    level = f"{100.0 * comparison.level:g} %"
-    if not comparison.differs:
-        return f"no difference at the level of {level}"
-    named = list(
-        dict.fromkeys(
-            one.first.label
-            for pair in comparison.pairs
-            for one in pair.parameters
-            if comparison.verdict(one) == DIFFERS
-        )
-    )
-    said = ", ".join(named) or "no single parameter, but all at once"
-    return f"the results differ at the level of {level}: {said}"
-
-
 def _printed(comparison: ResultComparison, pair: Pair) -> Table:
-    found = output.printed_table()
-    found.add_column("parameter", no_wrap=True)
-    for head in (pair.first, pair.second, "change %", "z", "adj. p"):
-        found.add_column(Text(head), justify="right", overflow="ellipsis")
-    found.add_column("verdict", no_wrap=True)
+    table = output.printed_table()
+    table.add_column("parameter")
+    labels = (pair.first, pair.second)
+    is_short = all(len(label) <= _MAX_HEADER for label in labels)
+    for head in (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p"):
+        table.add_column(Text(head), justify="right")
+    table.add_column("verdict")
     for one in pair.parameters:
         verdict = comparison.verdict(one)
         values = (plus_minus(p.value, p.std)[0] for p in (one.first, one.second))
         cells = (one.first.label, *values, *_tested(one), verdict)
-        found.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
-    return found
+        table.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
+    return table
 
 
 def _tested(one: ParameterDifference) -> tuple[str, str, str]:
-    """Change [%], its deviations and its adjusted p-value in words."""
+    """Change [%], z and adjusted p-value as text."""
     percent = "" if one.percent is None else f"{one.percent:+.{3 if abs(one.percent) < 1 else 2}f}"
     return percent, f"{one.z:+.1f}", probability(one.adjusted_p)
 
 
-def _beside(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
-    """Lines below a pair's table."""
+def _lines_below(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
+    """Lines below the table of a pair."""
     if pair.joint is not None:
-        yield f"{_JOINTLY}: {_said(comparison, pair.joint)}"
+        yield f"{_ALL_PARAMETERS}: {_sentence(comparison, pair.joint)}"
     if pair.left_out:
-        listed = "; ".join(f"{name} {why}" for name, why in pair.left_out)
+        listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
         yield f"not compared: {listed}"
 
 
-def _said(comparison: ResultComparison, test: JointTest) -> str:
-    """A joint test in words."""
-    law = f"chi-square of {test.rank} degrees"
+def _sentence(comparison: ResultComparison, test: JointTest) -> str:
+    """A joint test as a clause."""
+    law = f"chi-square with {test.rank} degrees of freedom"
     if math.isfinite(test.degrees):
-        law = f"rank {test.rank}, {test.degrees:.3g} degrees behind the covariance"
+        law = f"rank {test.rank}, covariance with {test.degrees:.3g} degrees of freedom"
     return (
         f"{test.statistic:.1f} ({law}; {test.n_values} values), "
         f"adjusted p {probability(test.adjusted_p)}: {comparison.verdict(test)}"
@@ -229,19 +177,10 @@ def _said(comparison: ResultComparison, test: JointTest) -> str:
 
 
 def render(comparison: ResultComparison) -> str:
-    """The comparison as one HTML page that needs no network.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-
-    Returns
-    -------
-    str
-    """
+    """The comparison as one self-contained HTML page."""
     whole = comparison.homogeneity
-    facts = [] if whole is None else [f"All results at once: {_said(comparison, whole)}"]
-    before = output.opening(headline(comparison), facts, comparison.notes, bad=comparison.differs)
+    facts = [] if whole is None else [f"All results together: {_sentence(comparison, whole)}"]
+    before = output.opening(comparison.headline, facts, comparison.notes, bad=comparison.differs)
     sections = [
         Section(
             f"pair-{k}", f"{pair.second} against {pair.first}", tuple(_blocks(comparison, pair))
@@ -250,7 +189,7 @@ def render(comparison: ResultComparison) -> str:
     ]
     sections.append(Section("results", "Results", tuple(_results(comparison))))
     title = " and ".join(one.label for one in comparison.results)
-    return page_of(title, "Results of one arm compared", sections, before=(before,))
+    return page_of(title, "Comparison of results", sections, before=(before,))
 
 
 def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
@@ -258,7 +197,7 @@ def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
         "parameter",
         "verdict",
         number("change %"),
-        number("in std (z)"),
+        number("z"),
         number("adjusted p"),
         number(pair.first),
         number(pair.second),
@@ -267,16 +206,17 @@ def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
     rows = [_row(comparison, one) for one in pair.parameters]
     yield from table("Parameters", heads, rows, heading=False)
     if pair.joint is not None:
-        yield paragraph(f"All at once: {_said(comparison, pair.joint)}.")
-    drawn = forest(comparison, pair)
-    if drawn is not None:
+        yield paragraph(f"All parameters together: {_sentence(comparison, pair.joint)}.")
+    figure = forest(comparison, pair)
+    if figure is not None:
         words = (
-            "Change of each parameter with its 95 % interval, and in standard deviations. "
-            "Intervals much wider than the others go beyond the upper panel."
+            "Change of each parameter with its 95 % interval, in percent and in standard "
+            "deviations. The upper panel truncates intervals much wider than the others."
         )
-        yield Plot(f"changes {pair.second}", "Changes of the parameters", drawn, words)
-    heads = ("not compared", "why")
-    yield from table("Not compared", heads, [(p, prose(why)) for p, why in pair.left_out])
+        yield Plot(f"changes {pair.second}", "Changes of the parameters", figure, words)
+    heads = ("not compared", "reason")
+    rows = [(p, prose(reason)) for p, reason in pair.left_out]
+    yield from table("Not compared", heads, rows)
 
 
 def _row(comparison: ResultComparison, one: ParameterDifference) -> Row:
@@ -292,23 +232,12 @@ def _row(comparison: ResultComparison, one: ParameterDifference) -> Row:
 
 
 def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
-    """Changes with their intervals, parameter by parameter.
-
-    Parameters
-    ----------
-    comparison : ResultComparison
-    pair : Pair
-
-    Returns
-    -------
-    Figure or None
-        None where no change can be given in percent.
-    """
+    """Changes with their 95 % intervals; None if no change can be given in percent."""
     shown = [one for one in pair.parameters if one.percent is not None]
     if not shown:
         return None
     percent = np.array([one.percent or 0.0 for one in shown])
-    reach = np.array([REACH * (one.std_percent or 0.0) for one in shown])
+    half_width = np.array([INTERVAL_STDS * (one.std_percent or 0.0) for one in shown])
     groups = [
         (verdict, colour, [k for k, one in enumerate(shown) if comparison.verdict(one) == verdict])
         for verdict, colour in ((DIFFERS, MODEL), (SAME, MEASURED))
@@ -317,22 +246,24 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
     for verdict, colour, own in groups:
         if own:
             names = tuple(shown[k].first.label for k in own)
-            upper.append(Markers(names, percent[own], verdict, colour, 7.0, error=reach[own]))
+            upper.append(Markers(names, percent[own], verdict, colour, 7.0, error=half_width[own]))
             z = np.array([shown[k].z for k in own])
-            lower.append(Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), REACH)))
-    ordinary = reach <= _WIDE * float(np.median(reach))
-    widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + reach[ordinary]))
-    named = [abs(p) * 1.2 for p, one in zip(percent, shown, strict=True) if _named(comparison, one)]
-    limit = max([widest, *named])
+            lower.append(
+                Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), INTERVAL_STDS))
+            )
+    ordinary = half_width <= _MAX_INTERVAL_RATIO * float(np.median(half_width))
+    widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + half_width[ordinary]))
+    significant = [
+        abs(p) * 1.2
+        for p, one in zip(percent, shown, strict=True)
+        if comparison.verdict(one) == DIFFERS
+    ]
+    limit = max([widest, *significant])
     panels = (
         Panel(Axis("change [%]", range=(-limit, limit)), tuple(upper), 1.8),
-        Panel(Axis("in std"), tuple(lower), 1.4),
+        Panel(Axis("z"), tuple(lower), 1.4),
     )
     return Figure(Axis(""), panels)
-
-
-def _named(comparison: ResultComparison, one: ParameterDifference) -> bool:
-    return comparison.verdict(one) == DIFFERS
 
 
 def _results(comparison: ResultComparison) -> Iterator[Block]:
@@ -340,12 +271,12 @@ def _results(comparison: ResultComparison) -> Iterator[Block]:
         facts = [
             ("result", one.label),
             ("file", one.path),
-            ("made", one.created),
+            ("created", one.created),
             ("status", one.status),
             ("study", one.study[0]),
             ("sha256", one.study[1]),
         ]
         if one.covariance is not None:
             n = len(one.covariance.names)
-            facts.append(("joint covariance", f"of {n} parameters, stage {one.covariance.stage}"))
-        yield Facts(tuple((term, fact or "not known") for term, fact in facts))
+            facts.append(("joint covariance", f"{n} parameters, stage {one.covariance.stage}"))
+        yield Facts(tuple((term, fact or "unknown") for term, fact in facts))

@@ -1,4 +1,4 @@
-"""Results as what is compared: each parameter's estimate, and how their errors go together."""
+"""Estimates of one result with their joint covariance, for comparisons."""
 
 from __future__ import annotations
 
@@ -14,74 +14,48 @@ from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 
-_USUAL_NAMES = ("result.json", "study.toml")  # the folder says more
+_USUAL_NAMES = ("result.json", "study.toml")  # files whose folder is a better label
 _OF_ONE_RECORD = re.compile(r".*_drift|.*\[.*\]")
-_NORMAL = 1.96  # deviations of 95 %, as the intervals of the whole-arm fit have it
+_NORMAL_QUANTILE = 1.96  # 97.5 % quantile by which the whole-arm fit forms its intervals
+_QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then below about 2,400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimates:
-    """What one result says of an arm."""
+    """Parameters and joint covariance of one result."""
 
     label: str
     path: str
     created: str
     status: str
-    study: tuple[str, str]  # path and hash
+    study: tuple[str, str]  # path and SHA-256
     parameters: tuple[Parameter, ...]
     covariance: JointCovariance | None
 
     def of(self, label: str) -> Parameter:
-        """One parameter by name with joint."""
+        """A parameter by name and joint, as in the verdict."""
         return next(p for p in self.parameters if p.label == label)
 
 
 def read_estimates(paths: Sequence[Path]) -> tuple[Estimates, ...]:
-    """Results to compare.
+    """Read results from result.json files or directories that contain one.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        result.json files, or directories that hold one.
-
-    Returns
-    -------
-    tuple of Estimates
-        With labels that distinguish them.
-
-    Raises
-    ------
-    InvalidInput
-        Fewer than two, or one that is missing or no result.
+    Labels are unique. Raises `InvalidInput` for fewer than two paths, or a file that is missing or
+    is not a result.
     """
     if len(paths) < 2:
         raise InvalidInput("a comparison needs two results", remedy="name two result.json or more")
-    read = [_read(path / "result.json" if path.is_dir() else path) for path in paths]
-    labels = [one.label for one in read]
+    estimates = [_read(results.result_path(path)) for path in paths]
+    labels = [one.label for one in estimates]
     return tuple(
-        one if labels.count(one.label) == 1 else replace(one, label=one.path) for one in read
+        one if labels.count(one.label) == 1 else replace(one, label=one.path) for one in estimates
     )
 
 
 def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
-    """What a result's document says.
+    """Estimates of a result document that was read from `path`.
 
-    Parameters
-    ----------
-    document : mapping
-        In the layout of docs/result.md.
-    path : Path
-        Where it was read from.
-
-    Returns
-    -------
-    Estimates
-        Without what describes one record only, as the drift of a sensor's bias in it.
-
-    Raises
-    ------
-    InvalidInput
-        A part is incomplete.
+    Parameters of one record, such as the drift of a sensor bias, are left out.
     """
     study = document.get("study") or {}
     return Estimates(
@@ -90,56 +64,41 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
         created=str(document.get("created", "")),
         status=str(document.get("status", "")),
         study=(str(study.get("path", "")), str(study.get("sha256", ""))),
-        parameters=tuple(p for p in results.parameters_of(document) if not of_one_record(p.name)),
+        parameters=tuple(
+            p for p in results.parameters_of(document, str(path)) if not is_of_one_record(p.name)
+        ),
         covariance=covariance_of(document),
     )
 
 
-def of_one_record(name: str) -> bool:
-    """Whether a parameter describes one record and not the arm, as a sensor's drift does.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    bool
-    """
+def is_of_one_record(name: str) -> bool:
+    """Whether a parameter describes one record instead of the arm."""
     return _OF_ONE_RECORD.fullmatch(name) is not None
 
 
 def degrees_of(parameter: Parameter) -> float:
-    """Degrees of freedom behind a standard deviation, by how far its 95 % interval reaches.
+    """Degrees of freedom of a standard deviation, from the width of its 95 % interval.
 
-    The rigid stage knows a variance from few stretches of motion, and its intervals are Student's.
-
-    Parameters
-    ----------
-    parameter : Parameter
-
-    Returns
-    -------
-    float
-        Infinite where the interval is a normal variable's, or there is none.
+    The rigid stage estimates variances from few segments of motion and gives Student's intervals.
+    Infinite if the interval is that of a normal distribution, or missing.
     """
     if parameter.ci95 is None or not parameter.std:
         return float("inf")
-    reach = 0.5 * (parameter.ci95[1] - parameter.ci95[0]) / parameter.std
-    return _degrees(round(reach, 6))
+    quantile = 0.5 * (parameter.ci95[1] - parameter.ci95[0]) / parameter.std
+    return _degrees(round(quantile, 6))
 
 
 @cache
-def _degrees(reach: float) -> float:
-    """Degrees at which Student's 97.5 % quantile is so many deviations."""
+def _degrees(quantile: float) -> float:
+    """Degrees of freedom with this 97.5 % quantile of Student's distribution."""
     from scipy.optimize import brentq
     from scipy.stats import t
 
-    if reach <= _NORMAL + 1e-3:
+    if quantile <= _NORMAL_QUANTILE + _QUANTILE_TOLERANCE:
         return float("inf")
-    if reach >= t.ppf(0.975, 1.0):
+    if quantile >= t.ppf(0.975, 1.0):
         return 1.0
-    return float(brentq(lambda nu: t.ppf(0.975, nu) - reach, 1.0, 1e5))
+    return float(brentq(lambda nu: t.ppf(0.975, nu) - quantile, 1.0, 1e5))
 
 
 def _read(path: Path) -> Estimates:

@@ -1,4 +1,4 @@
-"""Whether several differences at once are more than chance, and p-values of many tests."""
+"""Tests of several differences at once, and adjusted p-values."""
 
 from __future__ import annotations
 
@@ -9,44 +9,31 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_SINGULAR = 1e-8  # of the largest eigenvalue of correlations: below, values follow from others
+_RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the correlation matrix; below: dependent
 
 
 @dataclass(frozen=True, slots=True)
 class JointTest:
-    """d' S^+ d of differences d with covariance S."""
+    """Test statistic d' S^+ d of differences d with covariance S."""
 
     statistic: float
-    rank: int  # of S: independent differences; the others follow from these
+    rank: int  # of S: number of independent differences
     n_values: int
-    degrees: float  # behind S; infinite: the statistic is a chi-square
+    degrees: float  # degrees of freedom of S; infinite: the statistic is chi-square distributed
     p: float
-    adjusted_p: float = 1.0  # among all tests of the comparison, by Holm
+    adjusted_p: float = 1.0  # by Holm, over all tests of the comparison
 
 
 def joint_test(
     difference: FloatArray, parts: Sequence[FloatArray], degrees: Sequence[float]
 ) -> JointTest | None:
-    """Test that all differences are zero.
+    """Test that all differences, (n,), are zero.
 
-    T = d' S^+ d with S = sum of the parts, by the eigenvalues of its correlations. Where every part
-    is known exactly, T is a chi-square of rank(S) = r degrees. A part that is known with nu_i
-    degrees makes T (nu - r + 1) / (nu r) an F of r and nu - r + 1 degrees with
-    nu = (r + r^2) / sum_i (tr G_i^2 + (tr G_i)^2) / nu_i, G_i the part where S is the identity
-    (Krishnamoorthy and Yu, 2004).
-
-    Parameters
-    ----------
-    difference : (n,)
-    parts : sequence of (n, n)
-        Covariances of independent errors whose sum is the difference's.
-    degrees : sequence of float
-        Behind each part; infinite where it is known.
-
-    Returns
-    -------
-    JointTest or None
-        None where too few degrees are behind the covariance for so many differences.
+    T = d' S^+ d with S the sum of the parts, (n, n) covariances of independent errors; the rank r
+    of S is that of its correlation matrix. If all parts are known exactly, T is a chi-square of r
+    degrees. If part i is known with nu_i degrees of freedom, T (nu - r + 1)/(nu r) is an F of r and
+    nu - r + 1 degrees with nu = (r + r^2) / sum_i (tr G_i^2 + (tr G_i)^2)/nu_i, G_i the part in
+    coordinates where S is the identity (Krishnamoorthy and Yu, 2004). None if nu <= r.
     """
     from scipy.stats import chi2, f
 
@@ -55,14 +42,14 @@ def joint_test(
     if not len(difference) or not (scale > 0.0).all():
         return None
     values, vectors = np.linalg.eigh(S / np.outer(scale, scale))
-    kept = values > _SINGULAR * values[-1]
-    whiten = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
-    r = int(kept.sum())
+    independent = values > _RANK_TOLERANCE * values[-1]
+    whiten = vectors[:, independent] / np.sqrt(values[independent]) / scale[:, None]
+    r = int(independent.sum())
     statistic = float(np.sum((whiten.T @ difference) ** 2))
     spread = 0.0
-    for part, own in zip(parts, degrees, strict=True):
+    for part, nu_i in zip(parts, degrees, strict=True):
         G = whiten.T @ part @ whiten
-        spread += float(np.sum(G * G) + np.trace(G) ** 2) / own
+        spread += float(np.sum(G * G) + np.trace(G) ** 2) / nu_i
     nu = (r + r * r) / spread if spread > 0.0 else float("inf")
     if not np.isfinite(nu):
         return JointTest(statistic, r, len(difference), nu, float(chi2.sf(statistic, r)))
@@ -73,26 +60,16 @@ def joint_test(
 
 
 def welch_test(
-    difference: float, deviations: Sequence[float], degrees: Sequence[float]
+    difference: float, stds: Sequence[float], degrees: Sequence[float]
 ) -> tuple[float, float]:
-    """Test that one difference is zero, by Student's t with Welch and Satterthwaite's degrees.
+    """z, the difference over its standard deviation, and the two-sided p-value of no difference.
 
-    Parameters
-    ----------
-    difference : float
-    deviations : sequence of float
-        Of its independent errors.
-    degrees : sequence of float
-        Behind each deviation; infinite where it is known: then the test is a normal variable's.
-
-    Returns
-    -------
-    z, p : float
-        The difference over its standard deviation, and the two-sided p-value.
+    `stds` are those of its independent errors. Student's t with the degrees of freedom of Welch and
+    Satterthwaite; a normal distribution if all degrees are infinite.
     """
     from scipy.special import ndtr, stdtr
 
-    variances = [s * s for s in deviations]
+    variances = [s * s for s in stds]
     total = sum(variances)
     z = difference / np.sqrt(total)
     spread = sum(v * v / nu for v, nu in zip(variances, degrees, strict=True))
@@ -102,22 +79,14 @@ def welch_test(
 
 
 def holm(p: Sequence[float]) -> list[float]:
-    """p-values adjusted for their number (Holm, 1979), whatever their dependence.
+    """p-values adjusted for their number, valid under any dependence (Holm, 1979).
 
-    The smallest of m is multiplied by m, the next by m - 1, ..., and none is below one before it.
-
-    Parameters
-    ----------
-    p : sequence of float
-
-    Returns
-    -------
-    list of float
-        In the same order.
+    The smallest of m is multiplied by m, the next by m - 1, and so on; the result does not decrease
+    in the order of p.
     """
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
     raised = np.minimum(1.0, np.maximum.accumulate(factors * np.asarray(p, dtype=float)[order]))
-    found = np.empty(len(p))
-    found[order] = raised
-    return [float(each) for each in found]
+    adjusted = np.empty(len(p))
+    adjusted[order] = raised
+    return [float(each) for each in adjusted]

@@ -1,4 +1,4 @@
-"""What a comparison and a trend share in how they are written, printed and headed."""
+"""Files, terminal output and page headers that comparisons and trends share."""
 
 from __future__ import annotations
 
@@ -14,37 +14,28 @@ from rich.text import Text
 from strainwave.io.atomic_files import write_whole
 from strainwave.presentation.report.blocks import Callout, Mark, Span, paragraph
 
-REACH = 1.96
-"""Deviations of a 95 % interval."""
+INTERVAL_STDS = 1.96
+"""Standard deviations of a 95 % interval."""
 
-_NEVER = 1e-16  # below it a p-value says nothing more
-_VERDICT = "verdict: "
+_MIN_PRINTED_P = 1e-16  # rounding of the test statistics limits smaller values
 
 
 def write(name: str, document: dict[str, Any], page: str, folder: Path) -> None:
-    """Write name.json and name.html.
-
-    Parameters
-    ----------
-    name : str
-    document : dict
-        Plain JSON values.
-    page : str
-        HTML.
-    folder : Path
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to.
-    """
+    """Write name.json and name.html into a folder."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
     write_whole(folder, {f"{name}.json": (text + "\n").encode(), f"{name}.html": page.encode()})
 
 
 def printed_table() -> Table:
-    """An empty table of the terminal."""
+    """An empty table for the terminal."""
     return Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
+
+
+def print_table(console: Console, table: Table) -> None:
+    """Print a table without truncation; the terminal wraps rows that are too long."""
+    wide = console.options.update(width=10_000)
+    table.width = table.__rich_measure__(console, wide).maximum
+    console.print(table, crop=False, no_wrap=True, overflow="ignore")
 
 
 def print_end(
@@ -56,42 +47,17 @@ def print_end(
     *,
     bad: bool,
 ) -> None:
-    """Print notes, verdict, and where the files are.
-
-    Parameters
-    ----------
-    console : rich Console
-    name : str
-        Of the files.
-    verdict : str
-    notes : sequence of str
-    folder : Path or None
-        Where the files were written.
-    bad : bool
-        Whether the verdict asks for action.
-    """
+    """Print notes, the verdict, and the paths of name.html and name.json if they were written."""
     for note in notes:
         console.print(Text(f"note: {note}"), style="yellow")
-    console.print(Text(f"{_VERDICT}{verdict}"), style="bold red" if bad else "bold")
+    console.print(Text(f"verdict: {verdict}"), style="bold red" if bad else "bold")
     if folder is not None:
         for file in (f"{name}.html", f"{name}.json"):
             console.print(Text(f"written: {folder / file}"), soft_wrap=True)
 
 
 def opening(verdict: str, facts: Sequence[str], notes: Sequence[str], *, bad: bool) -> Callout:
-    """What a page begins with: verdict, facts, notes.
-
-    Parameters
-    ----------
-    verdict : str
-    facts, notes : sequence of str
-    bad : bool
-        Whether the verdict asks for action.
-
-    Returns
-    -------
-    Callout
-    """
+    """The beginning of a page: verdict, facts, notes; `bad` colours a verdict that needs action."""
     mark: Mark = "bad" if bad else "good"
     lead = [paragraph(Span(f"{verdict[0].upper()}{verdict[1:]}.", strong=True))]
     lead += [paragraph(f"{fact}.") for fact in facts]
@@ -100,17 +66,7 @@ def opening(verdict: str, facts: Sequence[str], notes: Sequence[str], *, bad: bo
 
 
 def probability(p: float) -> str:
-    """A p-value in words.
-
-    Parameters
-    ----------
-    p : float
-
-    Returns
-    -------
-    str
-        With two digits, one where it is small.
-    """
-    if p < _NEVER:
-        return f"<{_NEVER:.0e}"
+    """A p-value with two significant digits, one below 1e-4."""
+    if p < _MIN_PRINTED_P:
+        return f"<{_MIN_PRINTED_P:.0e}"
     return f"{p:.2g}" if p >= 1e-4 else f"{p:.0e}"

@@ -1,11 +1,11 @@
-"""How a parameter may leave its level over its visits: drifts and steps, and how likely by chance.
+"""Drifts and steps of a parameter over the visits of an arm, and their significance.
 
-Estimates y_i with standard deviations s_i at times t_i, after covariates x_i are taken out:
+Model of estimates y_i with standard deviations s_i at times t_i and covariates x_i:
 
     y_i = x_i b + (shape at t_i) h + v_i + e_i,   v_i ~ N(0, tau^2),   e_i ~ N(0, s_i^2),
 
-tau the repeatability between visits, which no single run can know. A shape is a drift over all
-visits, a step before one of them, or a drift that begins at one.
+tau is the repeatability between visits, which single runs do not contain. A shape is a drift over
+all visits, a step before one of them, or a drift that begins at one.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from strainwave.domain import FloatArray, IntArray
 
 Kind = Literal["drift", "step", "drift since"]
 
-FEWEST = 4
-"""Visits beyond the number of covariates and the level, from which a change can be tested."""
+MIN_VISITS = 4
+"""Visits in addition to level and covariates that a test needs: Student's t with 3 degrees."""
 
-_BEFORE = 2  # visits before a change, at least
-_COLLINEAR = 1e-6  # share of a column's square that others leave, below which it says nothing new
-_SAMPLES = 60  # directions drawn of each shape
-_MOST = 2_000_000  # products of shapes and samples at a time
-_ITERATIONS = 50  # of Newton's, which converges from one side
+_MIN_VISITS_BEFORE = 2  # a change; one visit alone cannot define the level
+_COLLINEARITY = 1e-6  # share of a column's square outside the others; below it is redundant
+_SAMPLES = 60  # directions drawn per shape: the p-value is accurate to some percent
+_MAX_PRODUCTS = 2_000_000  # of shapes and samples at a time; limits memory to some 50 MB
+_MAX_ITERATIONS = 50  # of Newton's method, which converges monotonically
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One parameter over the visits of an arm, in the order of time."""
+    """One parameter over the visits of an arm, by time."""
 
     time: FloatArray  # (n_visits,) [days]
     value: FloatArray  # (n_visits,)
@@ -42,72 +42,61 @@ class Series:
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """One way to leave the level."""
+    """One kind of change."""
 
     kind: Kind
-    first: int  # visit, from 0, that is first after a step, or last before a drift
+    first: int  # visit from 0: the first after a step, or the last before a drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """The shape that explains a series best, and the probability that chance does."""
+    """The shape that explains a series best, and its significance."""
 
     shape: Shape
     size: float  # over the whole history
     size_std: float
-    p: float  # of any shape as clear as this one, if nothing changed
+    p: float  # probability that any shape is as significant if nothing changed
     drift: float  # of a straight line over all visits, per day
     drift_std: float
     drift_p: float
     level: float  # before the change, at mean covariates
-    repeatability: float  # tau, beside this shape
-    degrees: int  # of Student's t behind both deviations
+    repeatability: float  # tau, with this shape in the model
+    degrees: int  # of freedom of both standard deviations
     fitted: FloatArray  # (n_visits,) with covariates
 
 
 def change_of(series: Series, rng: np.random.Generator) -> Change | None:
-    """Look for the shape that explains a series best.
+    """The shape that explains a series best; None if the series is too short for a test.
 
-    Weights 1 / (s^2 + tau^2), tau by moments without any shape. For each shape t^2 is the fall of
-    the weighted squares over the residual squares per degree of freedom, taken for no less than
-    the runs' own s^2 make. Beyond weights nothing is known: the residuals' direction is uniform on
-    a sphere, and the probability that any shape comes out as clear as the best is that of a union
-    of caps (`union_of_caps`), whatever tau is.
-
-    Parameters
-    ----------
-    series : Series
-    rng : numpy Generator
-
-    Returns
-    -------
-    Change or None
-        None with fewer than `FEWEST` visits beyond the columns of level and covariates, or where
-        all are of one time.
+    Weights are 1/(s^2 + tau^2), with tau by moments without any shape. For each shape t^2 is the
+    reduction of the weighted squares over the residual squares per degree of freedom, which is not
+    less than the standard deviations of the runs give. Under the hypothesis of no change the
+    direction of the residuals is uniform on a sphere, so the p-value of the largest t^2 is that of
+    a union of caps (`union_of_caps`), whatever tau is.
     """
     X = regressors(series)
     degrees = len(series.value) - X.shape[1] - 1
-    if degrees < FEWEST - 1:
+    if degrees < MIN_VISITS - 1:
         return None
     shapes, columns = _shapes(series.time)
     tau2 = moment_variance(series.value, series.std, X)
     space = _Whitened.of(series, X, tau2)
     directions, scale = space.directions(columns)
-    kept = scale > 0.0
-    if not kept[0]:
-        return None  # no line over time that covariates do not explain
-    shapes = [shape for shape, keep in zip(shapes, kept, strict=True) if keep]
-    columns, directions, scale = columns[:, kept], directions[:, kept], scale[kept]
+    usable = scale > 0.0
+    if not usable[0]:
+        return None  # covariates explain any line over time
+    shapes = [shape for shape, keep in zip(shapes, usable, strict=True) if keep]
+    columns, directions, scale = columns[:, usable], directions[:, usable], scale[usable]
     along = directions.T @ space.residual
-    left = np.maximum(space.residual @ space.residual - along**2, 0.0) / degrees
-    variance = np.maximum(left, space.least)
+    residual = np.maximum(space.residual @ space.residual - along**2, 0.0) / degrees
+    variance = np.maximum(residual, space.min_variance)
     t2 = along**2 / variance
     best = int(np.argmax(t2))
     p = union_of_caps(t2[best] / (t2[best] + degrees), directions, space.free, rng)
     size, size_std = along / scale, np.sqrt(variance) / scale
     column = columns[:, best]
-    beside = moment_variance(series.value, series.std, np.column_stack([X, column]))
-    fitted = series.value - space.left(series.value - size[best] * column)
+    tau2 = moment_variance(series.value, series.std, np.column_stack([X, column]))
+    fitted = series.value - space.residual_of(series.value - size[best] * column)
     return Change(
         shape=shapes[best],
         size=float(size[best]),
@@ -117,59 +106,43 @@ def change_of(series: Series, rng: np.random.Generator) -> Change | None:
         drift_std=float(size_std[0]) / float(np.ptp(series.time)),
         drift_p=student_tails(float(t2[0]), degrees),
         level=space.level(series.value - size[best] * column),
-        repeatability=float(np.sqrt(beside)),
+        repeatability=float(np.sqrt(tau2)),
         degrees=degrees,
         fitted=fitted,
     )
 
 
 def regressors(series: Series) -> FloatArray:
-    """Columns of the level and of those covariates that say something new.
+    """Columns of the level and of the linearly independent covariates, (n_visits, 1 + n).
 
-    Parameters
-    ----------
-    series : Series
-
-    Returns
-    -------
-    (n_visits, 1 + n_kept)
-        Covariates have zero mean and unit spread.
+    Covariates have zero mean and unit standard deviation.
     """
     n = len(series.value)
-    found = np.ones((n, 1))
+    X = np.ones((n, 1))
     for column in series.covariates.T:
         centred = column - column.mean()
         spread = float(np.sqrt(np.mean(centred**2)))
-        if not spread > _COLLINEAR * max(1.0, float(np.abs(column).max())):
+        if not spread > _COLLINEARITY * max(1.0, float(np.abs(column).max())):
             continue
         centred = centred / spread
-        left = centred - found @ np.linalg.lstsq(found, centred)[0]
-        if np.mean(left**2) > _COLLINEAR:
-            found = np.column_stack([found, centred])
-    return np.asarray(found)
+        residual = centred - X @ np.linalg.lstsq(X, centred)[0]
+        if np.mean(residual**2) > _COLLINEARITY:
+            X = np.column_stack([X, centred])
+    return np.asarray(X)
 
 
 def moment_variance(value: FloatArray, std: FloatArray, X: FloatArray) -> float:
-    """tau^2, the variance between visits, by moments (Paule and Mandel, 1982).
+    """tau^2, the variance between visits, by the method of moments (Paule and Mandel, 1982).
 
-    Where sum of r_i^2 / (s_i^2 + tau^2) is n - p, r the weighted least-squares residuals; zero
-    where the runs' own deviations explain them. The sum falls and bends upward, so Newton's steps
-    from zero never go too far.
-
-    Parameters
-    ----------
-    value, std : (n,)
-    X : (n, p)
-
-    Returns
-    -------
-    float
+    It makes the sum of r_i^2/(s_i^2 + tau^2) equal to n - p, with r the weighted least-squares
+    residuals for the regressors X, (n, p); zero if the sum is smaller. The sum is decreasing and
+    convex in tau^2, so Newton's method from zero does not overshoot.
     """
     n, p = X.shape
     if n <= p:
         return 0.0
     tau2 = 0.0
-    for _ in range(_ITERATIONS):
+    for _ in range(_MAX_ITERATIONS):
         w = 1.0 / (std**2 + tau2)
         root = np.sqrt(w)
         Q = np.linalg.qr(X * root[:, None])[0]
@@ -183,17 +156,7 @@ def moment_variance(value: FloatArray, std: FloatArray, X: FloatArray) -> float:
 
 
 def student_tails(t2: float, degrees: int) -> float:
-    """Probability that the square of Student's t exceeds a value.
-
-    Parameters
-    ----------
-    t2 : float
-    degrees : int
-
-    Returns
-    -------
-    float
-    """
+    """Probability that the square of Student's t exceeds t2."""
     from scipy.special import stdtr
 
     return float(2.0 * stdtr(degrees, -np.sqrt(t2)))
@@ -202,26 +165,13 @@ def student_tails(t2: float, degrees: int) -> float:
 def union_of_caps(
     share: float, directions: FloatArray, free: FloatArray, rng: np.random.Generator
 ) -> float:
-    """Probability that any of several directions has such a share of a random vector's square.
+    """Probability that a random direction has such a share of its square along any of `directions`.
 
-    Of u uniform on the sphere of the space that `free` spans, and directions a_k in it: P(max
-    (u'a_k)^2 > share) = sum_k P_1 E_k[1 / N(u)], with P_1 that of one direction, from the beta
-    distribution, E_k over those u in the k-th cap, and N the number of caps that u is in (Naiman
-    and Priebe, 2001). It is as precise for p = 1e-9 as for 0.1.
-
-    Parameters
-    ----------
-    share : float
-        From 0 to 1.
-    directions : (n, n_directions)
-        Of unit length.
-    free : (n, m)
-        An orthonormal basis of the space.
-    rng : numpy Generator
-
-    Returns
-    -------
-    float
+    For u uniform on the sphere of the space that `free` spans, (n, m) with orthonormal columns,
+    and unit vectors a_k, the columns of `directions`: P(max (u'a_k)^2 > share) = sum_k P_1
+    E_k[1/N(u)], with P_1 the probability of one direction, from the beta distribution, E_k the
+    mean over u in the k-th cap, and N the number of caps that contain u (Naiman and Priebe, 2001).
+    The relative accuracy is the same for p = 1e-9 as for 0.1.
     """
     from scipy.special import betainc, betaincinv
 
@@ -232,10 +182,12 @@ def union_of_caps(
         return 0.0
     A = free.T @ directions
     G = A.T @ A
-    samples = max(8, min(_SAMPLES, _MOST // n_directions**2))
+    samples = max(8, min(_SAMPLES, _MAX_PRODUCTS // n_directions**2))
     Z = rng.normal(size=(samples, m))
     C = Z @ A  # (samples, n_directions)
-    across = np.sqrt(np.sum(Z * Z, axis=1)[:, None] - C * C)  # length beside the k-th direction
+    across = np.sqrt(
+        np.sum(Z * Z, axis=1)[:, None] - C * C
+    )  # length orthogonal to the k-th direction
     rest = betaincinv(half, 0.5, one * rng.uniform(size=(samples, n_directions)))
     height, width = np.sqrt(1.0 - rest), np.sqrt(rest) / across
     inverse = np.empty((samples, n_directions))
@@ -249,14 +201,14 @@ def union_of_caps(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Whitened:
-    """Where rows have unit variance, and the space that level and covariates leave."""
+    """Coordinates in which rows have unit variance, and the complement of level and covariates."""
 
     root: FloatArray  # (n,) square roots of the weights
     X: FloatArray  # (n, p)
     Q: FloatArray  # (n, p) orthonormal basis of the whitened regressors
-    free: FloatArray  # (n, n - p) of the rest
-    residual: FloatArray  # (n,) of the values
-    least: float  # variance that the runs' own deviations make
+    free: FloatArray  # (n, n - p) orthonormal basis of the complement
+    residual: FloatArray  # (n,) of the values, whitened
+    min_variance: float  # from the standard deviations of the runs alone
 
     @classmethod
     def of(cls, series: Series, X: FloatArray, tau2: float) -> _Whitened:
@@ -265,22 +217,22 @@ class _Whitened:
         whole = np.linalg.qr(X * root[:, None], mode="complete")[0]
         p = X.shape[1]
         Q, free = whole[:, :p], whole[:, p:]
-        own = series.value * root
-        residual = own - Q @ (Q.T @ own)
+        white = series.value * root
+        residual = white - Q @ (Q.T @ white)
         return cls(root, X, Q, free, residual, float(np.mean(w * series.std**2)))
 
     def directions(self, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Unit vectors of columns beside the regressors, and their lengths; zero: there is none."""
+        """Unit vectors of columns orthogonal to the regressors, and lengths; zero: dependent."""
         white = columns * self.root[:, None]
-        beside = white - self.Q @ (self.Q.T @ white)
-        length = np.sqrt(np.sum(beside**2, axis=0))
-        length[length**2 < _COLLINEAR * np.sum(white**2, axis=0)] = 0.0
-        return beside / np.where(length > 0.0, length, 1.0), length
+        orthogonal = white - self.Q @ (self.Q.T @ white)
+        length = np.sqrt(np.sum(orthogonal**2, axis=0))
+        length[length**2 < _COLLINEARITY * np.sum(white**2, axis=0)] = 0.0
+        return orthogonal / np.where(length > 0.0, length, 1.0), length
 
-    def left(self, value: FloatArray) -> FloatArray:
-        """What level and covariates leave of values, in their own unit."""
-        own = value * self.root
-        return np.asarray((own - self.Q @ (self.Q.T @ own)) / self.root)
+    def residual_of(self, value: FloatArray) -> FloatArray:
+        """Residual of values after level and covariates, in their unit."""
+        white = value * self.root
+        return np.asarray((white - self.Q @ (self.Q.T @ white)) / self.root)
 
     def level(self, value: FloatArray) -> float:
         """Level of values at mean covariates."""
@@ -288,7 +240,7 @@ class _Whitened:
 
 
 def _shapes(time: FloatArray) -> tuple[list[Shape], FloatArray]:
-    """All shapes, the drift over all visits first, and their columns, which end at one."""
+    """All shapes, first the drift over all visits, and their columns, which end at one."""
     n = len(time)
     span = max(float(np.ptp(time)), np.finfo(float).tiny)
     shapes = [Shape("drift", 0)]
@@ -305,23 +257,13 @@ def _shapes(time: FloatArray) -> tuple[list[Shape], FloatArray]:
 
 
 def _places(time: FloatArray) -> IntArray:
-    """Visits before which something may change: later than the one before."""
+    """Visits before which a change may occur: later than the visit before."""
     later = np.flatnonzero(np.diff(time) > 0.0) + 1
-    return np.asarray(later[later >= _BEFORE])
+    return np.asarray(later[later >= _MIN_VISITS_BEFORE])
 
 
 def fitted_line(change: Change, series: Series) -> Iterator[tuple[float, float]]:
-    """Points of the shape over time, at mean covariates, for a plot.
-
-    Parameters
-    ----------
-    change : Change
-    series : Series
-
-    Yields
-    ------
-    time, value : float
-    """
+    """Points (time, value) of the fitted shape at mean covariates, for a plot."""
     t, k = series.time, change.shape.first
     after = change.level + change.size
     yield float(t[0]), change.level

@@ -1,4 +1,4 @@
-"""Every arm's parameters over its visits: what changes by more than chance explains."""
+"""Parameters of each arm over its visits: which change significantly."""
 
 from __future__ import annotations
 
@@ -10,37 +10,41 @@ import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.monitoring.joint_tests import holm
-from strainwave.monitoring.shapes import FEWEST, Change, change_of
+from strainwave.monitoring.shapes import MIN_VISITS, Change, change_of
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
+
+_MIN_LEVEL_STDS = 2.0  # a level within two standard deviations of zero gives no percentages
+_CHANCE_P = 0.5  # an unchanged arm exceeds it in half of all analyses
+_MAX_SINGLE_VISITS = 0.5  # share of arms with one visit; more suggests wrongly named arms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterTrend:
-    """What one parameter does over the visits of an arm."""
+    """The most significant change of one parameter over the visits of an arm."""
 
     history: ParameterHistory
     change: Change
-    adjusted_p: float = 1.0  # among all parameters of the arm, by Holm
+    adjusted_p: float = 1.0  # by Holm, over all parameters of the arm
 
     @property
     def percent(self) -> float | None:
-        """The change over the history, of the level before; None where that may be zero."""
+        """The change over the history in percent of the level before; None as `of_level`."""
         return self.of_level(self.change.size)
 
     def of_level(self, size: float) -> float | None:
-        """A size in percent of the level; None where that may be zero."""
+        """A size in percent of the level; None if the level may be zero."""
         level = abs(self.change.level)
         spread = float(np.median(self.history.series.std)) + self.change.repeatability
-        return 100.0 * size / level if level > 2.0 * spread else None
+        return 100.0 * size / level if level > _MIN_LEVEL_STDS * spread else None
 
     @property
     def is_likely_chance(self) -> bool:
-        """Whether an arm that does not change shows as much in every other look."""
-        return self.adjusted_p > 0.5
+        """Whether the change is more likely chance than not."""
+        return self.adjusted_p > _CHANCE_P
 
     @property
     def words(self) -> str:
-        """What kind of change, and since when."""
+        """Kind and date of the change, or "none"."""
         if self.is_likely_chance:
             return "none"
         kind, first = self.change.shape.kind, self.change.shape.first
@@ -50,21 +54,21 @@ class ParameterTrend:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmTrend:
-    """One arm, its parameters in the order of concern."""
+    """One arm with its parameters, most significant change first."""
 
     history: ArmHistory
     parameters: tuple[ParameterTrend, ...]
-    too_few: tuple[tuple[str, int], ...]  # parameters with too few visits, and their number
+    too_few: tuple[tuple[str, int], ...]  # parameters with too few visits, number of visits
 
     @property
     def p(self) -> float:
-        """Of the clearest change, adjusted for the number of parameters; 1 without any."""
+        """Adjusted p-value of the most significant change; 1 if no parameter was tested."""
         return min((one.adjusted_p for one in self.parameters), default=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """A fleet, its arms in the order of concern."""
+    """A fleet of arms, most significant change first."""
 
     level: float  # probability of a false alarm, per arm
     arms: tuple[ArmTrend, ...]
@@ -72,72 +76,72 @@ class Trend:
     notes: tuple[str, ...]
 
     def concerns(self, arm: ArmTrend) -> tuple[ParameterTrend, ...]:
-        """Parameters of an arm that change."""
+        """Parameters of an arm that change significantly."""
         return tuple(one for one in arm.parameters if one.adjusted_p < self.level)
 
     @property
     def concern(self) -> bool:
-        """Whether any arm changes."""
+        """Whether any arm changes significantly."""
         return any(self.concerns(arm) for arm in self.arms)
 
 
 def trend(histories: Histories, level: float = 0.01) -> Trend:
-    """Look for changes in each parameter of each arm.
+    """Test each parameter of each arm for a change.
 
-    The p-value of a parameter is that of any shape of `strainwave.monitoring.shapes`; those of an
-    arm's parameters are adjusted by Holm, so that an arm that does not change is named with a
-    probability of at most `level`, however its parameters depend on each other.
-
-    Parameters
-    ----------
-    histories : Histories
-    level : float
-        Between 0 and 1.
-
-    Returns
-    -------
-    Trend
-
-    Raises
-    ------
-    InvalidInput
-        The level is no probability.
-    NotIdentifiable
-        No parameter of any arm has visits enough.
+    The p-value of a parameter is that of any shape of `strainwave.monitoring.shapes`. Those of one
+    arm are adjusted by Holm, so that an unchanged arm is reported with a probability of at most
+    `level`, under any dependence of its parameters. Raises `InvalidInput` if the level is not
+    between 0 and 1, and `NotIdentifiable` if no arm has enough visits.
     """
     if not 0.0 < level < 1.0:
-        raise InvalidInput(f"the level {level:g} is no probability", remedy="give 0.01, say")
+        raise InvalidInput(
+            f"the level {level:g} is not a probability", remedy="give for example 0.01"
+        )
     arms = [_arm(history) for history in histories.arms]
     if not any(arm.parameters for arm in arms):
         most = max((len(h.visits) for h in histories.arms), default=0)
-        needed = FEWEST + 1 + len(histories.covariates)
+        needed = MIN_VISITS + 1 + len(histories.covariates)
         raise NotIdentifiable(
-            f"no arm has visits enough for a trend: {len(arms)} arm(s) of at most {most} visit(s), "
-            f"and {needed} with different times are needed"
+            f"no arm has enough visits for a trend: {len(arms)} arm(s) with at most {most} "
+            f"visit(s), and {needed} with different times are needed; {arm_hint(histories)}"
         )
     arms.sort(key=lambda arm: (arm.p, arm.history.arm))
-    return Trend(level, tuple(arms), histories.covariates, histories.notes)
+    notes = histories.notes
+    single = sum(len(arm.visits) == 1 for arm in histories.arms)
+    if single > _MAX_SINGLE_VISITS * len(arms):
+        notes += (f"{single} of {len(arms)} arms have one visit; {arm_hint(histories)}",)
+    return Trend(level, tuple(arms), histories.covariates, notes)
 
 
-def _arm(history: ArmHistory) -> ArmTrend:
-    found, too_few = [], []
-    for own in history.parameters:
-        change = change_of(own.series, _rng(history.arm, own.label))
+def arm_hint(histories: Histories) -> str:
+    """How to name arms, with a study of the store as an example."""
+    study = next((arm.visits[0].study for arm in histories.arms if arm.visits), "")
+    return (
+        "an arm is the folder of its studies unless --arm names it, for example "
+        f"--arm '([^/]+)/[^/]+/[^/]+$' for the folder above; the store has studies such as "
+        f"{study!r}"
+    )
+
+
+def _arm(arm: ArmHistory) -> ArmTrend:
+    tested, too_few = [], []
+    for history in arm.parameters:
+        change = change_of(history.series, _rng(arm.arm, history.label))
         if change is None:
-            too_few.append((own.label, len(own.visits)))
+            too_few.append((history.label, len(history.visits)))
         else:
-            found.append(ParameterTrend(own, change))
-    ordered = sorted(_adjusted(found), key=lambda one: (one.adjusted_p, one.change.p))
-    return ArmTrend(history, tuple(ordered), tuple(too_few))
+            tested.append(ParameterTrend(history, change))
+    ordered = sorted(_adjusted(tested), key=lambda one: (one.adjusted_p, one.change.p))
+    return ArmTrend(arm, tuple(ordered), tuple(too_few))
 
 
-def _adjusted(found: Sequence[ParameterTrend]) -> Iterator[ParameterTrend]:
-    adjusted = holm([one.change.p for one in found])
-    for one, p in zip(found, adjusted, strict=True):
+def _adjusted(trends: Sequence[ParameterTrend]) -> Iterator[ParameterTrend]:
+    adjusted = holm([one.change.p for one in trends])
+    for one, p in zip(trends, adjusted, strict=True):
         yield replace(one, adjusted_p=p)
 
 
 def _rng(*names: str) -> np.random.Generator:
-    """The same draws for the same parameter, whatever else is in the store."""
+    """A generator that depends on these names only, not on the rest of the store."""
     digest = hashlib.sha256("\n".join(names).encode()).digest()
     return np.random.default_rng(int.from_bytes(digest[:8], "big"))

@@ -1,4 +1,4 @@
-"""A trend for programs and people: trend.json, trend.html, the terminal."""
+"""Output of a trend: trend.json, trend.html, the terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.text import Text
 
 from strainwave.domain.formatting import plus_minus
 from strainwave.monitoring import output
-from strainwave.monitoring.output import REACH, probability
+from strainwave.monitoring.output import INTERVAL_STDS, probability
 from strainwave.monitoring.shapes import fitted_line
 from strainwave.monitoring.trend import ArmTrend, ParameterTrend, Trend
 from strainwave.presentation.figures import (
@@ -44,67 +44,47 @@ from strainwave.presentation.report.document import document as page_of
 
 SCHEMA = "strainwave/trend/1"
 
-_MONTH = 30.0  # [days]
-_TOGETHER = 6  # panels of a figure
+_MONTH_DAYS = 30.0
+_MAX_PANELS = 6  # of a figure, which then fits a screen
 
 
-def write(found: Trend, folder: Path) -> None:
-    """Write trend.json and trend.html.
-
-    Parameters
-    ----------
-    found : Trend
-    folder : Path
-
-    Raises
-    ------
-    InvalidInput
-        The folder cannot be written to.
-    """
-    output.write("trend", to_document(found), render(found), folder)
+def write(trend: Trend, folder: Path) -> None:
+    """Write trend.json and trend.html into a folder."""
+    output.write("trend", to_document(trend), render(trend), folder)
 
 
-def to_document(found: Trend) -> dict[str, Any]:
-    """The trend as plain JSON values, in the layout of docs/trend.md.
-
-    Parameters
-    ----------
-    found : Trend
-
-    Returns
-    -------
-    dict
-    """
+def to_document(trend: Trend) -> dict[str, Any]:
+    """The trend as plain JSON values, in the layout of docs/trend.md."""
     return {
         "schema": SCHEMA,
-        "level": found.level,
-        "concern": found.concern,
-        "covariates": list(found.covariates),
+        "level": trend.level,
+        "concern": trend.concern,
+        "covariates": list(trend.covariates),
         "arms": [
             {
                 "arm": arm.history.arm,
-                "concern": bool(found.concerns(arm)),
+                "concern": bool(trend.concerns(arm)),
                 "p": arm.p,
                 "visits": len(arm.history.visits),
                 "first": arm.history.visits[0].time.isoformat(),
                 "last": arm.history.visits[-1].time.isoformat(),
-                "parameters": [_parameter(found, one) for one in arm.parameters],
+                "parameters": [_parameter(trend, one) for one in arm.parameters],
                 "too_few": [{"parameter": name, "visits": n} for name, n in arm.too_few],
             }
-            for arm in found.arms
+            for arm in trend.arms
         ],
-        "notes": list(found.notes),
+        "notes": list(trend.notes),
     }
 
 
-def _parameter(found: Trend, one: ParameterTrend) -> dict[str, Any]:
+def _parameter(trend: Trend, one: ParameterTrend) -> dict[str, Any]:
     history, change = one.history, one.change
     return {
         "name": history.name,
         "joint": history.joint,
         "unit": history.unit,
         "stage": history.stage,
-        "concern": one.adjusted_p < found.level,
+        "concern": one.adjusted_p < trend.level,
         "p": change.p,
         "adjusted_p": one.adjusted_p,
         "change": {
@@ -136,22 +116,13 @@ def _parameter(found: Trend, one: ParameterTrend) -> dict[str, Any]:
     }
 
 
-def headline(found: Trend) -> str:
-    """The verdict in one sentence.
-
-    Parameters
-    ----------
-    found : Trend
-
-    Returns
-    -------
-    str
-    """
-    named = [arm.history.arm for arm in found.arms if found.concerns(arm)]
-    of = f"of {_counted(len(found.arms), 'arm')}"
-    level = f"at the level of {100.0 * found.level:g} % per arm"
+def headline(trend: Trend) -> str:
+    """The verdict in one sentence."""
+    named = [arm.history.arm for arm in trend.arms if trend.concerns(arm)]
+    of = f"of {_counted(len(trend.arms), 'arm')}"
+    level = f"at the level of {100.0 * trend.level:g} % per arm"
     if not named:
-        return f"none {of} changes clearly {level}"
+        return f"no arm {of} changes {level}"
     changes = "changes" if len(named) == 1 else "change"
     return f"{len(named)} {of} {changes} {level}: {', '.join(named)}"
 
@@ -161,37 +132,28 @@ def _counted(n: int, noun: str) -> str:
 
 
 def print_trend(
-    found: Trend, folder: Path | None = None, *, console: Console | None = None
+    trend: Trend, folder: Path | None = None, *, console: Console | None = None
 ) -> None:
-    """Print each arm's clearest change, the worst first, and the verdict.
-
-    Parameters
-    ----------
-    found : Trend
-    folder : Path, optional
-        Where the files were written.
-    console : rich Console, optional
-        The terminal, if not standard output.
-    """
+    """Print the most significant change of each arm, the verdict, and the files in `folder`."""
     console = console or Console(highlight=False)
     printed = output.printed_table()
-    printed.add_column("arm", no_wrap=True)
+    printed.add_column("arm")
     printed.add_column("visits", justify="right")
-    printed.add_column("parameter", no_wrap=True)
-    printed.add_column("clearest change", no_wrap=True)
+    printed.add_column("parameter")
+    printed.add_column("change")
     printed.add_column("%", justify="right")
     printed.add_column("adj. p", justify="right")
-    for arm in found.arms:
-        for k, one in enumerate(found.concerns(arm) or arm.parameters[:1]):
+    for arm in trend.arms:
+        for k, one in enumerate(trend.concerns(arm) or arm.parameters[:1]):
             first = (arm.history.arm, str(len(arm.history.visits))) if k == 0 else ("", "")
             label = "" if one.is_likely_chance else one.history.label
             cells = (*first, label, one.words, _percent(one), _p(one))
-            style = "red" if one.adjusted_p < found.level else ""
+            style = "red" if one.adjusted_p < trend.level else ""
             printed.add_row(*map(Text, cells), style=style)
         if not arm.parameters:
             printed.add_row(Text(arm.history.arm), str(len(arm.history.visits)), "too few visits")
-    console.print(printed)
-    output.print_end(console, "trend", headline(found), found.notes, folder, bad=found.concern)
+    output.print_table(console, printed)
+    output.print_end(console, "trend", headline(trend), trend.notes, folder, bad=trend.concern)
 
 
 def _percent(one: ParameterTrend) -> str:
@@ -203,32 +165,23 @@ def _p(one: ParameterTrend) -> str:
     return probability(one.adjusted_p)
 
 
-def render(found: Trend) -> str:
-    """The trend as one HTML page that needs no network.
-
-    Parameters
-    ----------
-    found : Trend
-
-    Returns
-    -------
-    str
-    """
-    worst = [arm for arm in found.arms if found.concerns(arm)]
-    calm = [arm for arm in found.arms if not found.concerns(arm)]
+def render(trend: Trend) -> str:
+    """The trend as one self-contained HTML page."""
+    worst = [arm for arm in trend.arms if trend.concerns(arm)]
+    unchanged = [arm for arm in trend.arms if not trend.concerns(arm)]
     folds = tuple(
-        Fold(f"{arm.history.arm}: {len(arm.history.visits)} visits", tuple(_arm(found, arm)))
-        for arm in calm
+        Fold(f"{arm.history.arm}: {len(arm.history.visits)} visits", tuple(_arm(trend, arm)))
+        for arm in unchanged
     )
     sections = [
-        Section("fleet", "Fleet", tuple(_fleet(found))),
-        *(Section(_key(arm), arm.history.arm, tuple(_arm(found, arm))) for arm in worst),
-        Section("others", "Arms without a clear change", folds),
-        Section("reading", "How to read this", tuple(_reading(found))),
+        Section("fleet", "Fleet", tuple(_fleet(trend))),
+        *(Section(_key(arm), arm.history.arm, tuple(_arm(trend, arm))) for arm in worst),
+        Section("others", "Arms without a significant change", folds),
+        Section("reading", "Method", tuple(_reading(trend))),
     ]
-    visits = sum(len(arm.history.visits) for arm in found.arms)
-    subtitle = f"{_counted(len(found.arms), 'arm')}, {_counted(visits, 'visit')}"
-    before = output.opening(headline(found), (), found.notes, bad=found.concern)
+    visits = sum(len(arm.history.visits) for arm in trend.arms)
+    subtitle = f"{_counted(len(trend.arms), 'arm')}, {_counted(visits, 'visit')}"
+    before = output.opening(headline(trend), (), trend.notes, bad=trend.concern)
     return page_of("Parameters over time", subtitle, sections, before=(before,))
 
 
@@ -236,23 +189,23 @@ def _key(arm: ArmTrend) -> str:
     return f"arm-{slug(arm.history.arm)}"
 
 
-def _fleet(found: Trend) -> Iterator[Block]:
+def _fleet(trend: Trend) -> Iterator[Block]:
     heads: Row = (
         "arm",
-        "clearest change",
+        "change",
         number("of the level [%]"),
         number("adjusted p"),
-        number("parameters that change"),
+        number("changed parameters"),
         number("visits"),
         "first",
         "last",
     )
-    rows = [_fleet_row(found, arm) for arm in found.arms]
-    yield from table("Arms, the most concerning first", heads, rows, heading=False)
+    rows = [_fleet_row(trend, arm) for arm in trend.arms]
+    yield from table("Arms, most significant change first", heads, rows, heading=False)
 
 
-def _fleet_row(found: Trend, arm: ArmTrend) -> Row:
-    concerns = found.concerns(arm)
+def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
+    concerns = trend.concerns(arm)
     visits = arm.history.visits
     name = Cell(arm.history.arm, href=f"#{_key(arm)}" if concerns else "#others")
     dates = tuple(f"{visit.time:%Y-%m-%d}" for visit in (visits[0], visits[-1]))
@@ -272,15 +225,15 @@ def _fleet_row(found: Trend, arm: ArmTrend) -> Row:
     )
 
 
-def _arm(found: Trend, arm: ArmTrend) -> Iterator[Block]:
-    """Plots of what changes, a table of all, and plots of the rest."""
-    concerns = found.concerns(arm)
+def _arm(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
+    """Plots of changed parameters, a table of all parameters, plots of the others."""
+    concerns = trend.concerns(arm)
     others = arm.parameters[len(concerns) :]
     name = arm.history.arm
-    yield from _plots(found, arm, concerns, f"{name} changes", f"{name}: what changes")
+    yield from _plots(trend, arm, concerns, f"{name} changes", f"{name}: changed parameters")
     heads: Row = (
         "parameter",
-        "clearest change",
+        "change",
         number("of the level [%]"),
         number("adjusted p"),
         number("level"),
@@ -289,12 +242,14 @@ def _arm(found: Trend, arm: ArmTrend) -> Iterator[Block]:
         number("drift [% in 30 days]"),
         number("p of the drift"),
     )
-    rows = [_row(found, one) for one in arm.parameters]
+    rows = [_row(trend, one) for one in arm.parameters]
     yield from table(f"{name}: all parameters", heads, rows, heading=False)
     if others:
-        plots = tuple(_plots(found, arm, others, f"{name} others", f"{name}: no clear change"))
+        plots = tuple(
+            _plots(trend, arm, others, f"{name} others", f"{name}: no significant change")
+        )
         if concerns:
-            yield Fold(f"Parameters without a clear change ({len(others)})", plots)
+            yield Fold(f"Parameters without a significant change ({len(others)})", plots)
         else:
             yield from plots
     if arm.too_few:
@@ -302,13 +257,13 @@ def _arm(found: Trend, arm: ArmTrend) -> Iterator[Block]:
         yield paragraph(f"Too few visits: {listed}.")
 
 
-def _row(found: Trend, one: ParameterTrend) -> Row:
+def _row(trend: Trend, one: ParameterTrend) -> Row:
     change = one.change
-    drift = tuple(one.of_level(_MONTH * each) for each in (change.drift, change.drift_std))
+    drift = tuple(one.of_level(_MONTH_DAYS * each) for each in (change.drift, change.drift_std))
     between = one.of_level(change.repeatability)
     return (
         Cell(one.history.label, "name"),
-        Cell(one.words, mark="bad" if one.adjusted_p < found.level else ""),
+        Cell(one.words, mark="bad" if one.adjusted_p < trend.level else ""),
         number(_percent(one)),
         number(_p(one)),
         number(plus_minus(change.level, float(np.median(one.history.series.std)))[0]),
@@ -320,38 +275,36 @@ def _row(found: Trend, one: ParameterTrend) -> Row:
 
 
 def _plots(
-    found: Trend, arm: ArmTrend, chosen: Sequence[ParameterTrend], name: str, label: str
+    trend: Trend, arm: ArmTrend, chosen: Sequence[ParameterTrend], name: str, label: str
 ) -> Iterator[Plot]:
     start = f"{arm.history.start:%Y-%m-%d}"
-    words = (
-        "Estimates with 95 % intervals of their runs; line: the clearest change, if any is clear."
-    )
-    for k in range(0, len(chosen), _TOGETHER):
+    words = "Estimates with their 95 % intervals; the line is the most significant change, if any."
+    for k in range(0, len(chosen), _MAX_PANELS):
         title = label if k == 0 else f"{label}, continued"
-        panels = tuple(_panel(found, one) for one in chosen[k : k + _TOGETHER])
+        panels = tuple(_panel(trend, one) for one in chosen[k : k + _MAX_PANELS])
         drawn = Figure(Axis(f"days since {start}"), panels)
-        yield Plot(f"{name} {1 + k // _TOGETHER}", title, drawn, words)
+        yield Plot(f"{name} {1 + k // _MAX_PANELS}", title, drawn, words)
 
 
-def _panel(found: Trend, one: ParameterTrend) -> Panel:
-    series, concern = one.history.series, one.adjusted_p < found.level
+def _panel(trend: Trend, one: ParameterTrend) -> Panel:
+    series, concern = one.history.series, one.adjusted_p < trend.level
     time, value = np.array(list(fitted_line(one.change, series))).T
     colour = MODEL if concern else RESIDUAL
-    points = Markers(series.time, series.value, "estimate", MEASURED, 5.0, error=REACH * series.std)
-    line = Line(time, value, "clearest change", colour, SOLID, 2.0, legend=False)
+    points = Markers(
+        series.time, series.value, "estimate", MEASURED, 5.0, error=INTERVAL_STDS * series.std
+    )
+    line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
     axis = Axis(f"{one.history.label} [{one.history.unit}]")
     return Panel(axis, (points,) if one.is_likely_chance else (line, points))
 
 
-def _reading(found: Trend) -> Iterator[Block]:
-    regressed = ", ".join(found.covariates) or "nothing"
+def _reading(trend: Trend) -> Iterator[Block]:
+    regressed = ", ".join(trend.covariates) or "none"
     yield paragraph(
-        "Each parameter's estimates are weighed by their own standard deviations and the scatter "
-        "between visits, which is estimated with them. Of a drift over all visits, a step before "
-        "any of them and a drift that begins at any of them, the clearest is given, and the "
-        "probability that any would be as clear by chance, adjusted for the number of the arm's "
-        f"parameters. Regressed out: {regressed}."
+        "Estimates are weighted by their standard deviations and the scatter between visits, which "
+        "is estimated with them. Three kinds of change are tested: a drift over all visits, a step "
+        "before a visit and a drift that begins at a visit. The page shows the most significant "
+        "one, and the probability that an unchanged parameter gives one as significant, adjusted "
+        f"for the number of parameters of the arm. Covariates: {regressed}."
     )
-    yield paragraph(
-        f"Of arms that do not change, {100.0 * found.level:g} % at most are named at each look."
-    )
+    yield paragraph(f"Each analysis reports at most {100.0 * trend.level:g} % of unchanged arms.")

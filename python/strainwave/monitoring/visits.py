@@ -1,4 +1,4 @@
-"""A campaign's store -> arms, their visits, and each parameter over time."""
+"""Arms of a campaign store, their visits, and each parameter over time."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.monitoring.estimates import of_one_record
+from strainwave.monitoring.estimates import is_of_one_record
 from strainwave.monitoring.shapes import Series
 
-_ANSWERED = ("determined", "partly-determined", "not-determined")
+_USABLE_STATUS = ("determined", "partly-determined", "not-determined")
 _DAY = timedelta(days=1)
 
 Row = Mapping[str, Any]
@@ -28,9 +28,9 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Conditions:
-    """What a table says of visits beside their logs."""
+    """Covariates and times of visits, from a table."""
 
-    names: tuple[str, ...]  # of covariates
+    names: tuple[str, ...]  # of the covariates
     values: Mapping[str, tuple[float, ...]]  # study -> covariates
     times: Mapping[str, datetime]  # study -> when it was recorded
 
@@ -47,13 +47,13 @@ class Visit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterHistory:
-    """One parameter over the visits of an arm that identified it."""
+    """One parameter over the visits of an arm in which it is identified."""
 
     name: str
     joint: int | None
     unit: str
     stage: str
-    visits: tuple[Visit, ...]  # in the order of time
+    visits: tuple[Visit, ...]  # by time
     series: Series
 
     @property
@@ -67,79 +67,67 @@ class ArmHistory:
     """All visits to one arm."""
 
     arm: str
-    visits: tuple[Visit, ...]  # in the order of time
+    visits: tuple[Visit, ...]  # by time
     parameters: tuple[ParameterHistory, ...]
 
     @property
     def start(self) -> datetime:
-        """Of its first visit, from which days are counted."""
+        """Time of the first visit, day zero of the series."""
         return self.visits[0].time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Histories:
-    """What a store holds of each arm."""
+    """All arms of a store."""
 
     arms: tuple[ArmHistory, ...]
     covariates: tuple[str, ...]
-    time_from: str  # where the visits' times are from, in words
+    time_from: str  # source of the times: "started" or "recorded"
     notes: tuple[str, ...] = field(default=())
 
 
 def read_histories(
     store: Path | str, *, arm: str | None = None, covariates: Path | None = None
 ) -> Histories:
-    """Every arm of a store, with each parameter over time.
+    """Arms of the store of a campaign, with each parameter over time.
 
-    Of several runs of one study the last counts. Runs that failed or whose input was inconsistent
-    do not. Of a parameter that several stages gave, the stage of most visits counts.
+    Of several runs of one study the last counts. Runs that failed or have inconsistent input are
+    left out. Each parameter is followed in the stage that most visits have it from.
 
-    Parameters
-    ----------
-    store : Path or str
-        Of `strainwave campaign`: folders `runs` and `parameters` of Parquet files.
-    arm : str, optional
-        A column of the runs, or a regular expression that is searched for in `study`: its group
-        named `arm`, else the first; a group named `time` is the visit's time. Without it an arm is
-        the folder that a study lies in.
-    covariates : Path, optional
-        A CSV table with a column `study`, a `time` in ISO 8601, if known, and numbers to regress
-        out.
-
-    Returns
-    -------
-    Histories
-
-    Raises
-    ------
-    InvalidInput
-        The store, the expression or the table is at fault.
+    `arm` is a column of the runs, or a regular expression that is searched for in the study's path:
+    its group named `arm`, else its first group, is the arm; a group named `time` is the time of the
+    visit. By default an arm is the folder of a study. `covariates` is a CSV table with the columns
+    `study`, optionally `time` in ISO 8601, and numbers to regress out. Raises `InvalidInput` if the
+    store, the expression or the table is at fault.
     """
     runs = read_runs(store).to_pylist()
     parameters = read_parameters(store).to_pylist()
-    known = Conditions((), {}, {}) if covariates is None else read_conditions(covariates)
-    answered = [row for row in runs if row.get("status") in _ANSWERED]
+    conditions = Conditions((), {}, {}) if covariates is None else read_conditions(covariates)
+    usable = [row for row in runs if row.get("status") in _USABLE_STATUS]
     notes = []
-    if len(answered) < len(runs):
+    if len(usable) < len(runs):
         notes.append(
-            f"{len(runs) - len(answered)} of {len(runs)} runs did not answer and are left out"
+            f"{len(runs) - len(usable)} of {len(runs)} runs are left out: they failed or have "
+            "inconsistent input"
         )
     last: dict[str, Row] = {}
-    for row in sorted(answered, key=lambda row: str(row["started"])):
+    for row in sorted(usable, key=lambda row: str(row["started"])):
         last[str(row["study"])] = row
-    if len(last) < len(answered):
+    if len(last) < len(usable):
         notes.append(
-            f"of {len(answered)} runs {len(answered) - len(last)} are earlier ones of the same "
-            "study and are left out"
+            f"{len(usable) - len(last)} of {len(usable)} runs are left out: the same study has a "
+            "later run"
         )
     named = _namer(arm, set(runs[0]))
-    visits, time_from, dropped = _visits(last.values(), named, known)
+    visits, time_from, dropped = _visits(last.values(), named, conditions)
     if dropped:
-        notes.append(f"{dropped} visits have no complete row in the table of covariates")
+        notes.append(
+            f"{dropped} visits are left out: they have no complete row in the table of covariates"
+        )
     if time_from == "started":
         notes.append(
-            "times are those at which studies were run, not recorded: give the recording's by a "
-            "column time of --covariates, or a group named time in --arm"
+            "times are those of the runs, not of the recordings; give the latter in a column time "
+            "of --covariates, or as a group named time in --arm"
         )
     by_run: dict[str, list[Row]] = {}
     for row in parameters:
@@ -148,26 +136,13 @@ def read_histories(
         _arm_history(name, sorted(own, key=lambda v: (v.time, v.study)), by_run)
         for name, own in visits.items()
     )
-    return Histories(arms, known.names, time_from, tuple(notes))
+    return Histories(arms, conditions.names, time_from, tuple(notes))
 
 
 def read_conditions(path: Path) -> Conditions:
-    """Read a table of covariates.
+    """Read a CSV table of covariates; rows with an empty cell are left out.
 
-    Parameters
-    ----------
-    path : Path
-        CSV with a header.
-
-    Returns
-    -------
-    Conditions
-        Rows with an empty cell are left out.
-
-    Raises
-    ------
-    InvalidInput
-        There is no column `study`, or a cell is neither a number nor a time.
+    Raises `InvalidInput` if there is no column `study`, or a cell is neither a number nor a time.
     """
     rows = list(csv.DictReader(decode(read_bytes(path, "the table"), path).splitlines()))
     heads = list(rows[0]) if rows else []
@@ -175,7 +150,7 @@ def read_conditions(path: Path) -> Conditions:
         raise InvalidInput(
             "has no column 'study'",
             where=str(path),
-            remedy="begin with a line such as study,time,temperature",
+            remedy="begin with a header such as study,time,temperature",
         )
     names = tuple(name for name in heads if name not in ("study", "time"))
     values, times = {}, {}
@@ -190,29 +165,12 @@ def read_conditions(path: Path) -> Conditions:
 
 
 def as_time(value: object, where: str) -> datetime:
-    """A time in UTC.
-
-    Parameters
-    ----------
-    value : datetime or str
-        ISO 8601; without a zone it is UTC.
-    where : str
-        For the message.
-
-    Returns
-    -------
-    datetime
-
-    Raises
-    ------
-    InvalidInput
-        It is none.
-    """
+    """A time in UTC from ISO 8601, which is UTC without a zone; `InvalidInput` names `where`."""
     try:
         found = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
     except ValueError as error:
         raise InvalidInput(
-            f"{value!r} is no time",
+            f"{value!r} is not a time",
             where=where,
             remedy="write it as 2026-01-31 or 2026-01-31T12:00",
         ) from error
@@ -225,12 +183,12 @@ def _number(cell: str, where: str) -> float:
     except ValueError:
         found = float("nan")
     if not np.isfinite(found):
-        raise InvalidInput(f"{cell!r} is no finite number", where=where, remedy="write a number")
+        raise InvalidInput(f"{cell!r} is not a finite number", where=where, remedy="write a number")
     return found
 
 
 def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | None, str | None]]:
-    """What gives a run's arm, and its time where the expression names one."""
+    """A function that gives the arm of a run, and its time if the expression has a group for it."""
     if arm is None:
         return lambda row: (_folder(str(row["study"])), None)
     if arm in columns:
@@ -238,12 +196,12 @@ def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | No
     try:
         expression = re.compile(arm)
     except re.error as error:
-        raise InvalidInput(f"--arm is no regular expression ({error})") from error
+        raise InvalidInput(f"--arm is not a regular expression ({error})") from error
     if not expression.groups:
         raise InvalidInput(
-            f"--arm {arm!r} is neither a column of the runs nor an expression with a group"
+            f"--arm {arm!r} is neither a column of the runs nor a regular expression with a group"
             f"{nearest(arm, columns)}",
-            remedy="put what names an arm in brackets: 'fleet/([^/]+)/'",
+            remedy="put the name of the arm in brackets: 'fleet/([^/]+)/'",
         )
 
     def named(row: Row) -> tuple[str | None, str | None]:
@@ -258,7 +216,7 @@ def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | No
 
 
 def _folder(study: str) -> str:
-    """The folder that a study file lies in; a study without folder is its own arm."""
+    """The folder of a study file, or the name of a study without folder."""
     path = PurePosixPath(study)
     return path.parent.name or path.stem
 
@@ -266,47 +224,49 @@ def _folder(study: str) -> str:
 def _visits(
     rows: Iterable[Row],
     named: Callable[[Row], tuple[str | None, str | None]],
-    known: Conditions,
+    conditions: Conditions,
 ) -> tuple[dict[str, list[Visit]], str, int]:
-    """Visits by arm, where their times are from, and how many have no covariates."""
+    """Visits by arm, the source of their times, and the number of visits without covariates."""
     found: dict[str, list[Visit]] = {}
     sources: Counter[str] = Counter()
-    matched = _Matches(known)
+    matched = _Matcher(conditions)
     dropped = unnamed = 0
     for row in rows:
         study = str(row["study"])
-        arm, said = named(row)
+        arm, time_text = named(row)
         key = matched(study)
         if arm is None:
             unnamed += 1
             continue
-        if known.names and (key is None or key not in known.values):
+        if conditions.names and (key is None or key not in conditions.values):
             dropped += 1
             continue
-        if key is not None and key in known.times:
-            time, source = known.times[key], "covariates"
-        elif said is not None:
-            time, source = as_time(said, f"study {study}"), "--arm"
+        if key is not None and key in conditions.times:
+            time, source = conditions.times[key], "covariates"
+        elif time_text is not None:
+            time, source = as_time(time_text, f"study {study}"), "--arm"
         else:
             time, source = as_time(row["started"], f"run {row['run']}"), "started"
         sources[source] += 1
-        covariates = known.values[key] if known.names and key is not None else ()
+        covariates = conditions.values[key] if conditions.names and key is not None else ()
         found.setdefault(arm, []).append(Visit(str(row["run"]), study, time, covariates))
     if unnamed and not found:
-        raise InvalidInput("--arm fits no study", remedy="try it on a value of the column `study`")
+        raise InvalidInput(
+            "--arm matches no study", remedy=f"the store has studies such as {study!r}"
+        )
     if dropped and not found:
         raise InvalidInput(
             "no study of the table of covariates is in the store",
-            remedy="write the studies as the store's column `study` has them",
+            remedy="write the studies as in the column `study` of the store",
         )
     return found, "started" if "started" in sources else "recorded", dropped
 
 
-class _Matches:
-    """Which row of the table a study has: its own name, or a path that ends so."""
+class _Matcher:
+    """The row of the table for a study: its name, or the end of its path."""
 
-    def __init__(self, known: Conditions) -> None:
-        self._names = {*known.values, *known.times}
+    def __init__(self, conditions: Conditions) -> None:
+        self._names = {*conditions.values, *conditions.times}
 
     def __call__(self, study: str) -> str | None:
         if study in self._names:
@@ -334,7 +294,7 @@ def _arm_history(
 def _usable(row: Row) -> bool:
     value, std = row["value"], row["std"]
     finite = value is not None and std is not None and bool(np.isfinite([value, std]).all())
-    return finite and std > 0.0 and not of_one_record(row["name"])
+    return finite and std > 0.0 and not is_of_one_record(row["name"])
 
 
 def _parameter_histories(
@@ -345,14 +305,16 @@ def _parameter_histories(
             0
         ]
         own = [(v, row) for v, row in pairs if (row["stage"], row["unit"]) == (stage, unit)]
-        kept = tuple(visit for visit, _ in own)
+        of_stage = tuple(visit for visit, _ in own)
         series = Series(
-            time=np.array([(visit.time - start) / _DAY for visit in kept]),
+            time=np.array([(visit.time - start) / _DAY for visit in of_stage]),
             value=_column(own, "value"),
             std=_column(own, "std"),
-            covariates=np.array([visit.covariates for visit in kept]).reshape(len(kept), -1),
+            covariates=np.array([visit.covariates for visit in of_stage]).reshape(
+                len(of_stage), -1
+            ),
         )
-        yield ParameterHistory(name, joint, unit, stage, kept, series)
+        yield ParameterHistory(name, joint, unit, stage, of_stage, series)
 
 
 def _column(pairs: Sequence[tuple[Visit, Row]], name: str) -> FloatArray:

@@ -313,6 +313,11 @@ def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
     with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):
         read(tmp_path, None, text)
+    text = studies.STUDY + '[channels]\nu1 = "u_1"\n'
+    with pytest.raises(
+        InvalidInput, match=r"no column 'u_1', which .* for 'u1'.*did you mean 'u1'"
+    ):
+        read(tmp_path, None, text)
 
 
 def test_a_mapped_column_may_be_missing_from_some_logs_but_not_from_all(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
-            remedy=f"correct channels.{name}, or take it out{nearest(channel.column, table.names)}",
+            remedy=f"correct channels.{name}, or remove it{nearest(channel.column, table.names)}",
         )
 
 
@@ -197,6 +197,9 @@ def _check_required(
             raise _no_column(name, "which every log needs", table, path)
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
+            for name in (f"u{i}", f"torque{i}"):
+                if name in study.channels:
+                    raise _no_mapped(name, study.channels[name], table, path)
             raise _no_column(f"u{i}", f"nor 'torque{i}', for the command of the drive", table, path)
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
             raise InvalidInput(
