@@ -76,8 +76,8 @@ def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
 def completed(values: Values, arm: ArmDescription) -> Values:
     """Identified values and those that follow from them, as a simulation of the arm needs them.
 
-    A sum replaces its parts if the parts hardly matter separately: `total_viscous_friction` for the
-    motor's, one `gear_stiffness` for all slopes of a gear, and, with a rigid gear, `inertia` or
+    A sum replaces its parts if the parts have little separate effect: `total_viscous_friction` for
+    the motor's, one `gear_stiffness` for all slopes of a gear, and, with a rigid gear, `inertia` or
     `rigid_inertia` for motor and link. The arm's kind completes the link inertias. Existing values
     do not change.
     """

@@ -74,7 +74,7 @@ class Axis:
 def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]:
     """Axes on a link that need a mounting: all axes of its IMU, or `a{i}` of unknown distance.
 
-    If there is an IMU, such an `a{i}` is left out because it adds little information.
+    If there is an IMU, such an `a{i}` is omitted because it adds little information.
     """
     description = arm.joints[joint - 1]
     if description.motion == "prismatic":

@@ -26,12 +26,12 @@ from strainwave.experiment_design.rigid_motion import (
 
 _MAX_MOTION_HZ = 1.0  # highest frequency of the motion
 _MIN_RESONANCE_RATIO = 12.0  # anti-resonance over motion: the error of a rigid gear is 1/12^2
-_MAX_PERIODS = 20
+_MAX_PERIODS = 20  # 160 s or more, as a period takes at least 8 s
 _TARGET_RELATIVE_STD = 0.002  # of each rigid parameter, due to the noise of the encoders
 _LOW_PASS_RATIO = 5.0  # bandwidth of the rigid step over the highest frequency of the motion
 _LEAD_TIMES = np.arange(1.0, 10.5, 0.5)  # [s] candidates for lead-in and lead-out
 _REDUCTION_FACTOR = 0.93  # per attempt, if the simulated arm violates a limit
-_MAX_ATTEMPTS = 20
+_MAX_ATTEMPTS = 20  # reduce the motion to 1/4
 
 
 def motion_records(

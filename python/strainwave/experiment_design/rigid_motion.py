@@ -21,7 +21,7 @@ from strainwave.numerics.parallel import one_blas_thread
 HARMONICS = 8  # a period of 8 s or more stays below 1 Hz
 _N_SAMPLES = 128  # per period: 16 per period of the highest harmonic
 _N_RANDOM_SERIES = 60  # the best of them are starting values
-_MAX_ITERATIONS = 40
+_MAX_ITERATIONS = 40  # of each search
 _DIFFERENCE_STEP = 1e-8  # of forward differences: square root of the rounding error
 _N_SECANT_STEPS = 3  # of the scale that satisfies the voltage limits
 _MIN_SCALE = 1e-3  # if gravity alone takes the voltage; the poor condition number shows it

@@ -18,7 +18,7 @@ _MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level
 _STEP_LIMIT_SHARE = 0.9  # of each limit for the step; the rest is for overshoot
 _MAX_VOLTAGE_SHARE = 0.98  # of the voltage limit; a saturated servo does not control
 _REDUCTION_FACTOR = 0.9  # per attempt, if the simulated arm violates a limit
-_MAX_ATTEMPTS = 20
+_MAX_ATTEMPTS = 20  # reduce the steps to 1/8
 _PLANS: tuple[tuple[str, Use, tuple[float, ...], float], ...] = (
     # name, use, levels, size: validation starts in the other direction, with smaller steps
     ("step", "tuning", (0.0, 1.0, 0.0, -1.0, 0.0), 1.0),

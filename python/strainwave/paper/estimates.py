@@ -31,7 +31,7 @@ from strainwave.identification.joint_model.linear import without_alternating
 from strainwave.presentation.figures.curves import Curve
 from strainwave.statespace import frequency_response, to_continuous
 
-LINES_HZ = np.geomspace(1.0, 100.0, 240)
+LINES_HZ = np.geomspace(1.0, 100.0, 240)  # of frequency responses
 JUDGED_HZ = (3.0, 60.0)  # band of response errors: around anti-resonance and resonance
 MAX_SMALL_ERROR = 5.0  # [%] of a frequency
 _GROWTH_SAMPLE_TIME = 1e-3  # [s] of the discrete-time poles of a physical model

@@ -15,7 +15,7 @@ from strainwave.presentation.figures.curves import Series, lines, spectrum
 PERIOD = (2**ORDER - 1) * CLOCK  # [s]
 _PLOTTED_DURATION = 0.3  # [s]
 _MAX_SERVO_HZ = 5.0  # below the anti-resonance, where the servo holds the joint
-_MAX_RIPPLE_DB = 3.0
+_MAX_RIPPLE_DB = 3.0  # half the power
 _MIN_TORQUE_FIT = 95.0  # [%] of the computed torque
 _MIN_BAND_SHARE = 0.8  # in which the torque exceeds its noise
 _MIN_COSINE = 0.999  # of joint 2's angle, for a constant inertia

@@ -18,8 +18,8 @@ from strainwave.presentation.figures.curves import bode
 from strainwave.statespace import frequency_response
 
 _LINES_HZ = np.geomspace(0.02, 100.0, 320)  # from frequencies at which friction dominates
-_FULL_BAND_HZ = (0.02, 100.0)
-_LOW_BAND_HZ = (0.02, 1.0)
+_FULL_BAND_HZ = (0.02, 100.0)  # of response errors
+_LOW_BAND_HZ = (0.02, 1.0)  # in which the lag of the rigid model dominates
 _IMPROVEMENT_REASON = "the source claims an improvement without a size"
 
 

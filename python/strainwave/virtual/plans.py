@@ -15,7 +15,7 @@ from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
 MOTION_DURATION = 10.0  # [s]
-_MAX_MOTION_HZ = 1.0
+_MAX_MOTION_HZ = 1.0  # 1/10 of the lowest anti-resonance of the built-in rig
 _MAX_LINK_SPEED = 1.8  # [rad/s] of a motion
 _MAX_LINK_EXCURSION = 1.2  # [rad] of a motion
 _STEP_VOLTAGE_SHARES = {"tuning": 0.48, "check": 0.72}  # kp times the step over the limit

@@ -30,7 +30,7 @@ CENTROID = (0.22, 0.15)  # [m] from the link's own axis
 LINK_INERTIA = (0.12, 0.030)  # [kg m^2] about the centroid
 TIP_MOUNT = (1.0, 5e-4)  # [kg], [kg m^2] about its own axis
 DISK = (1.0, 1.25e-3)  # [kg], [kg m^2] of each disk about its own axis
-MAX_DISKS = 5
+MAX_DISKS = 5  # payload of the rig
 
 _SPRING = "three-slope"
 _LINEAR_STIFFNESS = "gear_stiffness_k2"  # stiffness of other gear laws

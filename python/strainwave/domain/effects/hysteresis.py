@@ -1,4 +1,4 @@
-"""Hysteresis, (S11): Dahl torque T_h z beside the spring, dz = (ddelta - |ddelta| z)/delta_h."""
+"""Hysteresis, (S11): Dahl torque T_h z added to the spring, dz = (ddelta - |ddelta| z)/delta_h."""
 
 from __future__ import annotations
 

@@ -68,10 +68,10 @@ class Effect(ABC):
     """Prior standard deviation of a size around zero; None: no prior."""
 
     description: str
-    """Noun phrase that says what the effect is."""
+    """Noun phrase that describes the effect."""
 
     consequence: str
-    """Clause that says how a model without the effect errs."""
+    """Clause on the error of a model without the effect."""
 
     experiment: str
     """Imperative clause: the experiment that confirms the effect."""

@@ -119,7 +119,7 @@ class Kind(ABC):
 
     @abstractmethod
     def complete(self, known: Values, arm: ArmDescription) -> None:
-        """Add to `known` the inertias that follow from it or hardly matter.
+        """Add to `known` the inertias that follow from it or have little effect.
 
         Existing entries do not change.
         """

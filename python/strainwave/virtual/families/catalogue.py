@@ -38,8 +38,8 @@ GEARS = {
     32: ((29.0, 108.0), (6.7, 11.0, 12.0), (5.4, 7.8, 9.8)),
     40: ((54.0, 196.0), (13.0, 20.0, 23.0), (10.0, 14.0, 18.0)),
 }
-RATIOS = (30, 50, 80, 100, 120, 160)
-COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)
+RATIOS = (30, 50, 80, 100, 120, 160)  # motor turns per link turn
+COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)  # of encoders, per motor turn
 SAMPLE_TIMES = (2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)  # [s]
 SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
 MAX_SMALL_SIZE, MIN_LARGE_SIZE = 14, 25  # of the classes "small" and "large"

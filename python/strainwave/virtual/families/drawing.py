@@ -32,7 +32,7 @@ from strainwave.virtual.families.sensor_defects import SIZES, injected
 from strainwave.virtual.families.short_records import plans, with_short_records
 from strainwave.virtual.records import record_experiment
 
-_GYRO_BANDWIDTH_HZ = (30.0, 200.0)
+_GYRO_BANDWIDTH_HZ = (30.0, 200.0)  # limits of a log-uniform distribution
 _STREAMS = ("arm", "sensors", "gravity", "effect", "fault", "records", "motion")
 """Independent random streams: another share of faults does not change the arms."""
 

@@ -13,7 +13,7 @@ from strainwave.signals.hygiene import Defect, Kind
 
 _CLEAN_SAMPLES = 200  # at each end of a record
 _MIN_MOTION = 8.0  # [encoder counts] in a section in which a motor moves
-_MAX_ATTEMPTS = 200
+_MAX_ATTEMPTS = 200  # to draw a position that shows the defect
 _MIN_HUM_DURATION = 2.0  # [s] of a record in which hum is detectable
 
 
