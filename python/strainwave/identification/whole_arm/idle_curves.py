@@ -1,4 +1,4 @@
-"""Gears whose curve is no more than a simpler law's, as far as the records show."""
+"""Removal of stiffness terms that do not differ significantly from zero."""
 
 from __future__ import annotations
 
@@ -11,25 +11,31 @@ from strainwave.identification.whole_arm.solver import fine_search
 
 
 def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
-    """Again without what a law adds to its simpler one, in the gears that do not show it."""
+    """Repeat the fit without the optional terms of gear laws that are not significant.
+
+    Returns the fit itself if all terms are significant.
+    """
     idle = _idle(fit, selection)
     if not idle:
         return fit
     values = fit.objective.space.values(fit.z)
     space = fit.objective.space.holding(dict.fromkeys(idle, 0.0))
-    begin = space.coordinates(values)
-    return fine_search(fit.objective.for_unknowns(space), begin, fit.iterations, selection.options)
+    start = space.coordinates(values)
+    return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
 
 
 def _idle(fit: Fit, selection: Selection) -> list[Key]:
-    """Parameters that are nothing within their errors, those of each gear together."""
-    keys, found = fit.objective.space.keys, list[Key]()
+    """Optional parameters of gear laws that are zero within their errors.
+
+    A chi-square distance tests all optional parameters of a gear together.
+    """
+    keys, idle = fit.objective.space.keys, list[Key]()
     for number, joint in enumerate(selection.arm.joints, start=1):
         names = joint.law.may_vanish
-        own = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
-        if own:
-            size = fit.objective.space.parameters(fit.z)[own]
-            covariance = fit.confidence.cautious[np.ix_(own, own)]
-            if size @ np.linalg.solve(covariance, size) < EVIDENT**2:
-                found += [keys[k] for k in own]
-    return found
+        places = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
+        if places:
+            estimate = fit.objective.space.parameters(fit.z)[places]
+            covariance = fit.confidence.cautious[np.ix_(places, places)]
+            if estimate @ np.linalg.solve(covariance, estimate) < EVIDENT**2:
+                idle += [keys[k] for k in places]
+    return idle

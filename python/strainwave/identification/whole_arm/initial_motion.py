@@ -1,8 +1,8 @@
-"""Records that begin in motion, though their motors seem to stand: found by what it explains.
+"""Detection of records that begin in motion although the motor velocities are zero.
 
-A motor that turns back has no velocity: its angle begins like one from standstill, while gears are
-under torque and the links move. Beside a fit the two are far apart: an arm from standstill never
-gets near such a record, one that may begin as it likes does.
+A motor at a reversal has zero velocity, so its angle does not show that the gears are loaded and
+the links move. The fit distinguishes the two cases: a simulation from standstill fits such a record
+much worse than one with estimated initial states.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
 
-_EVIDENT = 28.0  # chi-square of six initial states that chance exceeds once in ten thousand
-_SHARE = 0.5  # of the record's cost that they must take: model errors go on after the beginning
+_EVIDENT = 28.0  # minimum cost reduction: chi-square of 6 initial states, probability 1e-4
+_SHARE = 0.5  # minimum share of the record's cost that initial states explain; model errors persist
 
 
 def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
-    """A rough fit in which those records begin in motion that speak for it.
+    """Continue a coarse fit with initial states for the records that begin in motion.
 
-    Returns: Its objective's records say which begin in motion.
+    Returns the fit itself if no such record exists or no evaluations are left.
     """
     if fit.iterations >= selection.most:
         return fit
@@ -36,35 +36,37 @@ def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
 
 
 def in_motion(objective: Objective, z: FloatArray) -> Objective:
-    """The same with those records in motion at first that an arm from standstill fits far worse.
+    """Add initial states to the records that a simulation from standstill fits much worse.
 
-    `z` (n_unknowns,): Near the minimum.
-
-    Returns: The very same where there is none.
+    `z` (n_unknowns,) is near the minimum. Returns the same object if no such record exists.
     """
     at_standstill = [k for k, record in enumerate(objective.records) if not record.moving]
     rows = objective.rows(z)
     costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
-    owns = side_by_side(
+    estimates = side_by_side(
         [partial(_evident, objective, z, *each) for each in zip(at_standstill, costs, strict=True)]
     )
-    for k, own in zip(at_standstill, owns, strict=True):
-        objective = objective if own is None else objective.in_motion(k, own)
+    for k, estimate in zip(at_standstill, estimates, strict=True):
+        objective = objective if estimate is None else objective.in_motion(k, estimate)
     return objective
 
 
 def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatArray | None:
-    """A record's own unknowns where beginning in motion takes most of its cost: (n_own,)."""
-    held = objective.space.holding(objective.space.values(z))  # only the beginning is looked for
-    one = objective.in_motion(k).only(k).for_unknowns(held)
-    rough = replace(one, beginning_tolerance=ROUGH_BEGINNING)
+    """Initial states and sensor biases (n_own,) of a record that begins in motion.
+
+    `rest` is the cost of the record from standstill. Returns None if initial states do not explain
+    enough of it.
+    """
+    held = objective.space.holding(objective.space.values(z))  # only the record's own unknowns vary
+    single = objective.in_motion(k).only(k).for_unknowns(held)
+    rough_single = replace(single, beginning_tolerance=ROUGH_BEGINNING)
     try:
-        (free,) = rough.rows(z[:0])
-        if (1.0 - ROUGH_BEGINNING) * free.cost(objective.weights[k]) > _SHARE * rest:
-            return None  # a better beginning cannot take so much, either
-        (free,) = one.rows(z[:0])
+        (rows,) = rough_single.rows(z[:0])
+        if (1.0 - ROUGH_BEGINNING) * rows.cost(objective.weights[k]) > _SHARE * rest:
+            return None  # a more precise search cannot reach the required share
+        (rows,) = single.rows(z[:0])
     except (InvalidInput, NumericalFailure):
-        return None  # no arm begins like that
-    cost = free.cost(objective.weights[k])
+        return None  # the arm cannot be simulated from such initial states
+    cost = rows.cost(objective.weights[k])
     evident = rest - cost > _EVIDENT and cost < _SHARE * rest
-    return free.evaluated.own + free.step if evident else None
+    return rows.evaluated.own + rows.step if evident else None

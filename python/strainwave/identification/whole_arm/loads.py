@@ -1,4 +1,4 @@
-"""The largest that the joints bear, and are driven by, in the records."""
+"""Largest gear torques and voltages of the joints in the records."""
 
 from __future__ import annotations
 
@@ -14,16 +14,20 @@ from strainwave.signals.recorded_input import driving_voltages
 
 @dataclass(frozen=True, slots=True)
 class Loads:
-    """Of each joint."""
+    """Largest absolute values over all records, one entry per joint."""
 
-    torque: Sequence[float]  # [N m] that its gear carries, but for one sample in a thousand
-    voltage: Sequence[float]  # [V] that drives it
+    torque: Sequence[float]  # [N m] of the gear, 99.9 % quantile
+    voltage: Sequence[float]  # [V] of the drive
 
 
 def loads_of(records: Sequence[Dataset], values: Mapping[tuple[str, int | None], float]) -> Loads:
-    """The largest of all records.
+    """Largest gear torque and voltage of each joint over all records.
 
-    `values`: (name, joint) -> value, by which gear torques are simulated.
+    `values` maps (name, joint) to the parameter values of the gear torque simulation.
     """
-    voltages = [np.abs(driving_voltages(one.arm, one.log)).max(axis=0) for one in records]
-    return Loads(gear_torques(records, dict(values)).tolist(), np.max(voltages, axis=0).tolist())
+    largest_voltages = [
+        np.abs(driving_voltages(record.arm, record.log)).max(axis=0) for record in records
+    ]
+    return Loads(
+        gear_torques(records, dict(values)).tolist(), np.max(largest_voltages, axis=0).tolist()
+    )

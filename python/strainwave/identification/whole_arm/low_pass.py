@@ -1,4 +1,4 @@
-"""The linear-phase low-pass that every compared channel passes through, on both sides."""
+"""Linear-phase low-pass that filters every measured and every simulated channel."""
 
 from __future__ import annotations
 
@@ -8,28 +8,28 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_PER_PERIOD = 4.0  # rows in a period of the cut-off; more would only repeat each other
-_REACH = 1.5  # periods of the cut-off that the low-pass reaches to either side
-_BAND = 8  # rows of the low-pass that share a matrix product
-_SHAPE = 5.0  # of its Kaiser window: 50 dB outside its band
+_PER_PERIOD = 4.0  # rows per period of the cut-off; further rows would be redundant
+_REACH = 1.5  # half-length of the filter, in periods of the cut-off
+_BAND = 8  # output rows per matrix product
+_SHAPE = 5.0  # beta of the Kaiser window: 50 dB stop-band attenuation
 
 
 @dataclass(frozen=True, slots=True)
 class Kernels:
-    """A low-pass as weights of the samples around each row, and the same of the slope."""
+    """Taps of a low-pass and of its derivative, with decimation."""
 
     smooth: FloatArray  # (n_taps,)
     slope: FloatArray  # (n_taps,) [1/s]
-    step: int  # samples from row to row
+    step: int  # samples per row
 
     def taps(self, *, rate: bool) -> FloatArray:
-        """Those of the slope, or of the low-pass itself: (n_taps,)."""
+        """Taps (n_taps,) of the derivative if `rate` is true, otherwise of the low-pass."""
         return self.slope if rate else self.smooth
 
     def rows(self, samples: FloatArray, *, rate: bool) -> FloatArray:
-        """(n_samples, ...) -> (n_rows, ...), without the edges that the low-pass cannot reach.
+        """Filter and decimate samples (n_samples, ...) to rows (n_rows, ...), without the edges.
 
-        Some rows at a time are one product of a banded matrix with the samples that they reach.
+        One product of a banded matrix with overlapping blocks of samples computes several rows.
         """
         taps, step = self.taps(rate=rate), self.step
         n_rows = (len(samples) - len(taps)) // step + 1
@@ -38,38 +38,37 @@ class Kernels:
             band[k, k * step : k * step + len(taps)] = taps
         flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
         rows = np.empty((n_rows, flat.shape[1]))
-        whole = n_rows // _BAND * _BAND
-        if whole:
-            reach, (along, across) = band.shape[1], flat.strides
-            blocks: FloatArray = np.ndarray(  # views that overlap: each has what its rows reach
-                (whole // _BAND, reach, flat.shape[1]),
+        n_blocked = n_rows // _BAND * _BAND
+        if n_blocked:
+            n_reached, (sample_stride, column_stride) = band.shape[1], flat.strides
+            blocks: FloatArray = np.ndarray(  # overlapping views of the samples
+                (n_blocked // _BAND, n_reached, flat.shape[1]),
                 buffer=flat,
-                strides=(_BAND * step * along, along, across),
+                strides=(_BAND * step * sample_stride, sample_stride, column_stride),
             )
-            rows[:whole] = np.matmul(band, blocks).reshape(whole, -1)
-        rest = flat[whole * step : (n_rows - 1) * step + len(taps)]
-        rows[whole:] = band[: n_rows - whole, : len(rest)] @ rest
+            rows[:n_blocked] = np.matmul(band, blocks).reshape(n_blocked, -1)
+        remaining = flat[n_blocked * step : (n_rows - 1) * step + len(taps)]
+        rows[n_blocked:] = band[: n_rows - n_blocked, : len(remaining)] @ remaining
         return rows.reshape(n_rows, *samples.shape[1:])
 
 
 def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -> Kernels:
-    """A windowed-sinc low-pass and its slope, for rows as far apart as the cut-off allows.
+    """Design a windowed-sinc low-pass and its derivative with a Kaiser window.
 
-    `cutoff_hz` [Hz].
-    `sample_time` [s].
-    `ahead` [samples]: By which the rows look ahead of their time.
-
-    Returns: Its number of taps is a multiple of `step`.
+    `sample_time` is in s; `ahead` is a fractional advance of the rows in samples. The cut-off sets
+    the decimation `step`, and the number of taps is a multiple of it.
     """
     step = max(1, int(1.0 / (_PER_PERIOD * cutoff_hz * sample_time)))
-    n_parts = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))
-    n = n_parts * step
-    half = 0.5 * (n - 1)
-    at = np.arange(n) - half - ahead
-    window = np.i0(_SHAPE * np.sqrt(np.clip(1.0 - (at / half) ** 2, 0.0, None)))
-    smooth = np.sinc(2.0 * cutoff_hz * sample_time * at) * np.where(np.abs(at) > half, 0.0, window)
+    n_steps = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))
+    n_taps = n_steps * step
+    half = 0.5 * (n_taps - 1)
+    offset = np.arange(n_taps) - half - ahead
+    window = np.i0(_SHAPE * np.sqrt(np.clip(1.0 - (offset / half) ** 2, 0.0, None)))
+    smooth = np.sinc(2.0 * cutoff_hz * sample_time * offset) * np.where(
+        np.abs(offset) > half, 0.0, window
+    )
     smooth /= smooth.sum()
-    # an angle's slope is the product with minus the kernel's own; a ramp must give one exactly
+    # derivative by convolution with -d(taps)/dt, scaled so that a unit ramp gives exactly one
     slope = -np.gradient(smooth)
-    slope /= np.sum(slope * at) * sample_time
+    slope /= np.sum(slope * offset) * sample_time
     return Kernels(smooth, slope, step)

@@ -1,7 +1,7 @@
-"""Which parameters the model has: candidates in turn, each judged by what the records say.
+"""Selection of the optional parameters of the model.
 
-Near the minimum, in long steps of the integrator, candidates only join; at the minimum those leave
-that the records do not show.
+The coarse stage, in long integrator steps, only adds parameters. The fine stage also removes
+parameters that are not significant.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ COARSE: tuple[Candidate, ...] = (
     with_settling_times,
     with_named_effects,
 )
-"""Of a coarse fit, in the order in which they are tried."""
+"""Candidates of a coarse fit, in the order of their trials."""
 
 FINE: tuple[Candidate, ...] = (
     with_fine_stiffness_restarts,
@@ -57,13 +57,13 @@ FINE: tuple[Candidate, ...] = (
     without_idle_settling,
     with_demanded_effects,
 )
-"""Of the fit itself."""
+"""Candidates of the fine fit, in the order of their trials."""
 
 
 def selected(fit: Fit, candidates: Sequence[Candidate], selection: Selection) -> Fit:
-    """The fit of the model that the records speak for.
+    """Select the model that the data support.
 
-    `candidates`: Tried in turn, each on what those before it left.
+    Each of the `candidates` starts from the result of the candidate before it.
     """
     for candidate in candidates:
         fit = candidate(fit, selection)

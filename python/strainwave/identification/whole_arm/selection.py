@@ -1,4 +1,4 @@
-"""What candidate models are judged by, and the one interface that they share."""
+"""Common interface and decision rule of candidate models."""
 
 from __future__ import annotations
 
@@ -12,54 +12,54 @@ from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.solver import COARSE_GAIN, COARSE_SHARE, search_from
 
 EVIDENT = 3.0
-"""Standard deviations that speak for a settling time, an effect, or another curve."""
+"""Standard deviations from which a settling time, an effect or another curve is significant.
+
+The minimum cost reduction is its square.
+"""
 TRIAL = 10
-"""Evaluations in which a candidate must show its gain."""
+"""Maximum evaluations of the trial fit of a candidate."""
 
 
 @dataclass
 class Selection:
-    """The setting in which a model is selected."""
+    """Arm, options and evaluation budget of a model selection."""
 
     arm: Arm
-    options: TuningOptions  # their evaluations grow where a candidate has some of its own
-    budget: int = field(init=False)  # evaluations that the options allow a fit
+    options: TuningOptions  # `max_iterations` grows when a candidate is granted evaluations
+    budget: int = field(init=False)  # evaluations that the user allows for one fit
 
     def __post_init__(self) -> None:
         self.budget = self.options.max_iterations
 
     @property
     def most(self) -> int:
-        """Evaluations that may be spent in all."""
+        """Maximum total number of evaluations."""
         return self.options.max_iterations
 
     def grant(self, evaluations: int) -> None:
-        """Allow more of them."""
+        """Increase the maximum number of evaluations."""
         self.options = replace(self.options, max_iterations=self.most + evaluations)
 
     def renew(self, fit: Fit) -> None:
-        """Allow as many again from where a fit is."""
+        """Allow the full budget again, counted from the evaluations of `fit`."""
         most = max(self.most, fit.iterations + self.budget)
         self.options = replace(self.options, max_iterations=most)
 
 
 class Candidate(Protocol):
-    """A way in which the model may have more parameters, or fewer, or other starts."""
+    """A change of the model: added parameters, removed parameters or another starting value."""
 
     def __call__(self, fit: Fit, selection: Selection) -> Fit:
-        """The fit of that model where the records speak for it; otherwise the fit as it is."""
+        """Return the fit of the changed model if the data support it, otherwise `fit`."""
 
 
 def trial(
     fit: Fit, objective: Objective, z: FloatArray, selection: Selection, most: int | None
 ) -> Fit:
-    """A coarse search of another model, in a few evaluations.
+    """Run a coarse search of another model from `z` (n_unknowns,).
 
-    `fit`: Whose evaluations count on.
-    `z` (n_unknowns,).
-    `most`: Evaluations; None for all that are left.
-
-    Raises `NotIdentifiable`: the arm cannot be simulated there.
+    The evaluation count continues from that of `fit`. `most` is the maximum number of evaluations;
+    None allows all that are left. Raises `NotIdentifiable` if the arm cannot be simulated at `z`.
     """
     return search_from(
         objective,
@@ -73,6 +73,6 @@ def trial(
 
 
 def better(fit: Fit, other: Fit) -> Fit:
-    """The other one where its gain is evident; its evaluations count in any case."""
+    """Return `other` if it reduces the cost significantly, otherwise `fit` with its evaluations."""
     evident = fit.cost - other.cost > EVIDENT**2
     return other if evident else replace(fit, iterations=other.iterations)

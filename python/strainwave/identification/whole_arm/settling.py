@@ -1,4 +1,4 @@
-"""Friction that takes its time to act: settling times in the model, where the records show them."""
+"""Selection of friction settling times."""
 
 from __future__ import annotations
 
@@ -13,37 +13,45 @@ from strainwave.identification.whole_arm.parametrisation import (
 from strainwave.identification.whole_arm.selection import EVIDENT, TRIAL, Selection, better, trial
 from strainwave.identification.whole_arm.solver import fine_search
 
-_NOTHING = 0.99  # share of its reach from which a settling time's logarithm counts as endless
+_NOTHING = 0.99  # share of the lower bound of its logarithm from which a settling time is zero
 
 
 def with_settling_times(fit: Fit, selection: Selection) -> Fit:
-    """A rough fit with settling times, or the one without where they explain nothing."""
-    asked = selection.options.settling
-    if asked is False or fit.iterations >= selection.most:
+    """Add a friction settling time to each joint of a coarse fit.
+
+    Keeps them if the options require them or the cost decreases significantly.
+    """
+    required = selection.options.settling
+    if required is False or fit.iterations >= selection.most:
         return fit
     values = fit.objective.space.values(fit.z)
     space = with_settling(fit.objective.space)
-    begin = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
+    start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
     objective = fit.objective.for_unknowns(space)
-    most = None if asked else TRIAL
-    extended = trial(fit, objective, begin, selection, most)
-    return better(fit, extended) if asked is None else extended
+    most = None if required else TRIAL
+    extended = trial(fit, objective, start, selection, most)
+    return better(fit, extended) if required is None else extended
 
 
 def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
-    """Again with friction that acts at once in the joints where nothing speaks for a delay."""
+    """Repeat the fit without settling times that are not significant.
+
+    The friction of those joints acts instantly.
+    """
     if selection.options.settling or all(name != SETTLING for name, _ in fit.objective.space.keys):
         return fit
     values = fit.objective.space.values(fit.z)
-    deviation = np.sqrt(np.diag(fit.confidence.cautious))
-    lowest = fit.z < _NOTHING * fit.objective.space.lower
+    stds = np.sqrt(np.diag(fit.confidence.cautious))
+    at_lower_bound = fit.z < _NOTHING * fit.objective.space.lower
     idle = {
         key: 0.0
-        for key, std, least in zip(fit.objective.space.keys, deviation, lowest, strict=True)
-        if key[0] == SETTLING and (least or values[key] < EVIDENT * std)
+        for key, std, is_at_bound in zip(
+            fit.objective.space.keys, stds, at_lower_bound, strict=True
+        )
+        if key[0] == SETTLING and (is_at_bound or values[key] < EVIDENT * std)
     }
     if not idle:
         return fit
     space = fit.objective.space.holding(idle)
-    begin = space.coordinates(values)
-    return fine_search(fit.objective.for_unknowns(space), begin, fit.iterations, selection.options)
+    start = space.coordinates(values)
+    return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
