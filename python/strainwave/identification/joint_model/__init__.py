@@ -1,9 +1,13 @@
-"""Both sides of a joint, decoupled -> JointModel: its physical parameters, with deviations.
+"""Decoupled step: identify a model of one joint from each record, and its physical parameters.
 
-Without link sensors the motors' own responses lead there (`models_from_motors`). With them there
-are two ways: straight from the equations of motion (`identify_joint`), and through a
-state-space model and its transfer functions (`state_space_of`, `from_state_space`), the paper's.
-`identify_record` goes both, or only the second where the options ask for it.
+Three methods return a `JointModel`:
+
+- `identify_joint`: regression of the equations of motion (S6), (S7); needs a link sensor.
+- `state_space_of`, `from_state_space`: the paper's method. It estimates a state-space model and
+  computes the physical parameters from its transfer functions (15)-(18); needs a link sensor.
+- `models_from_motors`: frequency responses of the motors; needs no link sensor.
+
+`identify_record` applies the first two methods, or the second only if the options select it.
 """
 
 from __future__ import annotations
@@ -85,29 +89,26 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """What may be set by hand of both ways."""
+    """Options of both methods that use link sensors."""
 
     physical: PhysicalOptions = field(default_factory=PhysicalOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
-    state_space: bool = True  # whether a state-space model is estimated beside
-    # whether the data choose the model's order, and the model is judged on held-out samples and
-    # gives physical parameters; else it has three states in the band of the equations of motion,
-    # which takes a twentieth of the time
+    state_space: bool = True  # whether to estimate a state-space model as well
+    # True: select the model order from the data, check the model on held-out samples and compute
+    # physical parameters from it. False: estimate three states in the band of the equations of
+    # motion, which takes a twentieth of the time
     judged: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class JointFit:
-    """One joint's model, and the solution behind it, from which its records alone can start."""
+    """Model of one joint with the solved equations from which the fit of one record can start."""
 
     model: JointModel
     solved: Solved
 
     def of_record(self, name: str) -> JointModel:
-        """The model from one of the records alone.
-
-        `name`: Of the experiment.
-        """
+        """Model of one record alone. `name` is the experiment's name."""
         if self.model.experiments == (name,):
             return self.model
         with one_blas_thread():
@@ -122,13 +123,13 @@ def identify_joint(
     *,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> JointModel:
-    """Physical parameters of one joint from its equations of motion, (S6) and (S7).
+    """Estimate the physical parameters of one joint from its equations of motion, (S6) and (S7).
 
-    `records`: Of one joint, all fitted at once.
-    `search_from_hz`: The band where the data are first asked for the equations' filter.
+    All records are fitted together and must belong to one joint. `search_from_hz` is the band [Hz]
+    in which the search for the filter band starts.
 
-    Returns: A parameter that the records hardly identify has the value None, and a warning says so;
-    an impossible one is reported as it came, with a warning.
+    A parameter that the data do not determine has the value None and a warning `not-identifiable`.
+    An impossible value is reported as estimated, with a warning `implausible`.
     """
     return fit_joint(records, model, arm, options, search_from_hz=search_from_hz).model
 
@@ -141,13 +142,13 @@ def fit_joint(
     *,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> JointFit:
-    """Fit one joint as `identify_joint` does, and keep the solution of its equations."""
+    """Fit one joint as `identify_joint` does and keep the solved equations."""
     chosen = options or PhysicalOptions()
     number = records[0][1].joint
     known = rigid_knowledge(model, arm, number, [signals for signals, _ in records])
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
-    with one_blas_thread():  # many small systems, as in the rigid step
+    with one_blas_thread():  # many small systems: several threads are slower
         solved = solve(records, arm, known, chosen.band_hz, search_from_hz)
         return JointFit(_joint_model(solved), solved)
 
@@ -157,13 +158,13 @@ def _joint_model(solved: Solved) -> JointModel:
     names = tuple(signals.experiment.name for signals, _ in solved.records)
     values = _values(fit)
     covariance = _with_delay(fit.covariance, values, solved.records, number)
-    said = values, covariance, fit.determined, solved.arm.joints[number - 1], number
-    warnings = tuple(warnings_of(*said, ", ".join(names)))
+    estimate = values, covariance, fit.determined, solved.arm.joints[number - 1], number
+    warnings = tuple(warnings_of(*estimate, ", ".join(names)))
     return JointModel(
         joint=number,
         experiments=names,
         method="grey-box",
-        parameters=tuple(parameters_of(*said)),
+        parameters=tuple(parameters_of(*estimate)),
         values=values,
         covariance=covariance,
         anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
@@ -177,10 +178,10 @@ def _joint_model(solved: Solved) -> JointModel:
 
 @dataclass(frozen=True, slots=True)
 class RecordFit:
-    """The models of one record, and the state-space fit from which those of others can start."""
+    """Models of one record, with the state-space fit from which other records can start."""
 
     record: RecordModel
-    linear: LinearFit | None  # None: not wanted, or it failed
+    linear: LinearFit | None  # None: not requested or failed
 
 
 def identify_record(
@@ -190,9 +191,9 @@ def identify_record(
     arm: Arm,
     options: RecordOptions | None = None,
 ) -> RecordModel:
-    """Identify the joint that one record excites, by every route that the options ask for.
+    """Identify the joint that one record excites, with every method that the options select.
 
-    What fails is None in the result, and a warning of the result gives the reason.
+    The result of a method that fails is None, and a warning of the record gives the reason.
     """
     return fit_record(signals, decoupled, model, arm, options).record
 
@@ -206,11 +207,11 @@ def fit_record(
     together: JointFit | None = None,
     near: StateSpace | None = None,
 ) -> RecordFit:
-    """Identify one record as `identify_record` does, from the results of other records.
+    """Identify one record as `identify_record` does, starting from the results of other records.
 
-    `together` is the fit of several records of the joint, from which this record starts, or whose
-    solution for this record it uses. `near` is a state-space model of another record, from which
-    a model that is not judged starts.
+    `together` is the fit of several records of the joint. If it contains this record, its solution
+    for this record is used; otherwise its band is the starting band. `near` is a state-space model
+    of another record, the starting value of a model that is not judged.
     """
     chosen = options or RecordOptions()
     where = decoupled.experiment.name
@@ -226,7 +227,7 @@ def fit_record(
     def grey_box() -> JointModel:
         if together is not None and where in together.model.experiments:
             return together.of_record(where)
-        # it looks first where all together ring
+        # start in the band of the fit of all records
         first = FIRST_BAND_HZ if together is None else together.model.band_hz
         pair = [(signals, decoupled)]
         return identify_joint(pair, model, arm, chosen.physical, search_from_hz=first)
@@ -236,9 +237,13 @@ def fit_record(
     linear = modes = transfer = check = None
     judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
-        how = chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
-        start = None if judged else near
-        linear = tried("state-space-failed", lambda: fit_linear(decoupled, how, start))
+        linear_options = (
+            chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
+        )
+        start_model = None if judged else near
+        linear = tried(
+            "state-space-failed", lambda: fit_linear(decoupled, linear_options, start_model)
+        )
     if linear is not None:
         fit = linear
         warnings += [replace(each, where=where) for each in fit.model.warnings]
@@ -258,12 +263,12 @@ def fit_record(
 def _in_known_band(
     record: Decoupled, physical: JointModel | None, options: LinearOptions
 ) -> LinearOptions:
-    """Three states, in the band around the resonances where these are known already."""
+    """Options for three states in the band around the resonances, if these are known."""
     options = physical_order(options)
     if physical is None or physical.anti_resonance is None or physical.resonance is None:
         return options
-    rings = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
-    return replace(options, band_hz=band_for(rings, [record], options))
+    resonances = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
+    return replace(options, band_hz=band_for(resonances, [record], options))
 
 
 def joint_by_transfer(
@@ -272,12 +277,11 @@ def joint_by_transfer(
     arm: Arm,
     options: RecordOptions | None = None,
 ) -> JointModel:
-    """Physical parameters of one joint by the paper's route, (15) to (18).
+    """Estimate the physical parameters of one joint by the paper's method, (15) to (18).
 
-    `records`: Of one joint; one state-space model is fitted to all of them.
-
-    Raises `InvalidInput`: records of different joints or rates; `NotIdentifiable`: no stretch of a
-    record is long enough, or the state-space model does not ring.
+    One state-space model is fitted to all records, which must belong to one joint. Raises
+    `InvalidInput` for records of different joints or sampling rates, `NotIdentifiable` if no
+    stretch of a record is long enough or the state-space model has no resonance.
     """
     chosen = options or RecordOptions()
     with one_blas_thread():
@@ -290,35 +294,38 @@ def _by_transfer(
 ) -> JointModel:
     """Physical parameters from a state-space model of three states, the order of (17).
 
-    If that model does not converge or has no resonance, the least damped pairs of the model of
-    the chosen order are used.
+    If that model does not converge or has no resonance, the least damped pole and zero pairs of the
+    model of the selected order are used.
     """
     reduced, records = fit.of_physical_order(), fit.records
     known = rigid_knowledge(model if options.use_rigid else None, arm, records[0].joint)
-    others = _in_other_bands(records, reduced, modes_of(reduced), fit.options)
-    return from_state_space(reduced, records, arm, known, others)
+    models_in_other_bands = _in_other_bands(records, reduced, modes_of(reduced), fit.options)
+    return from_state_space(reduced, records, arm, known, models_in_other_bands)
 
 
 def _in_other_bands(
     records: Sequence[Decoupled], near: StateSpace, modes: Modes | None, options: LinearOptions
 ) -> list[StateSpace]:
-    """Models that show how much the band matters; none where they fail or make no sense."""
+    """Models in a narrower and a wider band, which measure the effect of the band on the estimates.
+
+    Models that fail or have no resonance are left out.
+    """
     if modes is None or modes.anti_resonance is None or modes.resonance is None:
         return []
     if options.filter != "band":
         return []
-    rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
-    found = []
-    for other in other_bands(band_for(rings, records, options), records):
-        how = replace(options, band_hz=other, decimation=None)  # the rate follows the band
+    resonances = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
+    models = []
+    for band in other_bands(band_for(resonances, records, options), records):
+        band_options = replace(options, band_hz=band, decimation=None)  # the rate follows the band
         try:
-            fitted = state_space_of(records, how, near)
-            model = replace(fitted, covariance=None)
+            estimate = state_space_of(records, band_options, near)
+            model = replace(estimate, covariance=None)
             if model.status == "converged" and modes_of(model).resonance:
-                found.append(model)
+                models.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):
             continue
-    return found
+    return models
 
 
 def _with_delay(
@@ -327,18 +334,18 @@ def _with_delay(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     number: int,
 ) -> FloatArray:
-    """With what a link sensor's delay, once taken off, may still be wrong by.
+    """Add the variance of the gear damping that an uncertain sensor delay causes.
 
-    A link seen late by D has the torsion n theta_m - theta_l + D theta_l', so that k of it reads as
-    gear damping of k D more or less: a variance of (k std_D)^2. It is alike in all records.
+    A link sensor delayed by D measures the torsion n theta_M - theta_L + D dtheta_L, so the gear
+    damping changes by about k D. The variance is (k std_D)^2, the same in all records.
     """
-    removed = [s.removed_delay[number - 1] for s, _ in records if s.removed_delay]
-    if not removed or not removed[0].value:
+    delays = [s.removed_delay[number - 1] for s, _ in records if s.removed_delay]
+    if not delays or not delays[0].value:
         return covariance
-    at = list(values).index("gear_damping")
-    larger = covariance.copy()
-    larger[at, at] += (values["gear_stiffness"] * removed[0].std) ** 2
-    return larger
+    index = list(values).index("gear_damping")
+    enlarged = covariance.copy()
+    enlarged[index, index] += (values["gear_stiffness"] * delays[0].std) ** 2
+    return enlarged
 
 
 def _values(fit: GreyBoxFit) -> dict[str, float]:

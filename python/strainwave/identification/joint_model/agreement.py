@@ -1,4 +1,4 @@
-"""JointModel, FrequencyResponse -> whether the physical model and the measured response agree."""
+"""Compare the frequency response of a `JointModel` with the measured response."""
 
 from __future__ import annotations
 
@@ -17,32 +17,27 @@ from strainwave.domain import (
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 
 OUTSIDE = 3.0
-"""How far beyond the band of the fit a response is compared, and drawn, as a factor."""
+"""Factor by which the compared and plotted frequency range exceeds the band of the fit."""
 
-_COHERENT = 0.8  # below that a line is doubtful
-_BLURRED = 0.3  # and so it is above this relative deviation
+_COHERENT = 0.8  # coherence below which a line is not compared
+_BLURRED = 0.3  # relative standard deviation above which a line is not compared
 REACH = 1.96
-"""Of a 95 % band, in deviations."""
+"""Half-width of a 95 % band in standard deviations."""
 
-_APART = 2.0  # [dB], a quarter: what nobody overlooks in the figure
-_MANY = 0.2  # of the lines; fewer may be leakage or a harmonic
+_APART = 2.0  # [dB] difference of about 25 %, clearly visible in the figure
+_MANY = 0.2  # share of the lines; a smaller share may be leakage or a harmonic
 
 
 def vector_of(joint: JointModel) -> FloatArray:
-    """A joint's parameters in the order of `TwoInertia`.
-
-    Returns: (6,).
-    """
+    """Parameters of a joint in the order of `TwoInertia`, (6,)."""
     return np.array(list(joint.values.values())[:6])
 
 
 def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
-    """G11 of (17): motor torque to motor velocity.
+    """Frequency response from motor torque to motor velocity, G11 of (17).
 
-    `vector` (6,): A joint's parameters in the order of `TwoInertia`.
-    `f` (n_frequencies,) [Hz].
-
-    Returns: (n_frequencies,) [rad/s/(N m)].
+    `vector` (6,) has the parameters of a joint in the order of `TwoInertia`; `f` (n_frequencies,)
+    is in Hz. Returns (n_frequencies,) [rad/s/(N m)].
     """
     A, B, C = state_space(joint_of(vector, gear_ratio))
     s = 2j * np.pi * f[:, None, None]
@@ -50,12 +45,7 @@ def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> Comp
 
 
 def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:
-    """Derivatives of `motor_response` by the parameters.
-
-    `vector, gear_ratio, f`: As for `motor_response`.
-
-    Returns: (n_frequencies, 6).
-    """
+    """Derivatives of `motor_response` with respect to the parameters, (n_frequencies, 6)."""
 
     def parts(at: FloatArray) -> FloatArray:
         G = motor_response(at, gear_ratio, f)
@@ -66,57 +56,58 @@ def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> C
 
 
 def trusted(measured: FrequencyResponse) -> BoolArray:
-    """Where the output follows the input, and neither noise nor distortion blurs by how much.
+    """Mask (n_frequencies,) of the lines with high coherence and a small standard deviation.
 
-    Returns: (n_frequencies,).
+    The variance is the sum of the noise and distortion variances, where these are estimated.
     """
     variance = np.zeros(len(measured.frequencies_hz))
     for part in (measured.noise_variance, measured.distortion_variance):
         if part is not None:
             variance += part[:, 0, 0]
-    sure = np.sqrt(variance) <= _BLURRED * np.abs(measured.response[:, 0, 0])
+    mask = np.sqrt(variance) <= _BLURRED * np.abs(measured.response[:, 0, 0])
     if measured.coherence is not None:
-        sure &= measured.coherence[:, 0] >= _COHERENT
-    return np.asarray(sure)
+        mask &= measured.coherence[:, 0] >= _COHERENT
+    return np.asarray(mask)
 
 
 def compared(
     joint: JointModel, gear_ratio: float, measured: FrequencyResponse | None
 ) -> JointModel:
-    """The joint, with the warning `response-apart` where model and measured response differ.
+    """Return the joint, with a warning `response-apart` if model and measured response differ.
 
-    They do where more than a fifth of the lines lie beyond both 95 % bands and 2 dB.
+    They differ if more than a fifth of the lines lie outside both 95 % bands and more than 2 dB
+    apart.
     """
-    text = None if measured is None else _difference(joint, gear_ratio, measured)
-    if text is None:
+    message = None if measured is None else _difference(joint, gear_ratio, measured)
+    if message is None:
         return joint
-    apart = Diagnostic("response-apart", f"joint {joint.joint}", text)
-    return replace(joint, warnings=(*joint.warnings, apart))
+    warning = Diagnostic("response-apart", f"joint {joint.joint}", message)
+    return replace(joint, warnings=(*joint.warnings, warning))
 
 
 def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyResponse) -> str | None:
-    """How much they differ, and near which frequency."""
+    """Message with the share of differing lines and the largest difference; None if they agree."""
     low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
     f = measured.frequencies_hz
-    at = (f >= low) & (f <= high) & trusted(measured)
+    lines = (f >= low) & (f <= high) & trusted(measured)
     vector = vector_of(joint)
-    if not at.any() or not np.isfinite(vector).all():
+    if not lines.any() or not np.isfinite(vector).all():
         return None
-    G, H = measured.response[at, 0, 0], motor_response(vector, gear_ratio, f[at])
-    spread = np.zeros(len(G))
+    G, H = measured.response[lines, 0, 0], motor_response(vector, gear_ratio, f[lines])
+    measured_std = np.zeros(len(G))
     if measured.noise_variance is not None:
-        spread = np.sqrt(measured.noise_variance[at, 0, 0])
-    J = response_jacobian(vector, gear_ratio, f[at])
+        measured_std = np.sqrt(measured.noise_variance[lines, 0, 0])
+    J = response_jacobian(vector, gear_ratio, f[lines])
     variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J.conj()).real
-    own = np.sqrt(np.clip(variance, 0.0, None))
-    beyond = np.abs(G - H) > REACH * (spread + own)
-    apart = np.abs(20.0 * np.log10(np.abs(G) / np.abs(H)))
-    differs = beyond & (apart > _APART)
+    model_std = np.sqrt(np.clip(variance, 0.0, None))
+    outside = np.abs(G - H) > REACH * (measured_std + model_std)
+    difference_db = np.abs(20.0 * np.log10(np.abs(G) / np.abs(H)))
+    differs = outside & (difference_db > _APART)
     if np.mean(differs) <= _MANY:
         return None
-    worst = int(np.argmax(np.where(differs, apart, 0.0)))
+    worst = int(np.argmax(np.where(differs, difference_db, 0.0)))
     return (
         "the physical model and the measured response differ by more than both 95 % bands on "
-        f"{100.0 * np.mean(differs):.0f} % of the lines, by {apart[worst]:.0f} dB near "
-        f"{f[at][worst]:.3g} Hz"
+        f"{100.0 * np.mean(differs):.0f} % of the lines, by {difference_db[worst]:.0f} dB near "
+        f"{f[lines][worst]:.3g} Hz"
     )

@@ -1,4 +1,4 @@
-"""Values and their covariance -> parameters to print, and what must be said of them."""
+"""Convert the values and covariance of a joint model to parameters, warnings and a status."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, Joint, Parameter
 from strainwave.domain.parameters import unit_of
 
-_IDENTIFIED = 0.3  # relative deviation up to which a damping or friction is worth printing
+_IDENTIFIED = 0.3  # relative standard deviation up to which a viscous friction is reported
+# only the sum of these is well determined in fast records
 _SPLIT = ("motor_viscous_friction", "link_viscous_friction")
-_REACH = 1.96  # of a 95 % interval, in deviations
+_REACH = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 def parameters_of(
@@ -22,15 +23,16 @@ def parameters_of(
     joint: Joint,
     number: int,
 ) -> Iterator[Parameter]:
-    """Each value as a parameter, None if hardly identified, then the total viscous friction.
+    """Yield each value as a parameter, then the total viscous friction.
 
-    `covariance` (n_values, n_values): NaN where it is not known: then no deviation is given.
-    `determined` (n_values,).
-    `number`: The joint's, from 1.
+    `covariance` is (n_values, n_values); where it is NaN, no standard deviation is reported. The
+    value of a parameter that is not determined is None. `number` counts joints from 1.
     """
-    deviation = _deviations(covariance)
-    for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
-        identified = _is_identified(name, value, std, known)
+    standard_deviations = _deviations(covariance)
+    for (name, value), std, is_determined in zip(
+        values.items(), standard_deviations, determined, strict=True
+    ):
+        identified = _is_identified(name, value, std, is_determined)
         yield _parameter(name, number, joint, (value, std) if identified else None)
     weight = np.array(
         [
@@ -39,8 +41,8 @@ def parameters_of(
         ]
     )
     total = float(weight @ np.array(list(values.values())))
-    spread = float(np.sqrt(np.clip(weight @ covariance @ weight, 0.0, None)))
-    yield _parameter("total_viscous_friction", number, joint, (total, spread))
+    total_std = float(np.sqrt(np.clip(weight @ covariance @ weight, 0.0, None)))
+    yield _parameter("total_viscous_friction", number, joint, (total, total_std))
 
 
 def warnings_of(
@@ -51,15 +53,17 @@ def warnings_of(
     number: int,
     source: str,
 ) -> Iterator[Diagnostic]:
-    """What is hardly identified, what is impossible, and what is an average.
+    """Yield warnings for parameters that are not identifiable, implausible or equivalent values.
 
-    `values, covariance, determined, joint, number`: As for `parameters_of`.
-    `source`: Where the values come from: the records' names.
+    `source` lists the records that the values come from; the other arguments are those of
+    `parameters_of`.
     """
-    deviation = _deviations(covariance)
-    for (name, value), std, known in zip(values.items(), deviation, determined, strict=True):
+    standard_deviations = _deviations(covariance)
+    for (name, value), std, is_determined in zip(
+        values.items(), standard_deviations, determined, strict=True
+    ):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
-        identified = _is_identified(name, value, std, known)
+        identified = _is_identified(name, value, std, is_determined)
         size = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
         if value + 2.0 * np.nan_to_num(std) < 0.0 and (identified or name not in _SPLIT):
             text = f"{size} is impossible: {source} show something that"
@@ -78,7 +82,7 @@ def warnings_of(
 def status_of(
     warnings: Iterable[Diagnostic],
 ) -> Literal["determined", "partly-determined", "implausible"]:
-    """The verdict on a joint's parameters that their warnings make."""
+    """Status of a joint's parameters, from the codes of their warnings."""
     codes = {warning.code for warning in warnings}
     if "implausible" in codes:
         return "implausible"
@@ -104,7 +108,11 @@ def _deviations(covariance: FloatArray) -> list[float]:
 
 
 def _is_identified(name: str, value: float, std: float, determined: bool) -> bool:
-    """Only the sum of the viscous frictions shows in fast records; their split hardly does."""
+    """Whether the value of a parameter is reported.
+
+    In fast records only the sum of the viscous frictions is well determined, so each of them needs
+    a small relative standard deviation as well.
+    """
     if name in _SPLIT and not std <= _IDENTIFIED * abs(value):
         return False
     return determined
