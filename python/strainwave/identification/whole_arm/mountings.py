@@ -1,7 +1,7 @@
-"""Where sensors sit, by a simulated arm: a second start for those whose place is unknown.
+"""Starting values of unknown sensor mountings from a simulated arm.
 
-The slow part of a record shows a place only as far as the links turn. An arm that is simulated, if
-only nearly the right one, gives what the axes read a combination of up to the cut-off.
+The slow part of a record determines a mounting only as far as the links turn. The simulated link
+motion of an approximate arm extends the regression of the sensor readings up to the cut-off.
 """
 
 from __future__ import annotations
@@ -30,26 +30,24 @@ from strainwave.identification.whole_arm.solver import (
 from strainwave.signals.imu_attitude import imu_candidates, in_mirror
 from strainwave.signals.mounting_start import distance_of
 
-_FEW = 3  # mountings from which a short search goes on
-_STEPS = 12  # of each
-_EVIDENT = 4.0  # deviations from which a tilt is kept
-_LEAST_TILT = 0.07  # [rad] about each axis, from which it is looked for
-_LOWER = 0.02  # share of the cost by which another mounting must be better
-_FLAT = 0.1  # share of the cost that a tilt out of the plane must explain
+_FEW = 3  # mountings of least cost that start a short search
+_STEPS = 12  # maximum evaluations of a short search
+_EVIDENT = 4.0  # standard deviations from which a tilt is significant
+_LEAST_TILT = 0.07  # [rad] about each axis, where the search for a tilt starts
+_LOWER = 0.02  # minimum cost reduction of another mounting, relative
+_FLAT = 0.1  # minimum cost reduction of a tilt out of the plane of motion, relative
 
 
 def best_placed(
     objective: Objective, z: FloatArray, arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
-    """A start with each sensor where a short search from there ends lowest.
+    """Choose the starting mounting of each sensor by short searches.
 
-    Tried are the mounting as it is, those by the arm that is simulated there, and of an IMU the
-    same on the other side of its link. One with two accelerometers lies flat, unless it explains
-    much more if it does not.
+    The candidates are the given mounting, those from the simulated arm at `z` (n_unknowns,), and
+    for an IMU their mirror images on the other side of the link. An IMU with two accelerometer axes
+    is assumed to lie in the plane of motion unless a tilt explains much more.
 
-    `z` (n_unknowns,).
-
-    Returns: Attitudes that turns start from are among what its search holds. (n_unknowns,)
+    The returned parameter space holds the attitudes that rotations are relative to.
     """
     for joint in range(1, arm.n_joints + 1):
         axes = _axes_on(objective, joint)
@@ -61,46 +59,49 @@ def best_placed(
 def _placed(
     objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
-    """The same of one link's sensors."""
+    """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, objective.space.values(z)
-    own: list[Key] = [*unknowns_of(axes, arm), *((name, joint) for name in START)]
-    tried: list[Mapping[Key, float]] = [{key: values[key] for key in own if key in values}]
+    mounting_keys: list[Key] = [*unknowns_of(axes, arm), *((name, joint) for name in START)]
+    mountings: list[Mapping[Key, float]] = [
+        {key: values[key] for key in mounting_keys if key in values}
+    ]
     try:
-        tried += _by_simulation(objective, values, axes, arm)
+        mountings += _by_simulation(objective, values, axes, arm)
     except (InvalidInput, NumericalFailure):
         return objective, z
-    turns = (TURN[0], joint) in objective.space.keys
-    if turns:
-        tried += [in_mirror(one, joint) for one in tried]
-    starts = [_with(objective, values, one) for one in tried]
-    if turns and {a.kind for a in axes} == {"accelerometer"} and {0, 1} == {a.number for a in axes}:
+    has_attitude = (TURN[0], joint) in objective.space.keys
+    if has_attitude:
+        mountings += [in_mirror(one, joint) for one in mountings]
+    starts = [_with(objective, values, one) for one in mountings]
+    if (
+        has_attitude
+        and {a.kind for a in axes} == {"accelerometer"}
+        and {0, 1} == {a.number for a in axes}
+    ):
         held: dict[Key, float] = {(name, joint): 0.0 for name in TURN[:2]}
         lying = _by_simulation(objective, values, axes, arm, flat=True)
         lying += [in_mirror(one, joint) for one in lying]
         starts += [_holding(*_with(objective, values, {**one, **held}), held) for one in lying]
     costs = sorted((cost_of(*one), k) for k, one in enumerate(starts))
-    kinds: tuple[list[int], list[int]] = ([], [])
+    by_kind: tuple[list[int], list[int]] = ([], [])
     for cost, k in costs:
         if np.isfinite(cost):
-            kinds[_is_flat(starts[k][0].space, joint)].append(k)
-    ends = []
-    for k in (*kinds[0][:_FEW], *kinds[1][:2]):
-        at, begin = starts[k]
-        found = search_from(at, begin, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
-        ends.append((found.cost * (1.0 - _FLAT * _is_flat(at.space, joint)), k, found))
-    if not ends:
+            by_kind[_is_flat(starts[k][0].space, joint)].append(k)
+    trials = []
+    for k in (*by_kind[0][:_FEW], *by_kind[1][:2]):
+        candidate, start = starts[k]
+        trial = search_from(candidate, start, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
+        trials.append((trial.cost * (1.0 - _FLAT * _is_flat(candidate.space, joint)), k, trial))
+    if not trials:
         return objective, z
-    best = min(ends, key=lambda one: one[:2])[2]
+    best = min(trials, key=lambda one: one[:2])[2]
     return best.objective, best.z
 
 
 def cost_of(objective: Objective, z: FloatArray) -> float:
-    """The cost at a start, infinite where no arm can be simulated.
-
-    `z` (n_unknowns,).
-    """
-    found = objective.linearise(z)
-    return np.inf if found is None else found.cost
+    """Cost at `z` (n_unknowns,), infinite if the arm cannot be simulated."""
+    linearised = objective.linearise(z)
+    return np.inf if linearised is None else linearised.cost
 
 
 def _is_flat(space: ParameterSpace, joint: int) -> bool:
@@ -108,59 +109,62 @@ def _is_flat(space: ParameterSpace, joint: int) -> bool:
 
 
 def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
-    """A rough fit with each IMU where the arm that it found has it best, and on from there.
+    """Continue a coarse fit from better IMU mountings, computed from the fitted arm.
 
-    Returns: As it is where a short search from no other mounting ends lower.
+    A mounting is kept as it is if no short search from another one ends at a lower cost.
     """
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
         space, values = fit.objective.space, fit.objective.space.values(fit.z)
         axes = _axes_on(fit.objective, joint)
-        turns = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, arm)
-        if not turns or fit.iterations >= options.max_iterations:
+        has_attitude = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, arm)
+        if not has_attitude or fit.iterations >= options.max_iterations:
             continue
         flat = _is_flat(space, joint)
-        tried = _by_simulation(fit.objective, values, axes, arm, flat=flat)
-        tried += [in_mirror(one, joint) for one in tried]
-        starts = [_with(fit.objective, values, one) for one in tried]
+        mountings = _by_simulation(fit.objective, values, axes, arm, flat=flat)
+        mountings += [in_mirror(one, joint) for one in mountings]
+        starts = [_with(fit.objective, values, one) for one in mountings]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_FEW]:
-            found = search_from(
+            trial = search_from(
                 *starts[k], fit.iterations, options, tolerance=COARSE_GAIN, most=_STEPS
             )
-            if found.cost < (1.0 - _LOWER) * fit.cost:
-                fit = resumed_coarse_search(found.objective, found.z, found.iterations, options)
+            if trial.cost < (1.0 - _LOWER) * fit.cost:
+                fit = resumed_coarse_search(trial.objective, trial.z, trial.iterations, options)
                 break
     return fit
 
 
 def _axes_on(objective: Objective, joint: int) -> list[Axis]:
-    every = (c.axis for record in objective.records for c in record.channels)
-    return list(dict.fromkeys(a for a in every if a and a.joint == joint))
+    all_axes = (c.axis for record in objective.records for c in record.channels)
+    return list(dict.fromkeys(a for a in all_axes if a and a.joint == joint))
 
 
 def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
-    """A fit with those tilts of IMUs that were taken to lie flat that its residuals speak for.
+    """Add significant tilts of IMUs that were assumed to lie in the plane of motion.
 
-    Lying flat, a sensor's readings do not change by a tilt at first: a search starts from some.
+    The derivative of the readings with respect to a tilt is zero at zero tilt, so the searches
+    start from a small tilt of either sign.
     """
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
-        # on an axis that stands still a tilt is hardly apart from the distance
+        # about a fixed axis, tilt and distance are nearly collinear without gravity
         if not _is_flat(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
             continue
-        flat: list[Key] = [(name, joint) for name in TURN[:2]]
+        tilts: list[Key] = [(name, joint) for name in TURN[:2]]
         values = fit.objective.space.values(fit.z)
-        ends = []
+        trials = []
         for side in (1.0, -1.0):
-            starts = {flat[0]: _LEAST_TILT, flat[1]: side * _LEAST_TILT}
-            space = with_sensors(fit.objective.space, flat, starts)
+            starts = {tilts[0]: _LEAST_TILT, tilts[1]: side * _LEAST_TILT}
+            space = with_sensors(fit.objective.space, tilts, starts)
             objective = fit.objective.for_unknowns(space)
-            begin = space.coordinates({**values, **starts})
-            spent = fit.iterations
-            ends.append(
-                search_from(objective, begin, spent, options, tolerance=COARSE_GAIN, most=_STEPS)
+            start = space.coordinates({**values, **starts})
+            evaluations = fit.iterations
+            trials.append(
+                search_from(
+                    objective, start, evaluations, options, tolerance=COARSE_GAIN, most=_STEPS
+                )
             )
-        best = min(ends, key=lambda one: one.cost)
+        best = min(trials, key=lambda one: one.cost)
         if fit.cost - best.cost > _EVIDENT**2:
             fit = refined(best, options)
     return fit
@@ -169,7 +173,7 @@ def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
 def _with(
     objective: Objective, values: Values, mounting: Mapping[Key, float]
 ) -> tuple[Objective, FloatArray]:
-    """The start with another mounting."""
+    """Objective and point with another mounting."""
     fixed = {key: value for key, value in mounting.items() if key[0] in START}
     space = replace(objective.space, fixed={**objective.space.fixed, **fixed})
     return objective.for_unknowns(space), space.coordinates({**values, **mounting})
@@ -185,9 +189,9 @@ def _holding(
 def _by_simulation(
     objective: Objective, values: Values, axes: Sequence[Axis], arm: Arm, *, flat: bool = False
 ) -> list[dict[Key, float]]:
-    """Least squares on what an arm's links do in all records."""
-    each = [record.tables(values, axes) for record in objective.records]
-    tables = [np.concatenate(parts) for parts in zip(*each, strict=True)]
+    """Mountings by least squares on the simulated link motion of all records."""
+    per_record = [record.tables(values, axes) for record in objective.records]
+    tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if axes[0].kind == "tangential":
         return [{(DISTANCE, axes[0].joint): distance_of(tables[0])}]
     return imu_candidates(axes, tables, arm, flat=flat)[:_FEW]

@@ -1,4 +1,4 @@
-"""Which intervals planned records would give, by the Fisher information of a guessed arm."""
+"""Predicted confidence intervals of planned records, from the Fisher information."""
 
 from __future__ import annotations
 
@@ -32,28 +32,26 @@ from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, side_by_side
 
 BAND = 5.0
-"""Times the highest resonance: beyond, little is left of what the gears do."""
+"""Cut-off of the low-pass over the highest resonance; gear motion is negligible above it."""
 LEAST_BAND = 0.1
-"""Of the sampling frequency, to which the low-pass may go up."""
+"""Maximum cut-off of the low-pass, as a share of the sampling rate."""
 
-_REACH = 1.96  # of a 95 % interval, in deviations
-_RIGID = 0.002  # of a value: as well as the rigid step counts in a fit
-_BEND = 0.565  # mean of (1 + r^2)^(-3/2) over normal errors: how the soft L1 loss bends
-_SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2)
+_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_RIGID = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
+_BEND = 0.565  # mean curvature (1 + r^2)^(-3/2) of the soft L1 loss, r standard normal
+_SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2), r standard normal
 
 
 def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple[Parameter, ...]:
-    """What the whole-arm fit would say of a guessed arm after such records.
+    """Predict the parameters and confidence intervals of a whole-arm fit of planned records.
 
-    Their rows are those of a fit: velocities of the motors and readings of those link sensors
-    whose channels are there, behind one low-pass. Errors are the sensors' noise alone, the
-    records' own unknowns are free, and the rigid step's values are known to 0.2 %.
+    The rows are those of a fit: filtered motor velocities and link sensor readings. The errors are
+    sensor noise only, the unknowns of the records are estimated, and the standard deviation of the
+    rigid-step estimates is 0.2 %.
 
-    `logs`: As they would be recorded, with the noise of the sensors; those of other uses than
-        "frequency", "sweep" and "tuning" are left out.
-    `values`: (name, joint) -> value of the guessed arm.
-
-    Returns: With the guess's values; empty where no record excites a gear.
+    `logs` are simulated records with sensor noise; only the uses "frequency", "sweep" and "tuning"
+    count. `values` maps (name, joint) to the assumed value, which is also the returned value.
+    Returns an empty tuple if no record excites a gear.
     """
     used = usable(logs, arm)
     if not used:
@@ -63,21 +61,21 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
 
 
 def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:
-    shown = min(velocity_band(log, arm) for log in used)
-    limit = LEAST_BAND / max(log.sample_time for log in used)
+    signal_hz = min(velocity_band(log, arm) for log in used)
+    sampling_limit = LEAST_BAND / max(log.sample_time for log in used)
     fastest = arm.fastest_resonance(known)
-    cutoff = min([shown, limit] + ([BAND * fastest] if fastest else []))
+    cutoff = min([signal_hz, sampling_limit] + ([BAND * fastest] if fastest else []))
     keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
     scale = np.array([_scale(key, values) for key in keys])
     records = [dataset_of(log, arm, cutoff) for log in used]
-    parts = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
+    evidence = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
     prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
     from_prior = prior.T @ prior
-    information = sum((own for own, _ in parts), from_prior)
+    information = sum((own for own, _ in evidence), from_prior)
     inverse = inverse_information(information)
-    errors = sum((own for _, own in parts), from_prior)
-    covariance = inverse @ errors @ inverse + LEAST_SHARE * inverse
+    gradient_covariance = sum((own for _, own in evidence), from_prior)
+    covariance = inverse @ gradient_covariance @ inverse + LEAST_SHARE * inverse
     return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
 
 
@@ -86,7 +84,7 @@ def _is_unknown(key: Key, known: Values) -> bool:
 
 
 def _scale(key: Key, values: Mapping[Key, float]) -> float:
-    """Of a parameter's unit; an offset's is that of its joint's Coulomb friction."""
+    """Magnitude of a parameter; of a friction offset, that of the Coulomb friction of its joint."""
     size = abs(values[(COULOMB, key[1]) if key[0] == OFFSET else key])
     return size or 1.0
 
@@ -94,42 +92,42 @@ def _scale(key: Key, values: Mapping[Key, float]) -> float:
 def _evidence(
     record: Dataset, values: Values, keys: Sequence[Key], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Information of one record, and the covariance of its gradient by its sensors' noise."""
-    seen, tangent = record.linearised(values, record.start(), keys)
-    n_rows, n_channels = seen.shape
-    n_begin, n = len(record.local), len(keys)
-    shifted = [k for k, channel in enumerate(record.channels) if channel.shifted]
-    n_own = n_begin + len(shifted)
+    """Fisher information of one record, and covariance of its gradient due to sensor noise."""
+    channels, tangent = record.linearised(values, record.start(), keys)
+    n_rows, n_channels = channels.shape
+    n_initial, n = len(record.local), len(keys)
+    biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
+    n_own = n_initial + len(biased)
     columns = np.zeros((n_rows, n_channels, n_own + n))
-    columns[..., :n_begin] = tangent[..., n:]
-    columns[:, shifted, range(n_begin, n_own)] = 1.0
+    columns[..., :n_initial] = tangent[..., n:]
+    columns[:, biased, range(n_initial, n_own)] = 1.0
     columns[..., n_own:] = tangent[..., :n] * scale
-    error = np.maximum(record.noise, LEAST_ERROR * np.std(seen, axis=0))
+    error = np.maximum(record.noise, LEAST_ERROR * np.std(channels, axis=0))
     repeats = repetitions_of(record)
     columns /= (error * np.sqrt(repeats))[:, None]
     flat = columns.reshape(-1, n_own + n)
-    if n_own:  # what the record's own unknowns cannot imitate
-        own = np.linalg.lstsq(flat[:, :n_own], flat[:, n_own:])[0]
-        shared = columns[..., n_own:] - columns[..., :n_own] @ own
+    if n_own:  # project out the unknowns of the record
+        coefficients = np.linalg.lstsq(flat[:, :n_own], flat[:, n_own:])[0]
+        shared = columns[..., n_own:] - columns[..., :n_own] @ coefficients
     else:
         shared = columns
     R = triangular_factor(np.ascontiguousarray(shared).reshape(-1, n))
     covariance = np.zeros((n, n))
     for k, channel in enumerate(record.channels):
         lags = np.zeros(n_rows)
-        own_lags = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:n_rows]
-        # a gradient has rows and errors, both over the root of the repetitions
-        lags[: len(own_lags)] = own_lags / own_lags[0] * _SLOPE / repeats[k]
+        noise_lags = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:n_rows]
+        # the gradient is a product of rows and errors, both divided by sqrt(repetitions)
+        lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _SLOPE / repeats[k]
         covariance += gradient_covariances(shared[:, k], (lags,))[0]
     return _BEND * R.T @ R, covariance
 
 
 def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> Iterator[FloatArray]:
-    """What the rigid step knows, in its deviations: (n_unknowns,) each."""
+    """Rigid-step estimates as rows (n_unknowns,), in standard deviations."""
     for column in arm.rigid_columns:
-        size = abs(value_of(column.parts, values))
-        if size > 0.0 and column.name != OFFSET:
-            yield combination(keys, column.parts) / (_RIGID * size)
+        magnitude = abs(value_of(column.parts, values))
+        if magnitude > 0.0 and column.name != OFFSET:
+            yield combination(keys, column.parts) / (_RIGID * magnitude)
 
 
 def _parameters(

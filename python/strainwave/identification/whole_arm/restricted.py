@@ -1,4 +1,4 @@
-"""What the user allows the whole-arm fit: parameters that are held, and ranges around the start."""
+"""Restrictions of the whole-arm fit by the options: held parameters and parameter ranges."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from strainwave.signals.recorded_input import missing_recorded_input
 
 
 def as_published(options: TuningOptions) -> TuningOptions:
-    """The options with all that `as_published` stands for; others as they are."""
+    """Expand the option `as_published` into the options that it implies."""
     if not options.as_published:
         return options
     return replace(
@@ -38,19 +38,17 @@ def as_published(options: TuningOptions) -> TuningOptions:
 
 
 def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
-    """The records that tuning as published rests on: steps under servo.
+    """Select the records of the published tuning method: steps in closed loop.
 
-    `logs`: That can be gone through again with recorded voltages.
-
-    Raises `NotIdentifiable`: there is none; `InvalidInput`: one lacks something that a simulation
-    in closed loop needs.
+    `logs` have the motor signals that a simulation needs. Raises `NotIdentifiable` if none has
+    use = "tuning", and `InvalidInput` if one lacks data for a closed-loop simulation.
     """
-    chosen = [log for log in logs if log.experiment.use == "tuning"]
-    if not chosen:
+    selected = [log for log in logs if log.experiment.use == "tuning"]
+    if not selected:
         raise NotIdentifiable(
             'tuning as published needs records with use = "tuning": steps under servo'
         )
-    for log in chosen:
+    for log in selected:
         missing = missing_recorded_input(arm, log)
         if missing is not None:
             raise InvalidInput(
@@ -58,19 +56,18 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
                 where=log.name,
                 remedy="give what is missing, or leave tuning.as_published out",
             )
-    return chosen
+    return selected
 
 
 def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
-    """Without the parameters that are held, the others within their ranges.
+    """Hold parameters and limit the ranges of the others, as the options require.
 
-    `z` (n_unknowns,): Where the fit starts: ranges lie around it, and held parameters stay there.
-
-    Raises `InvalidInput`: nothing is left to be fitted.
+    `z` (n_unknowns,) is the start of the fit: it fixes the held values and the centres of the
+    ranges. Raises `InvalidInput` if all parameters are held.
     """
-    if options.as_published:  # the records alone speak
-        empty = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
-        space = replace(space, prior=empty)
+    if options.as_published:  # the published method has no prior
+        no_prior = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
+        space = replace(space, prior=no_prior)
     values = space.values(z)
     held = {key: values[key] for key in space.keys if is_held(key, options)}
     if len(held) == len(space.unknowns):
@@ -87,29 +84,33 @@ def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> 
 
 
 def is_held(key: Key, options: TuningOptions) -> bool:
-    """Whether a parameter is not to be fitted."""
+    """Whether the options hold a parameter at its start."""
     return bool(set(_names(key)) & set(options.hold))
 
 
 def _names(key: Key) -> list[str]:
-    """What the options may call a parameter, the most particular first."""
+    """Names of a parameter in the options, the most specific first."""
     name, joint = key
-    each = dict.fromkeys((name, base_name(name)))  # of one record, then of all
-    names = [own for n in each for own in ([n] if joint is None else [f"{n} {joint}", n])]
-    if name != STIFFNESS and is_slope(name):  # one word for all slopes of a gear
+    base_names = dict.fromkeys((name, base_name(name)))  # for one record, then for all records
+    names = [
+        full_name
+        for n in base_names
+        for full_name in ([n] if joint is None else [f"{n} {joint}", n])
+    ]
+    if name != STIFFNESS and is_slope(name):  # one name covers all slopes of a gear
         names += [f"{STIFFNESS} {joint}", STIFFNESS]
     return names
 
 
 def _range(options: TuningOptions, key: Key) -> tuple[float, float] | None:
-    """Factors of the start; what a sensor does to its signal is no parameter of the arm."""
+    """Lower and upper factor of the start; None if the options do not limit the parameter."""
     given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
-    usual = options.as_published and not is_sensor_constant(key)
-    return given or (PUBLISHED_RANGE if usual else None)
+    is_limited = options.as_published and not is_sensor_constant(key)
+    return given or (PUBLISHED_RANGE if is_limited else None)
 
 
 def _limited(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
-    """Within factors of the value at a coordinate; what is zero there has no such range."""
+    """Limit an unknown to factors of its value at coordinate `at`; a zero value is not limited."""
     if factors is None:
         return unknown
     if not unknown.signed:
