@@ -1,19 +1,20 @@
-"""LinkSignals, Decoupled -> JointModel: physical parameters straight from the equations of motion.
+"""Estimate the physical parameters of one joint from its equations of motion.
 
-With both sides of the gear measured, (1) and (2) of one joint are two equations per sample,
+If both sides of the gear are measured, (1) and (2) of one joint give two equations per sample:
 
     u + n tau = m_M dw_M + d_M w_M + f s + n (m_L dw_L + d_L w_L)                          (S6)
     delta = c (m_L dw_L + d_L w_L - tau) - t ddelta,     c = 1/k, t = d_G/k                (S7)
 
-(S6) is linear in its parameters; (S7) is linearised around the last ones, and says of the torsion
-what the torque through the gear makes of it. Both pass one zero-phase band-pass around the
-anti-resonance and the resonance, which keeps out bias and drift of the sensors below and their
-noise above. Every signal has the sensors' own filters behind it (`LinkSignals.shared`), so those
-drop out of the equations. Friction where the motor may stand is an unknown of its own, about what
-the velocity shows there; what hangs on that joins the covariance.
+(S6) is linear in its parameters. (S7) relates the torsion to the torque through the gear and is
+linearised around the current iterate. Both equations pass through one zero-phase band-pass around
+the anti-resonance and the resonance, which removes sensor bias and drift below the band and sensor
+noise above it. All signals have passed through the same sensor filters (`LinkSignals.shared`), so
+these filters cancel in the equations. Where the motor may be in stiction, its friction torque is an
+additional unknown with a prior from the measured velocity; the effect of that prior is added to the
+covariance.
 
-What the rigid model knows, c_1 = m_M + n^2 m_L, c_0 = d_M + n^2 d_L and the Coulomb friction, joins
-as one more equation each, weighted by its deviation.
+The quantities that the rigid model gives, c_1 = m_M + n^2 m_L, c_0 = d_M + n^2 d_L and the Coulomb
+friction, are added as one equation each, weighted by the inverse of its standard deviation.
 """
 
 from __future__ import annotations
@@ -45,36 +46,40 @@ from strainwave.signals.standstill import free_friction, responses
 Seen = TypeVar("Seen", LinkSignals, Decoupled)
 
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
-"""Unknowns: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
+"""Unknowns of the regression: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
 
 _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
 
-_BELOW = 2.5  # anti-resonance over the band's lower edge
-_ABOVE = 1.8  # the band's upper edge over the resonance: half-way to what next bends
-FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
-_SLOWEST = 6.0  # periods of the lower edge in the shortest record, at least
-_BANDS = 6  # rounds in which the band may move
-_SAME_BAND = 0.05
-# samples of a record in which its band is looked for; records as long as this are searched whole
+_BELOW = 2.5  # ratio of the anti-resonance to the lower edge of the band
+# ratio of the upper edge of the band to the resonance; the next structural resonance is higher
+_ABOVE = 1.8
+# initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
+FIRST_BAND_HZ = (3.0, 60.0)
+_SLOWEST = 6.0  # minimum number of periods of the lower edge in the shortest record
+_BANDS = 6  # maximum number of bands in the search
+_SAME_BAND = 0.05  # relative difference of the edges up to which two bands are the same
+# number of samples used to search for the band; shorter records are used completely
 _SEARCHED = 1 << 16
-_OTHER_BAND = 1.3  # factor by which band edges are moved to see the residuals out
-_ROUNDS = 8  # of weights and linearisation at one band, at most
-# of a deviation, by which a round still moves the unknowns: in an answer, and where all that is
-# looked for is the next band, whose edges need no more than percents
+_OTHER_BAND = 1.3  # factor on the band edges for the estimate of the model error
+_ROUNDS = 8  # maximum number of iterations of weights and linearisation in one band
+# convergence tolerances in standard deviations: for the final estimate, and for the search for the
+# band, whose edges need an accuracy of only a few percent
 _SETTLED, _COARSELY = 0.05, 10.0
-_NEARLY = 0.5  # the same where the answer serves to see how much the band matters
-_ROWS_PER_HZ = 4.0
-_BLOCKS = 20
-_KNOTS = 8.0  # of free friction, in periods of the upper edge
-_SUREST = 1e-6  # relative deviation of what the rigid model gives, at least: weights stay finite
-_STANDING = 0.58  # deviation of a torque anywhere in [-f, f], in f
-# the same where the velocity's sign is taken at its word, to see what hangs on that: a tenth
+_NEARLY = 0.5  # the same tolerance for the fits that measure the model error
+_ROWS_PER_HZ = 4.0  # rows per second and per hertz of the upper edge, twice the Nyquist rate
+_BLOCKS = 20  # blocks of the jackknife over all records
+_KNOTS = 8.0  # knots of the free friction per period of the upper edge
+# minimum relative standard deviation of values from the rigid model, which keeps weights finite
+_SUREST = 1e-6
+# prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
+_STANDING = 0.58
+# the same for friction that follows the sign of the measured velocity: a tenth
 _TAKEN = 0.058
 
 
 @dataclass(frozen=True, slots=True)
 class RigidError:
-    """What one standard deviation along one direction of the rigid model's scatter changes."""
+    """Changes for one standard deviation along one eigenvector of the rigid model's covariance."""
 
     tau: tuple[FloatArray, ...]  # one per record, (n_samples,) [N m] at the link
     total_inertia: float  # [kg m^2]
@@ -84,15 +89,15 @@ class RigidError:
 
 @dataclass(frozen=True, slots=True)
 class RigidKnowledge:
-    """What the rigid step knows of one joint, with deviations; None: nothing."""
+    """Values from the rigid step for one joint, as (value, standard deviation), or None."""
 
     total_inertia: tuple[float, float] | None  # c_1 [kg m^2]
     total_viscous_friction: tuple[float, float] | None  # c_0 [N m s/rad]
     coulomb_friction: tuple[float, float] | None  # f [N m]
-    errors: tuple[RigidError, ...] = ()  # directions in which tau is uncertain
+    errors: tuple[RigidError, ...] = ()  # independent error directions of tau
 
     def moved(self, error: RigidError) -> RigidKnowledge:
-        """The same with one error in it."""
+        """The values changed by one error."""
         return RigidKnowledge(
             _moved(self.total_inertia, error.total_inertia),
             _moved(self.total_viscous_friction, error.total_viscous_friction),
@@ -100,7 +105,7 @@ class RigidKnowledge:
         )
 
     def of_record(self, k: int) -> RigidKnowledge:
-        """The same for one of the records alone."""
+        """The values and errors for record `k` alone."""
         errors = tuple(replace(error, tau=(error.tau[k],)) for error in self.errors)
         return replace(self, errors=errors)
 
@@ -111,12 +116,12 @@ def _moved(known: tuple[float, float] | None, change: float) -> tuple[float, flo
 
 @dataclass(frozen=True, slots=True)
 class GreyBoxFit:
-    """One joint's parameters with their covariance."""
+    """Parameters of one joint with their covariance."""
 
     joint: TwoInertia
     coulomb_friction: float
-    covariance: FloatArray  # (7, 7) of the six of `NAMES`, then the Coulomb friction
-    determined: tuple[bool, ...]  # (7,)
+    covariance: FloatArray  # (7, 7) in the order of `NAMES`, then the Coulomb friction
+    determined: tuple[bool, ...]  # (7,) in the same order
     band_hz: tuple[float, float]
     torque_fit_percent: float  # of (S6)
     torsion_fit_percent: float  # of (S7)
@@ -126,39 +131,47 @@ class GreyBoxFit:
 
 @dataclass(frozen=True, slots=True)
 class Solved:
-    """One joint's equations in a band, solved, and in those beside it."""
+    """Solved equations of one joint in its band and in two neighbouring bands."""
 
     records: tuple[tuple[LinkSignals, Decoupled], ...]
     arm: Arm
     known: RigidKnowledge
     band: tuple[float, float]
     own: _Weighted
-    as_it_shows: _Weighted  # with friction as the velocity shows it, also where that is in doubt
-    beside: tuple[_Weighted, ...]  # in a narrower band and a wider one; none where it was given
+    as_it_shows: _Weighted  # with friction that follows the sign of the velocity everywhere
+    beside: tuple[_Weighted, ...]  # in a narrower and a wider band; empty if the band is given
 
     def fit(self) -> GreyBoxFit:
-        """What the solutions say."""
-        found = _result(self.own, self.known, self.band)
-        doubt = _physical(self.as_it_shows.x) - _physical(self.own.x)
-        found = replace(found, covariance=found.covariance + np.outer(doubt, doubt))
+        """Estimates, with the model error added to the covariance.
+
+        The model error consists of the changes of the estimates with the treatment of friction near
+        zero velocity and with the band.
+        """
+        fit = _result(self.own, self.known, self.band)
+        friction_change = _physical(self.as_it_shows.x) - _physical(self.own.x)
+        fit = replace(fit, covariance=fit.covariance + np.outer(friction_change, friction_change))
         if not self.beside:
-            return found
-        moves = [_physical(other.x) - _physical(self.own.x) for other in self.beside]
-        return replace(found, covariance=found.covariance + _model_error(moves))
+            return fit
+        changes = [_physical(other.x) - _physical(self.own.x) for other in self.beside]
+        return replace(fit, covariance=fit.covariance + _model_error(changes))
 
     def of_record(self, k: int) -> Solved:
-        """One of the records alone, which starts from what all say in the same bands.
+        """Fit record `k` alone, starting from the solution of all records in the same bands.
 
-        Returns: In bands of its own where its resonance is elsewhere.
+        If its resonances are elsewhere, the record is solved in bands of its own.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
-        own = _settled(self.own.of_record(k, known), known, _SETTLED)
-        better = _band_around(_joint_of(own), record, self.band)
-        if not same_band(self.band, better, _SAME_BAND):
+        weighted = _settled(self.own.of_record(k, known), known, _SETTLED)
+        band = _band_around(_joint_of(weighted), record, self.band)
+        if not same_band(self.band, band, _SAME_BAND):
             return solve(record, self.arm, known, search_from_hz=self.band)
-        shown = _settled(self.as_it_shows.of_record(k, known), known, _NEARLY)
-        beside = [_settled(each.of_record(k, known), known, _NEARLY) for each in self.beside]
-        return Solved(record, self.arm, known, self.band, own, shown, tuple(beside))
+        with_sign_friction = _settled(self.as_it_shows.of_record(k, known), known, _NEARLY)
+        in_other_bands = [
+            _settled(each.of_record(k, known), known, _NEARLY) for each in self.beside
+        ]
+        return Solved(
+            record, self.arm, known, self.band, weighted, with_sign_friction, tuple(in_other_bands)
+        )
 
 
 def solve(
@@ -168,13 +181,10 @@ def solve(
     band_hz: tuple[float, float] | None = None,
     search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
 ) -> Solved:
-    """Solve one joint's equations for its physical parameters, from one or several records.
+    """Estimate the physical parameters of one joint from one or several records.
 
-    `records`: Of one joint.
-    `band_hz`: Of the equations' filter; None: from the resonances found.
-    `search_from_hz`: Band in which they are first looked for.
-
-    Raises `NotIdentifiable`: the link has no sensor.
+    `band_hz` is the filter band; None derives it from the estimated resonances, and the search
+    starts in `search_from_hz`. Raises `NotIdentifiable` if the link has no sensor.
     """
     for signals, joint in records:
         if signals.sources[joint.joint - 1] == "motor":
@@ -185,15 +195,17 @@ def solve(
     if band_hz:
         band, equations = band_hz, _equations(records, arm, known, band_hz)
     else:
-        part = _found_in_part(records, arm, known, search_from_hz)
-        band, equations = part or _found(records, arm, known, search_from_hz)
-    own = _settled(equations, known, _SETTLED)
-    shown = _settled(_as_it_shows(own, known), known, _NEARLY)
-    beside = []
+        search_result = _found_in_part(records, arm, known, search_from_hz)
+        band, equations = search_result or _found(records, arm, known, search_from_hz)
+    weighted = _settled(equations, known, _SETTLED)
+    with_sign_friction = _settled(_as_it_shows(weighted, known), known, _NEARLY)
+    in_other_bands = []
     for low, high in () if band_hz else _other_bands(band):
-        other = _equations(records, arm, known, _possible(low, high, records), own)
-        beside.append(_settled(other, known, _NEARLY))
-    return Solved(tuple(records), arm, known, band, own, shown, tuple(beside))
+        other = _equations(records, arm, known, _possible(low, high, records), weighted)
+        in_other_bands.append(_settled(other, known, _NEARLY))
+    return Solved(
+        tuple(records), arm, known, band, weighted, with_sign_friction, tuple(in_other_bands)
+    )
 
 
 def _found(
@@ -202,15 +214,15 @@ def _found(
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
 ) -> tuple[tuple[float, float], _Weighted]:
-    """The band around the resonances, round by round, and the equations in it."""
+    """Iterate the band around the resonances; return it with the equations in it."""
     band = _possible(*search_from_hz, records)
     equations = _equations(records, arm, known, band)
     for _ in range(_BANDS - 1):
         equations = _settled(equations, known, _COARSELY)
-        better = _band_around(_joint_of(equations), records, band)
-        if same_band(band, better, _SAME_BAND):
+        next_band = _band_around(_joint_of(equations), records, band)
+        if same_band(band, next_band, _SAME_BAND):
             break
-        band = better
+        band = next_band
         equations = _equations(records, arm, known, band, equations)
     return band, equations
 
@@ -221,52 +233,52 @@ def _found_in_part(
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
 ) -> tuple[tuple[float, float], _Weighted] | None:
-    """The same with the band from the middle of long records, which all of them must confirm.
+    """The same with a search in the middle of long records, confirmed by the complete records.
 
-    None where no record is long, or where the whole of them asks for another band: a sweep's
-    middle, say, need not ring.
+    None if no record is long, or if the complete records need another band: the middle of a sweep,
+    for example, need not contain the resonances.
     """
     if all(len(signals.time) <= _SEARCHED for signals, _ in records):
         return None
     middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
-    band, near = _found(middle, arm, known, search_from_hz)
-    equations = _settled(_equations(records, arm, known, band, near), known, _COARSELY)
-    better = _band_around(_joint_of(equations), records, band)
-    return (band, equations) if same_band(band, better, _SAME_BAND) else None
+    band, middle_equations = _found(middle, arm, known, search_from_hz)
+    equations = _settled(_equations(records, arm, known, band, middle_equations), known, _COARSELY)
+    confirmed_band = _band_around(_joint_of(equations), records, band)
+    return (band, equations) if same_band(band, confirmed_band, _SAME_BAND) else None
 
 
 def _middle(seen: Seen) -> Seen:
-    """The `_SEARCHED` samples in the middle of a record; all, where there are no more."""
+    """The `_SEARCHED` samples in the middle of a record, or the whole record if it is shorter."""
     n = len(seen.time)
     if n <= _SEARCHED:
         return seen
     start = (n - _SEARCHED) // 2
     columns = {f.name: getattr(seen, f.name) for f in fields(seen)}
-    cut: dict[str, Any] = {
+    middle: dict[str, Any] = {
         name: column[start : start + _SEARCHED]
         for name, column in columns.items()
         if isinstance(column, np.ndarray) and len(column) == n
     }
-    return replace(seen, **cut)
+    return replace(seen, **middle)
 
 
 def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """A narrower one and a wider one."""
+    """A narrower band and a wider band."""
     low, high = band
     return (low * _OTHER_BAND, high / _OTHER_BAND), (low / _OTHER_BAND, high * _OTHER_BAND)
 
 
 def _model_error(moves: Sequence[FloatArray]) -> FloatArray:
-    """Covariance from what the equations leave out, as it shows in how the band changes the answer.
+    """Covariance of the model error, from the changes of the estimates with the band.
 
-    Were the model exact, each band would give the same within its deviations.
+    With an exact model, the estimates of all bands would agree within their standard deviations.
     """
     return np.asarray(np.mean([np.outer(move, move) for move in moves], axis=0))
 
 
 @dataclass(frozen=True, slots=True)
 class _Piece:
-    """One record's filtered columns, at the rows kept."""
+    """Filtered columns of one record at the selected rows."""
 
     ratio: float
     band: tuple[float, float]
@@ -277,37 +289,37 @@ class _Piece:
     motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
     link: FloatArray  # (n_rows, 2) dw_L, w_L
     torsion: FloatArray  # (n_rows, 2) delta, ddelta
-    free: Banded  # (n_rows, n_free) shapes of free friction
+    free: Banded  # (n_rows, n_free) shape functions of the free friction
 
     def passed(self, signal: FloatArray) -> FloatArray:
-        """A signal of the record, (n_samples,), as its columns are."""
+        """Filter a signal (n_samples,) of the record like the columns, and select the rows."""
         return band_pass(signal, *self.band, self.sample_time)[self.rows]
 
 
 @dataclass(frozen=True, slots=True)
 class _Weighted:
-    """Equations in one band, with the weights that their last solution gives."""
+    """Equations in one band with the weights of their last solution."""
 
     pieces: tuple[_Piece, ...]
     equations: ls.Equations
     root: FloatArray  # (n_rows,) square roots of the weights
-    x: FloatArray  # around which they are linear
-    standing: float = _STANDING  # deviation of free friction about what the velocity shows, in f
+    x: FloatArray  # point of linearisation
+    standing: float = _STANDING  # prior standard deviation of the free friction, in f
 
     def of_record(self, k: int, known: RigidKnowledge) -> _Weighted:
-        """The equations of one record alone, with what is known of it."""
+        """The equations of record `k` alone, with the values from the rigid step."""
         pieces = self.pieces[k : k + 1]
         equations = _assemble(pieces, known, self.x, self.standing)
-        own = self.root[self.equations.group // 2 == k]
+        record_root = self.root[self.equations.group // 2 == k]
         root = np.ones_like(equations.target)
-        root[: len(own)] = own
+        root[: len(record_root)] = record_root
         return replace(self, pieces=pieces, equations=equations, root=root)
 
 
 def _possible(
     low: float, high: float, records: Sequence[tuple[LinkSignals, Decoupled]]
 ) -> tuple[float, float]:
-    """The band cut to what the records hold."""
+    """Limit the band to the frequencies that the records contain."""
     for signals, _ in records:
         low = max(low, _SLOWEST / (len(signals.time) * signals.sample_time))
         high = min(high, 0.4 / signals.sample_time, 0.8 * (signals.bandwidth_hz or np.inf))
@@ -331,9 +343,9 @@ def _piece(
     i, T = decoupled.joint - 1, signals.sample_time
     n = arm.joints[i].gear_ratio
     low, high = band
-    reach = int(1.5 / (low * T))
-    reach = min(reach, len(signals.time) // 4)
-    rows = np.arange(reach, len(signals.time) - reach, max(1, int(1.0 / (_ROWS_PER_HZ * high * T))))
+    edge = int(1.5 / (low * T))
+    edge = min(edge, len(signals.time) // 4)
+    rows = np.arange(edge, len(signals.time) - edge, max(1, int(1.0 / (_ROWS_PER_HZ * high * T))))
 
     torque = signals.motor_torque[:, i]
     columns = [
@@ -343,17 +355,18 @@ def _piece(
         signals.motor_angle[:, i],
         signals.link_acceleration[:, i],
     ]
-    # of the motor's angle its derivatives, of the link's acceleration its integrals
-    wanted = [(0, 0), (1, 0), (2, 0), (3, 0), (3, -1), (3, -2), (4, 0), (4, 1), (4, 2)]
+    # (column, order of differentiation): derivatives of the motor angle, integrals of the link
+    # acceleration
+    orders = [(0, 0), (1, 0), (2, 0), (3, 0), (3, -1), (3, -2), (4, 0), (4, 1), (4, 2)]
     if signals.sources[i] in ("encoder", "deflection"):
         columns += [signals.link_velocity[:, i], signals.link_angle[:, i]]
-        wanted[-2:] = [(5, 0), (6, 0)]
-    passed = band_passes(np.column_stack(columns), wanted, low, high, T)[rows]
-    torque, tau, slid, motor_angle, motor_velocity, motor_acceleration = passed[:, :6].T
-    link_acceleration, link_velocity, link_angle = passed[:, 6:].T
-    around = int(2.0 / (low * T))  # the band-pass's answer has then fallen below 1e-5
-    impulse = np.zeros(2 * around + 1)
-    impulse[around] = 1.0
+        orders[-2:] = [(5, 0), (6, 0)]
+    filtered = band_passes(np.column_stack(columns), orders, low, high, T)[rows]
+    torque, tau, direction, motor_angle, motor_velocity, motor_acceleration = filtered[:, :6].T
+    link_acceleration, link_velocity, link_angle = filtered[:, 6:].T
+    half_length = int(2.0 / (low * T))  # the impulse response is below 1e-5 beyond it
+    impulse = np.zeros(2 * half_length + 1)
+    impulse[half_length] = 1.0
     kernel = band_pass(unaliased(impulse, signals.shared, T, "straight"), low, high, T)
     shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS * high * T))))
     return _Piece(
@@ -363,7 +376,7 @@ def _piece(
         rows=rows,
         torque=torque + n * tau,
         tau=tau,
-        motor=np.column_stack([motor_acceleration, motor_velocity, slid]),
+        motor=np.column_stack([motor_acceleration, motor_velocity, direction]),
         link=np.column_stack([link_acceleration, link_velocity]),
         torsion=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity]),
         free=responses(shapes, rows, kernel),
@@ -377,7 +390,11 @@ def _equations(
     band: tuple[float, float],
     near: _Weighted | None = None,
 ) -> _Weighted:
-    """In one band: around the solution in another, where there is one, and weighted as there."""
+    """Assemble the equations in one band.
+
+    `near` is the solution in another band. It gives the point of linearisation and the weights;
+    without it, both are estimated from the data.
+    """
     pieces = tuple(_piece(signals, joint, arm, band) for signals, joint in records)
     if near is None:
         x = _start(pieces)
@@ -387,61 +404,65 @@ def _equations(
     equations = _assemble(pieces, known, near.x)
     root = np.ones_like(equations.target)
     for group in range(2 * len(pieces)):
-        usual = np.median(near.root[near.equations.group == group])
-        root[equations.group == group] = usual
+        typical_root = np.median(near.root[near.equations.group == group])
+        root[equations.group == group] = typical_root
     return _Weighted(pieces, equations, root, near.x)
 
 
 def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weighted:
-    """Weights and linearisation in turn, until a round moves no unknown by `within` deviations."""
+    """Iterate weights and linearisation to convergence.
+
+    Iteration stops when no unknown changes by more than `within` standard deviations.
+    """
     pieces, equations, root, x = weighted.pieces, weighted.equations, weighted.root, weighted.x
     for _ in range(_ROUNDS):
         stop_if_asked()
         factor = ls.factorise(equations, root)
-        settled = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
+        has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
         x = factor.value
         equations = _assemble(pieces, known, x, weighted.standing)
         root = ls.root_weights(equations, factor)
-        if settled:
+        if has_converged:
             break
     return _Weighted(pieces, equations, root, x, weighted.standing)
 
 
 def _as_it_shows(own: _Weighted, known: RigidKnowledge) -> _Weighted:
-    """The same equations with friction that follows the velocity's sign where that is in doubt.
+    """The same equations with friction that follows the sign of the velocity everywhere.
 
-    A reversal takes a few samples within an encoder's counts, where friction is one more unknown.
-    What the data say of it depends on their noise, and so does what it takes from the others.
+    Within the resolution of the encoder a reversal lasts a few samples, in which the friction
+    torque is an additional unknown. How well the data determine it, and its effect on the other
+    estimates, depend on their noise.
     """
     return replace(own, equations=_assemble(own.pieces, known, own.x, _TAKEN), standing=_TAKEN)
 
 
 def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge) -> FloatArray:
-    """Columns: how far each of the rigid model's errors moves the unknowns."""
+    """Changes of the unknowns for each error of the rigid model, one column per error."""
     if not known.errors:
         return np.zeros((len(COLUMNS), 0))
     pieces, x = weighted.pieces, weighted.x
     columns = []
     for error in known.errors:
-        change = []
+        changes = []
         for p, tau in zip(pieces, error.tau, strict=True):
-            more = p.passed(tau)
-            change += [p.ratio * more, x[_COMPLIANCE] * more]
-        _, before = _knowledge(known, pieces[0].ratio)
-        _, after = _knowledge(known.moved(error), pieces[0].ratio)
-        columns.append(np.concatenate([*change, after - before]))
+            tau_change = p.passed(tau)
+            changes += [p.ratio * tau_change, x[_COMPLIANCE] * tau_change]
+        _, prior = _knowledge(known, pieces[0].ratio)
+        _, changed_prior = _knowledge(known.moved(error), pieces[0].ratio)
+        columns.append(np.concatenate([*changes, changed_prior - prior]))
     return ls.moves(weighted.equations, factor, np.column_stack(columns))
 
 
 def _start(pieces: Sequence[_Piece]) -> FloatArray:
-    """(S6) alone gives the inertias; the torsion per torque, the compliance."""
+    """Starting values: inertias and friction from (S6), then compliance and damping from (S7)."""
     x = np.zeros(len(COLUMNS))
     motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
     torque = np.concatenate([p.torque for p in pieces])
     x[[_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK]] = np.linalg.lstsq(motor, torque)[0]
-    through = np.concatenate([x[_LINK] * p.link[:, 0] - p.tau for p in pieces])
+    gear_torque = np.concatenate([x[_LINK] * p.link[:, 0] - p.tau for p in pieces])
     torsion = np.concatenate([p.torsion for p in pieces])
-    columns = np.column_stack([through, -torsion[:, 1]])
+    columns = np.column_stack([gear_torque, -torsion[:, 1]])
     x[[_COMPLIANCE, _RELAXATION]] = np.linalg.lstsq(columns, torsion[:, 0])[0]
     return x
 
@@ -449,32 +470,32 @@ def _start(pieces: Sequence[_Piece]) -> FloatArray:
 def _assemble(
     pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STANDING
 ) -> ls.Equations:
-    """(S6) and (S7) of all records around x, then what the rigid model knows."""
+    """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
     shared, local, target, group, block, deviation = [], [], [], [], [], []
     total = sum(len(p.torque) for p in pieces)
-    first_block = at = 0
+    first_block = n_before = 0
     for number, p in enumerate(pieces):
         n_rows, n_free = len(p.torque), p.free.n_columns
         motor = np.zeros((n_rows, len(COLUMNS)))
         motor[:, [_MOTOR, _MOTOR_VISCOUS, _COULOMB]] = p.motor
         motor[:, [_LINK, _LINK_VISCOUS]] = p.ratio * p.link
         gear = np.zeros((n_rows, len(COLUMNS)))
-        own = p.link @ x[[_LINK, _LINK_VISCOUS]]
+        link_torque = p.link @ x[[_LINK, _LINK_VISCOUS]]
         gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
-        gear[:, _COMPLIANCE] = own - p.tau
+        gear[:, _COMPLIANCE] = link_torque - p.tau
         gear[:, _RELAXATION] = -p.torsion[:, 1]
-        local.append(ls.Local(at + np.arange(n_rows), p.free))
-        at += 2 * n_rows
+        local.append(ls.Local(n_before + np.arange(n_rows), p.free))
+        n_before += 2 * n_rows
         n_blocks = max(2, round(_BLOCKS * n_rows / total))
-        label = first_block + np.arange(n_rows) * n_blocks // n_rows
+        block_index = first_block + np.arange(n_rows) * n_blocks // n_rows
         first_block += n_blocks
         shared += [motor, gear]
-        target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * own]
+        target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * link_torque]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
-        block += [label, label]
+        block += [block_index, block_index]
         deviation += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
-    beforehand, values = _knowledge(known, pieces[0].ratio)
-    rows = np.concatenate([*shared, beforehand])
+    prior_rows, prior_values = _knowledge(known, pieces[0].ratio)
+    rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
         shared=rows,
         noise=np.zeros(len(COLUMNS)),
@@ -482,14 +503,14 @@ def _assemble(
         common_deviation=np.zeros(0),
         local=tuple(local),
         local_deviation=np.array(deviation),
-        target=np.concatenate([*target, values]),
-        group=np.concatenate([*group, np.full(len(values), ls.KNOWN)]),
-        block=np.concatenate([*block, np.full(len(values), ls.KNOWN)]),
+        target=np.concatenate([*target, prior_values]),
+        group=np.concatenate([*group, np.full(len(prior_values), ls.KNOWN)]),
+        block=np.concatenate([*block, np.full(len(prior_values), ls.KNOWN)]),
     )
 
 
 def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
-    """Rows and right sides, each divided by its deviation."""
+    """Rows and right-hand sides for the rigid-step values, divided by their standard deviations."""
     rows, values = [], []
     for value, columns in (
         (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
@@ -512,11 +533,11 @@ def _joint_of(weighted: _Weighted) -> TwoInertia:
 
 
 def _physical(x: FloatArray) -> FloatArray:
-    """The six of `NAMES`, then the Coulomb friction."""
+    """Physical parameters in the order of `NAMES`, then the Coulomb friction."""
     k = 1.0 / x[_COMPLIANCE]
     gear = [k, k * x[_RELAXATION]]
-    first = x[[_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS]]
-    return np.concatenate([first, gear, x[[_COULOMB]]])
+    inertia_and_friction = x[[_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS]]
+    return np.concatenate([inertia_and_friction, gear, x[[_COULOMB]]])
 
 
 def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
@@ -524,7 +545,7 @@ def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float
     factor = ls.factorise(equations, weighted.root)
     covariance, _ = ls.jackknife(equations, factor)
     identified = ls.determined(equations, factor, covariance)
-    # tau came from the rigid model, whose errors no row of the data shows
+    # tau is computed from the rigid model; its error does not appear in the residuals
     errors = _rigid_errors(weighted, factor, known)
     covariance = covariance + errors @ errors.T
     J = jacobian(_physical, x)

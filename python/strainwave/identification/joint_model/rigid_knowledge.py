@@ -1,4 +1,4 @@
-"""RigidModel -> what it knows of one joint, and how far its errors reach."""
+"""Values of one joint from the `RigidModel`, with the errors that they cause elsewhere."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ from strainwave.identification.joint_model.grey_box import RigidError, RigidKnow
 def rigid_knowledge(
     model: RigidModel | None, arm: Arm, joint: int, records: Sequence[LinkSignals] = ()
 ) -> RigidKnowledge:
-    """c_1, c_0 and f of one joint, each with its deviation, as the rigid model gives them.
+    """c_1, c_0 and Coulomb friction of one joint from the rigid model, with standard deviations.
 
-    `joint`: From 1.
-    `records`: In which the interaction torques come from the model.
-
-    Returns: None for what it does not give.
+    `joint` counts from 1. The interaction torques of `records` come from the model; its errors in
+    them are part of the result. A value that the model does not give is None.
     """
     if model is None:
         return RigidKnowledge(None, None, None)
@@ -38,7 +36,7 @@ def rigid_knowledge(
 
 
 def _weight(model: RigidModel, part: Row) -> FloatArray | None:
-    """Of each parameter; None where one is not known."""
+    """Weight of each rigid parameter in a sum; None if one of them is unknown."""
     weight = np.array([part.get((p.name, p.joint), 0.0) for p in model.parameters])
     identified = np.array([p.value is not None for p in model.parameters])
     if np.count_nonzero(weight) != len(part) or not identified[weight != 0.0].all():
@@ -47,7 +45,7 @@ def _weight(model: RigidModel, part: Row) -> FloatArray | None:
 
 
 def _sum(model: RigidModel, weight: FloatArray | None) -> tuple[float, float] | None:
-    """A weighted sum of rigid parameters and its deviation."""
+    """Weighted sum of rigid parameters and its standard deviation."""
     if weight is None:
         return None
     used = np.flatnonzero(weight)
@@ -62,29 +60,29 @@ def _errors(
     records: Sequence[LinkSignals],
     weights: Sequence[FloatArray | None],
 ) -> Iterator[RigidError]:
-    """Directions in which tau is uncertain, with what else moves along with them on average."""
+    """Independent error directions of tau, with the expected changes of the other parameters."""
     if is_uncoupled(arm):
         return
     variations = base_variations(model, arm)
     used = np.flatnonzero(variations.any(axis=0))
-    used = used[np.diag(model.covariance)[used] > 0.0]  # not NaN either
-    size = np.sqrt(np.diag(model.covariance)[used])
+    used = used[np.diag(model.covariance)[used] > 0.0]  # excludes NaN
+    scale = np.sqrt(np.diag(model.covariance)[used])
     covariance = model.covariance[np.ix_(used, used)]
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    # what is known of the other parameters once these are: E[x | used]
-    follows = np.nan_to_num(model.covariance[:, used]) @ np.linalg.pinv(covariance)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    # regression of the other parameters on the used ones: E[x | used]
+    regression = np.nan_to_num(model.covariance[:, used]) @ np.linalg.pinv(covariance)
     for value, vector in zip(values, vectors.T, strict=True):
         if value <= 0.0:
             continue
-        step = size * vector * np.sqrt(value)
-        change = follows @ step
+        step = scale * vector * np.sqrt(value)
+        change = regression @ step
         change[used] = step
         base = variations @ change
-        moves = [0.0 if weight is None else float(weight @ change) for weight in weights]
+        changes = [0.0 if weight is None else float(weight @ change) for weight in weights]
         tau = tuple(
             interaction_torques(arm, base, s.link_angle, s.link_velocity, s.link_acceleration)[
                 :, joint - 1
             ]
             for s in records
         )
-        yield RigidError(tau, *moves)
+        yield RigidError(tau, *changes)

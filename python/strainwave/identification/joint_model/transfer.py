@@ -1,8 +1,9 @@
-"""StateSpace, RigidModel -> JointModel: physical parameters from transfer functions, (15)-(18).
+"""Compute physical parameters from the transfer functions of a state-space model, (15)-(18).
 
-G11 of the paper, motor torque to motor velocity, is read off the state-space model: its lightly
-damped zero pair gives b1, b2, its pole pair d1, d2. The slow lag of (17), which fast records hardly
-show, is the rigid model's: (18) puts c_0 + c_1 s in its place. What follows is a closed form.
+The state-space model gives G11, the transfer function from motor torque to motor velocity. Its
+lightly damped zero pair gives b1, b2; its pole pair gives d1, d2. Fast records hardly determine the
+slow pole of (17), so (18) replaces it by c_0 + c_1 s from the rigid model. The physical parameters
+then follow in closed form.
 """
 
 from __future__ import annotations
@@ -43,20 +44,20 @@ from strainwave.identification.joint_model.linear import (
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
 
-_IDENTIFIED = 1.0  # relative deviation beyond which even the sign is a guess
-_SLOW = 0.1  # of the anti-resonance: (18) asks for c_0/c_1 far below
-_HEAVIER = 0.1  # relative difference of c_1 to the model's own that is worth a word
-_RECIPROCAL = 70.0  # per cent; noise leaves above 90 on good records
-_LINES = 25  # at which G12 and G21 are compared
+_IDENTIFIED = 1.0  # relative standard deviation above which the sign is not determined
+_SLOW = 0.1  # maximum of c_0/c_1 relative to the anti-resonance, an assumption of (18)
+_HEAVIER = 0.1  # relative difference of c_1 between the two models that causes a warning
+_RECIPROCAL = 70.0  # [percent] minimum agreement of G12 and G21; good records give above 90
+_LINES = 25  # number of frequencies at which G12 and G21 are compared
 
 
 @dataclass(frozen=True, slots=True)
 class _Pairs:
-    """What is read off G11."""
+    """Lightly damped pole and zero pair of G11, and its slow lag."""
 
     zero: complex
     pole: complex
-    lag: tuple[float, float]  # c_0, c_1 of the model itself, where it rings
+    lag: tuple[float, float]  # c_0, c_1 of the state-space model near its resonance
 
     @property
     def vector(self) -> FloatArray:
@@ -72,54 +73,56 @@ def from_state_space(
     known: RigidKnowledge,
     others: Sequence[StateSpace] = (),
 ) -> JointModel:
-    """Physical parameters from G11 of a state-space model, (17), (18).
+    """Compute the physical parameters from G11 of a state-space model, (17), (18).
 
-    `model`: From `state_space_of`; of more than three states, the least damped pairs are taken.
-    `records`: What it was estimated from.
-    `known`: c_0 and c_1 for (18). Where they are not known, the model's own are taken, (17).
-    `others`: Of the same records in other bands. A joint as in (1), (2) would give the same in
-        each; how far they lie apart is counted as model error.
+    `model` is a result of `state_space_of` for `records`; with more than three states, its least
+    damped pole and zero pairs are used. `known` gives c_0 and c_1 for (18); a missing value is
+    replaced by that of the model, (17). `others` are models of the same records in other bands: the
+    scatter of their estimates is added to the covariance as model error.
 
-    Returns: Without deviations where the model has none. Impossible values are reported as they
-    came, with status "implausible". `fit_percent` is how well these parameters explain the
-    velocities in the band, and how well G12 = G21.
+    Without a covariance of the model, the standard deviations are None. Impossible values are
+    reported as estimated, with status "implausible". `fit_percent` contains the fit of both
+    velocities in the band and the agreement of G12 with G21.
 
-    Raises `NotIdentifiable`: the model has no oscillating pole and zero pair.
+    Raises `NotIdentifiable` if the model has no oscillating pole or zero pair.
     """
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
     joint, where = arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
-    vector, scatter = _propagated(model, nominal)
-    if scatter is None:
-        scatter = np.full((len(vector), len(vector)), np.nan)
-    moves = [_pairs(other, nominal).vector - vector for other in others]
-    if moves:
-        scatter = scatter + np.mean([np.outer(move, move) for move in moves], axis=0)
-    lag, sources = _with_rigid(vector[:6], scatter[:6, :6], known)
-    found = from_coefficients(lag[:2], lag[2:4], lag[4:], ratio)
-    J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], ratio).vector, lag)
-    covariance = J @ sources @ J.T
-    values = dict(zip(NAMES, found.vector.tolist(), strict=True))
-    deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
+    vector, pair_covariance = _propagated(model, nominal)
+    if pair_covariance is None:
+        pair_covariance = np.full((len(vector), len(vector)), np.nan)
+    changes = [_pairs(other, nominal).vector - vector for other in others]
+    if changes:
+        pair_covariance = pair_covariance + np.mean(
+            [np.outer(move, move) for move in changes], axis=0
+        )
+    coefficients, lag_covariance = _with_rigid(vector[:6], pair_covariance[:6, :6], known)
+    two_inertia = from_coefficients(coefficients[:2], coefficients[2:4], coefficients[4:], ratio)
+    J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], ratio).vector, coefficients)
+    covariance = J @ lag_covariance @ J.T
+    values = dict(zip(NAMES, two_inertia.vector.tolist(), strict=True))
+    standard_deviations = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     identified = tuple(
-        not d > _IDENTIFIED * abs(v) for d, v in zip(deviation, found.vector, strict=True)
+        not std > _IDENTIFIED * abs(value)
+        for std, value in zip(standard_deviations, two_inertia.vector, strict=True)
     )
-    ring = np.sqrt(np.clip(np.diag(scatter)[6:], 0.0, None))
-    modes = [_mode(nominal.zero, ring[:2]), _mode(nominal.pole, ring[2:])]
+    mode_std = np.sqrt(np.clip(np.diag(pair_covariance)[6:], 0.0, None))
+    modes = [_mode(nominal.zero, mode_std[:2]), _mode(nominal.pole, mode_std[2:])]
     band = band_around(modes[0].frequency_hz, modes[1].frequency_hz, joint_records)
-    fit = _fit_percent(found, joint_records, band)
+    fit = _fit_percent(two_inertia, joint_records, band)
     reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
-    said = values, covariance, identified, joint, number
-    warnings = (*warnings_of(*said, where), *_doubts(nominal, lag, reciprocity, where))
+    estimate = values, covariance, identified, joint, number
+    warnings = (*warnings_of(*estimate, where), *_doubts(nominal, coefficients, reciprocity, where))
     return JointModel(
         joint=number,
         experiments=names,
         method="transfer-function",
-        parameters=tuple(parameters_of(*said)),
+        parameters=tuple(parameters_of(*estimate)),
         values=values,
         covariance=covariance,
         anti_resonance=modes[0],
@@ -132,7 +135,7 @@ def from_state_space(
 
 
 def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArray:
-    """As `_Pairs.vector`, of zeros and poles (...,) and lags (2, ...): (..., 10)."""
+    """`_Pairs.vector` for zeros and poles (...,) and lags (2, ...), (..., 10)."""
     of = [x for r in (zero, pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2.0)]
     rings = [x for r in (zero, pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))]
     return np.stack([*of, *lag, *rings], axis=-1)
@@ -142,20 +145,22 @@ def _propagated(model: StateSpace, nominal: _Pairs) -> tuple[FloatArray, FloatAr
     """`_Pairs.vector` with its covariance."""
 
     def at_once(near: StateSpace) -> FloatArray:
-        found = to_continuous(near)
-        poles, zeros = poles_and_zeros(found, 0, 0)
+        continuous = to_continuous(near)
+        poles, zeros = poles_and_zeros(continuous, 0, 0)
         zero = nearest(np.array([nominal.zero]), zeros)[:, 0]
         pole = nearest(np.array([nominal.pole]), poles)[:, 0]
-        return _vector(zero, pole, np.stack(_lag(found, zero, pole)))
+        return _vector(zero, pole, np.stack(_lag(continuous, zero, pole)))
 
     return propagate(without_alternating(model), at_once, stacked=True)
 
 
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
-    """The least damped pairs; of a model near another, those that moved least."""
+    """The least damped pole and zero pair, or those nearest to the pairs of `near`."""
     reduced = without_alternating(replace(model, covariance=None))
-    found = modes_of(reduced)
-    zeros, poles = ([m.value for m in ms if m.oscillates] for ms in (found.zeros, found.poles))
+    model_modes = modes_of(reduced)
+    zeros, poles = (
+        [m.value for m in ms if m.oscillates] for ms in (model_modes.zeros, model_modes.poles)
+    )
     if not zeros or not poles:
         raise NotIdentifiable(
             "the state-space model has no oscillating pair of poles and zeros: raise the amplitude "
@@ -164,9 +169,9 @@ def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
     if near is None:
         zero, pole = (min(v, key=lambda r: abs(r.real / r)) for v in (zeros, poles))
     else:
-        aim = near
-        zero = min(zeros, key=lambda r: abs(r - aim.zero))
-        pole = min(poles, key=lambda r: abs(r - aim.pole))
+        target = near
+        zero = min(zeros, key=lambda r: abs(r - target.zero))
+        pole = min(poles, key=lambda r: abs(r - target.pole))
     lag = _lag(to_continuous(reduced), np.array([zero]), np.array([pole]))
     return _Pairs(zero, pole, (float(lag[0][0]), float(lag[1][0])))
 
@@ -174,18 +179,18 @@ def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
 def _lag(
     model: ContinuousStateSpace, zero: ComplexArray, pole: ComplexArray
 ) -> tuple[FloatArray, FloatArray]:
-    """c_0 and c_1 with G11 = (1 + b1 s + b2 s^2)/((c_0 + c_1 s)(1 + d1 s + d2 s^2)) where it rings.
+    """c_0 and c_1 with G11 = (1 + b1 s + b2 s^2) / ((c_0 + c_1 s)(1 + d1 s + d2 s^2)).
 
-    One complex equation at the geometric mean of anti-resonance and resonance, a model each.
+    One complex equation per model, at the geometric mean of anti-resonance and resonance.
     """
     s = 1j * np.sqrt(abs(zero) * abs(pole))
-    up, down = ((s - r) * (s - r.conjugate()) / abs(r) ** 2 for r in (zero, pole))
-    lag = up / (down * _response(model, s)[:, 0, 0])
+    numerator, denominator = ((s - r) * (s - r.conjugate()) / abs(r) ** 2 for r in (zero, pole))
+    lag = numerator / (denominator * _response(model, s)[:, 0, 0])
     return lag.real, lag.imag / abs(s)
 
 
 def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
-    """(n, n_outputs, n_inputs); of n models each at its own s, or of one."""
+    """Frequency response (n, n_outputs, n_inputs) of one model, or of n models at their own s."""
     inner = s[:, None, None] * np.eye(model.A.shape[-1]) - model.A
     right = np.broadcast_to(model.B + 0j, (len(s), *model.B.shape[-2:]))
     return np.asarray(model.C @ np.linalg.solve(inner, right) + model.D)
@@ -198,14 +203,14 @@ def _s(f: FloatArray) -> ComplexArray:
 def _with_rigid(
     own: FloatArray, covariance: FloatArray, known: RigidKnowledge
 ) -> tuple[FloatArray, FloatArray]:
-    """The modification (18): b1, b2, d1, d2, c_0, c_1 with the rigid model's lag."""
-    vector, scatter = own.copy(), covariance.copy()
-    for place, value in ((4, known.total_viscous_friction), (5, known.total_inertia)):
+    """Replace c_0 and c_1 in (b1, b2, d1, d2, c_0, c_1) by those of the rigid model, (18)."""
+    vector, new_covariance = own.copy(), covariance.copy()
+    for index, value in ((4, known.total_viscous_friction), (5, known.total_inertia)):
         if value is not None:
-            vector[place] = value[0]
-            scatter[place] = scatter[:, place] = 0.0
-            scatter[place, place] = value[1] ** 2
-    return vector, scatter
+            vector[index] = value[0]
+            new_covariance[index] = new_covariance[:, index] = 0.0
+            new_covariance[index, index] = value[1] ** 2
+    return vector, new_covariance
 
 
 def _mode(value: complex, deviation: FloatArray) -> Mode:
@@ -216,21 +221,23 @@ def _mode(value: complex, deviation: FloatArray) -> Mode:
 def _fit_percent(
     joint: TwoInertia, records: Sequence[Decoupled], band: tuple[float, float]
 ) -> dict[str, float]:
-    """How well the physical parameters explain both velocities from the inputs, in the band."""
+    """Fit of the physical parameters to both velocities in the band, in percent."""
     A, B, C = state_space(joint)
     B[:, records[0].inputs.shape[1] :] = 0.0
     physical = ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
-    pairs = [_seen_and_missed(physical, record, band) for record in records]
-    miss = np.concatenate([missed for _, missed in pairs])
-    size = np.linalg.norm(np.concatenate([y - y.mean(axis=0) for y, _ in pairs]), axis=0)
-    fits = 100.0 * (1.0 - np.linalg.norm(miss, axis=0) / size)
+    outputs_and_residuals = [_seen_and_missed(physical, record, band) for record in records]
+    residuals = np.concatenate([residual for _, residual in outputs_and_residuals])
+    norm = np.linalg.norm(
+        np.concatenate([y - y.mean(axis=0) for y, _ in outputs_and_residuals]), axis=0
+    )
+    fits = 100.0 * (1.0 - np.linalg.norm(residuals, axis=0) / norm)
     return dict(zip(("motor_velocity", "link_velocity"), fits.tolist(), strict=True))
 
 
 def _seen_and_missed(
     physical: ContinuousStateSpace, record: Decoupled, band: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Both velocities of a record in the band, and what a model leaves of them."""
+    """Both velocities of a record in the band, and the residuals of a model."""
     n_in = record.inputs.shape[1]
 
     def modelled(f: FloatArray) -> ComplexArray:
@@ -250,30 +257,34 @@ def _seen_and_missed(
 
 
 def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | None:
-    """Per cent of agreement of G12 and G21, which a passive joint has equal."""
+    """Agreement of G12 and G21 in percent. The two are equal for a passive joint."""
     if min(len(model.C), model.B.shape[1]) < 2:
         return None
     f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _LINES)
     G = _response(to_continuous(without_alternating(replace(model, covariance=None))), _s(f))
-    apart, mean = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
-    return float(100.0 * (1.0 - np.linalg.norm(apart) / np.linalg.norm(mean)))
+    difference, mean = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
+    return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(mean)))
 
 
 def _doubts(
     own: _Pairs, lag: FloatArray, reciprocity: float | None, where: str
 ) -> Iterator[Diagnostic]:
-    """Where the method's own assumptions do not hold."""
+    """Warnings for assumptions of the method that the estimates violate."""
     if reciprocity is not None and reciprocity < _RECIPROCAL:
-        text = f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
+        message = (
+            f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
+        )
         yield Diagnostic(
-            "not-reciprocal", where, text + " ratio, torque_per_volt and the link sensor"
+            "not-reciprocal", where, message + " ratio, torque_per_volt and the link sensor"
         )
     if abs(lag[4] / lag[5]) > _SLOW * abs(own.zero):
-        text = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
-        yield Diagnostic("lag-not-slow", where, text)
+        message = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
+        yield Diagnostic("lag-not-slow", where, message)
     ratio = own.lag[1] / lag[5]
     if abs(ratio - 1.0) > _HEAVIER:
-        text = f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
+        message = (
+            f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
+        )
         yield Diagnostic(
-            "inertia-mismatch", where, text + " what friction and torque_per_volt do to either"
+            "inertia-mismatch", where, message + " what friction and torque_per_volt do to either"
         )
