@@ -1,6 +1,6 @@
-//! What describes a parameter, declared beside the equations that it belongs to.
+//! Declarations of parameters, next to the equations that they belong to.
 
-/// The values that a parameter can have.
+/// Admissible values of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sign {
     /// Any finite value.
@@ -12,7 +12,7 @@ pub enum Sign {
 }
 
 impl Sign {
-    /// Whether a finite value has this sign.
+    /// Whether a finite value is admissible.
     pub fn allows(self, value: f64) -> bool {
         match self {
             Self::Any => true,
@@ -21,7 +21,7 @@ impl Sign {
         }
     }
 
-    /// What a value must be, in words.
+    /// Description of the admissible values.
     pub fn words(self) -> &'static str {
         match self {
             Self::Any => "finite",
@@ -31,23 +31,23 @@ impl Sign {
     }
 }
 
-/// A parameter as every part of the program knows it.
+/// Declaration of a parameter.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Parameter {
-    /// As in docs/notation.md and in results.
+    /// Name, as in docs/notation.md and in results.
     pub name: &'static str,
-    /// In equations, as plain text: `m_M` is m with the index M.
+    /// Symbol in equations, as plain text: `m_M` is m with the index M.
     pub symbol: &'static str,
-    /// What it is, in one line.
+    /// Meaning, in one line.
     pub meaning: &'static str,
-    /// Of a revolute joint, and of a prismatic one.
+    /// Units for revolute and prismatic joints.
     pub units: [&'static str; 2],
-    /// Which values it can have.
+    /// Admissible values.
     pub sign: Sign,
 }
 
 impl Parameter {
-    /// A parameter, all its facts in the order of the fields.
+    /// A parameter with the values of its fields in order.
     pub const fn new(
         name: &'static str,
         symbol: &'static str,

@@ -1,22 +1,22 @@
-//! What commands the voltages.
+//! Controllers, which command the voltages.
 //!
 //! To add a controller, implement [`Controller`] for it in a file here and name it in the list of
-//! [`Servo`]. Derivatives through the loop follow from its equations over numbers with derivatives.
+//! [`Servo`]. Derivatives through the loop follow from its equations over dual numbers.
 
 use super::{PiPosition, PiVelocity};
 use crate::scalar::Real;
 
 /// A controller of `N` joints, sampled at a fixed period.
 pub trait Controller<const N: usize> {
-    /// What it remembers from one reading to the next.
+    /// State between two readings.
     type Memory<R: Real>: Clone;
 
-    /// What it remembers if it has held the arm under a voltage [V] for long, its encoders reading
-    /// these angles [rad].
+    /// State after the controller has held the arm for long under a voltage [V], with encoder
+    /// readings [rad].
     fn at_rest<R: Real>(&self, voltage: &[f64; N], encoder: &[R; N]) -> Self::Memory<R>;
 
-    /// Voltages [V] for the coming period, of a reading [rad] of the encoders, a reference as the
-    /// controller has it, and what is added to the output [V]; for scalars of one lane.
+    /// Voltages [V] for the coming period from encoder readings [rad], a reference and a
+    /// feed-forward voltage [V]; for scalars of one lane.
     fn command<R: Real>(
         &self,
         memory: &mut Self::Memory<R>,
@@ -25,14 +25,14 @@ pub trait Controller<const N: usize> {
         feed_forward: &[f64; N],
     ) -> [R; N];
 
-    /// Whether it drives a joint; all others get the feed-forward alone, at once.
+    /// Whether it controls a joint. Other joints get the feed-forward alone, without sampling.
     fn drives(&self, joint: usize) -> bool;
 }
 
-/// [`Servo`] and its memory.
+/// [`Servo`] and its state.
 macro_rules! controllers {
     ($($controller:ident)*) => {
-        /// One of the controllers that the core knows.
+        /// The controllers of the core.
         #[derive(Clone, Copy, Debug)]
         pub enum Servo<const N: usize> {
             $(
@@ -41,7 +41,7 @@ macro_rules! controllers {
             )*
         }
 
-        /// What one of them remembers.
+        /// State of a [`Servo`].
         #[derive(Clone)]
         pub enum ServoMemory<R: Real, const N: usize> {
             $(

@@ -1,4 +1,4 @@
-//! From voltage to motor torque.
+//! Current loops, from voltage to motor torque.
 
 use crate::scalar::Real;
 
@@ -13,14 +13,14 @@ pub struct StepTorque<R, const N: usize> {
     pub end: [R; N],
 }
 
-/// The current loops: torque follows `e u` with a first-order lag, or at once.
+/// Current loops: the torque follows `e u` with a first-order lag, or without one.
 #[derive(Clone, Copy, Debug)]
 pub struct CurrentLoop<R, const N: usize> {
     /// e [N m/V] at the motor.
     pub torque_per_volt: [f64; N],
-    /// Bandwidth [rad/s]; infinite where the torque follows at once.
+    /// Bandwidth [rad/s]; infinite without a lag.
     pub bandwidth: [f64; N],
-    /// What is left of the distance to the target in the middle of a step, see [`mean`], and at
+    /// Remaining share of the distance to the target at the middle of a step, see [`mean`], and at
     /// its end.
     decay: [[R; N]; 2],
 }
@@ -40,8 +40,8 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
         }
     }
 
-    /// Torques over a whole step towards the held targets: the end and the impulse are exact, for
-    /// voltage is constant in a step.
+    /// Torques over a whole step towards constant targets. The end and the impulse are exact,
+    /// because the voltage is constant within a step.
     #[inline(always)]
     pub fn over_step(&self, begin: &[R; N], target: &[R; N]) -> StepTorque<R, N> {
         let after = |decay: &[R; N]| {
@@ -58,7 +58,7 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
         }
     }
 
-    /// Torques over a part of a step, `t` seconds long.
+    /// Torques over a part of a step of `t` seconds.
     #[inline(always)]
     pub fn over(&self, begin: &[R; N], target: &[R; N], t: R) -> StepTorque<R, N> {
         let (mut middle, mut end) = (*target, *target);
@@ -75,7 +75,7 @@ impl<R: Real, const N: usize> CurrentLoop<R, N> {
     }
 }
 
-/// What is left of a distance to the target after `t` seconds; nothing if the loop is ideal.
+/// Remaining share of the distance to the target after `t` seconds; zero without a lag.
 #[inline(always)]
 fn decay<R: Real>(bandwidth: f64, t: R) -> R {
     if bandwidth.is_infinite() {
@@ -85,11 +85,11 @@ fn decay<R: Real>(bandwidth: f64, t: R) -> R {
     }
 }
 
-/// What stands for the middle of a step of length `t` so that Simpson's rule, by which the
-/// integrator weighs torques, gives their mean exactly: (6 (1 - e^-x)/x - 1 - e^-x)/4, x = w t.
+/// Share that represents the middle of a step of length `t`, so that Simpson's rule, by which the
+/// integrator weights torques, gives the exact mean: (6 (1 - e^-x)/x - 1 - e^-x)/4, x = w t.
 ///
-/// It is within x^4/2880 of e^(-x/2), but where a step is as long as the loop's own lag, that is a
-/// thousandth of each jump's impulse.
+/// It differs from e^(-x/2) by less than x^4/2880. For a step as long as the lag, that would be a
+/// thousandth of the impulse of each voltage step.
 #[inline(always)]
 fn mean<R: Real>(bandwidth: f64, t: R) -> R {
     if bandwidth.is_infinite() {
@@ -98,7 +98,7 @@ fn mean<R: Real>(bandwidth: f64, t: R) -> R {
     let x = R::splat(bandwidth) * t;
     let c = R::splat;
     if x.lane(0) < 0.05 {
-        // the closed form would cancel
+        // the closed form would lose digits by cancellation
         let fourth = (x * x).mul_add(c(-1.0 / 20_160.0), c(1.0 / 480.0));
         let third = x.mul_add(fourth, c(-1.0 / 48.0));
         return x.mul_add(x.mul_add(x.mul_add(third, c(1.0 / 8.0)), c(-0.5)), c(1.0));

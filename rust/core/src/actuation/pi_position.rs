@@ -4,24 +4,23 @@ use super::pi_velocity::PiVelocityMemory;
 use super::{Controller, PiVelocity};
 use crate::scalar::Real;
 
-/// A proportional position loop whose output is added to the reference of a PI velocity loop:
-/// e = reference + position_gain (theta_M(0) + integral(reference) - encoder) - encoder difference /
-/// period.
+/// A proportional position loop around a PI velocity loop: e = reference + position_gain
+/// (theta_M(0) + integral(reference) - encoder) - encoder difference / period.
 ///
-/// The integral of the reference is that up to the reading: the loop holds the path that the
-/// velocities describe.
+/// The integral of the reference includes the current reading, so the loop follows the path that
+/// the reference velocities describe.
 #[derive(Clone, Copy, Debug)]
 pub struct PiPosition<const N: usize> {
-    /// The loop inside.
+    /// Inner loop.
     pub velocity: PiVelocity<N>,
-    /// Of the loop outside [1/s].
+    /// Gain of the outer loop [1/s].
     pub position_gain: [f64; N],
 }
 
-/// What a position loop remembers.
+/// State of a position loop.
 #[derive(Clone, Copy, Debug)]
 pub struct PiPositionMemory<R, const N: usize> {
-    /// Of the loop inside.
+    /// State of the inner loop.
     pub velocity: PiVelocityMemory<R, N>,
     /// theta_M(0) + integral(reference) [rad].
     pub path: [R; N],
@@ -37,7 +36,7 @@ impl<const N: usize> Controller<N> for PiPosition<N> {
         }
     }
 
-    /// `reference` is the motors' velocities [rad/s].
+    /// `reference` holds motor velocities [rad/s].
     fn command<R: Real>(
         &self,
         memory: &mut PiPositionMemory<R, N>,

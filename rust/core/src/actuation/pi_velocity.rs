@@ -3,25 +3,25 @@
 use super::Controller;
 use crate::scalar::Real;
 
-/// A PI velocity loop on encoder differences, one a joint: u = kp e + ki integral(e) +
+/// A PI velocity loop on encoder differences for each joint: u = kp e + ki integral(e) +
 /// feed-forward, limited, with e = reference - encoder difference / period.
 ///
-/// The integral takes in a reading's error before it is used (backward Euler).
+/// The integral includes the error of the current reading (backward Euler).
 #[derive(Clone, Copy, Debug)]
 pub struct PiVelocity<const N: usize> {
     /// kp [V s/rad].
     pub kp: [f64; N],
     /// ki [V/rad].
     pub ki: [f64; N],
-    /// Largest voltage [V]; the integrator stands still while the output is limited.
+    /// Largest voltage [V]; integration stops while the output is limited.
     pub limit: f64,
     /// Time between two readings [s].
     pub period: f64,
-    /// Which joints it drives.
+    /// Joints under control.
     pub active: [bool; N],
 }
 
-/// What a PI velocity loop remembers.
+/// State of a PI velocity loop.
 #[derive(Clone, Copy, Debug)]
 pub struct PiVelocityMemory<R, const N: usize> {
     /// Integral of the velocity error [rad].
@@ -31,7 +31,7 @@ pub struct PiVelocityMemory<R, const N: usize> {
 }
 
 impl<const N: usize> PiVelocity<N> {
-    /// The loop with a reference [rad/s] that may itself depend on the motion.
+    /// The loop with a reference [rad/s] that may depend on the motion.
     pub(super) fn follow<R: Real>(
         &self,
         memory: &mut PiVelocityMemory<R, N>,
@@ -76,7 +76,7 @@ impl<const N: usize> Controller<N> for PiVelocity<N> {
         }
     }
 
-    /// `reference` is the motors' velocities [rad/s].
+    /// `reference` holds motor velocities [rad/s].
     fn command<R: Real>(
         &self,
         memory: &mut PiVelocityMemory<R, N>,

@@ -1,37 +1,37 @@
-//! What any accelerometer on a link of a planar arm reads a linear combination of.
+//! Basis signals of an accelerometer at any position on a link of a planar arm.
 //!
-//! At (x, y) in the link's frame, along the direction c in that plane, an accelerometer reads
-//! c_x (f_x - alpha y - w^2 x) + c_y (f_y + alpha x - w^2 y): f is the specific force at the link's
-//! own axis, alpha and w are the link's angular acceleration and rate in space. Where a sensor sits
-//! and how it is turned is in the four factors alone.
+//! At (x, y) in the link's frame, along the direction c in that plane, an accelerometer reads c_x
+//! (f_x - alpha y - w^2 x) + c_y (f_y + alpha x - w^2 y): f is the specific force at the link's own
+//! axis, alpha and w are the link's angular acceleration and rate in space. Position and direction
+//! of the sensor appear in the four factors only.
 
 use crate::scalar::Real;
 
 /// f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2] of each link.
 pub const LINK_SIGNALS: usize = 4;
 
-/// How one link's signals depend on the motion: by joint.
+/// Derivatives of the signals of one link with respect to the motion of each joint.
 #[derive(Clone, Copy, Debug)]
 pub struct LinkSignalSlopes<R, const N: usize> {
-    /// By the angles.
+    /// With respect to the angles.
     pub angle: [[R; N]; LINK_SIGNALS],
-    /// By the velocities.
+    /// With respect to the velocities.
     pub velocity: [[R; N]; LINK_SIGNALS],
-    /// By the accelerations.
+    /// With respect to the accelerations.
     pub acceleration: [[R; N]; LINK_SIGNALS],
 }
 
-/// Sines and cosines of each link's angle in space, which count under gravity only, and of each
-/// joint's angle, which count from the second on.
+/// Sines and cosines of each link's angle in space, needed with gravity only, and of each joint's
+/// angle, needed from the second joint on.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Turns<R, const N: usize> {
-    /// From the base's x axis.
+    /// Relative to the base's x axis.
     pub(super) space: [(R, R); N],
-    /// From the link before.
+    /// Relative to the link before.
     pub(super) joint: [(R, R); N],
 }
 
-/// Each link's rate in space: the sum of the joints' up to its own.
+/// Rate of each link in space: the sum of the joint rates up to it.
 #[inline(always)]
 pub(crate) fn summed<R: Real, const N: usize>(rates: &[R; N]) -> [R; N] {
     let mut all = *rates;
@@ -41,10 +41,8 @@ pub(crate) fn summed<R: Real, const N: usize>(rates: &[R; N]) -> [R; N] {
     all
 }
 
-/// The link signals of each link, its own axis at the end of the links before it.
-///
-/// Of two links at most, the first's axis fixed; gravity [m/s^2] as far as it is in the plane of
-/// motion, `length` [m] from axis to axis.
+/// Link signals of each link at its own axis, for at most two links. The first axis is fixed;
+/// `gravity` [m/s^2] is its part in the plane of motion, `length` [m] the distance of the axes.
 #[inline(always)]
 pub(super) fn planar<R: Real, const N: usize>(
     Turns { space, joint }: &Turns<R, N>,
@@ -71,7 +69,7 @@ pub(super) fn planar<R: Real, const N: usize>(
     all
 }
 
-/// How [`planar`] signals depend on angles, velocities and accelerations.
+/// Derivatives of the [`planar`] signals with respect to angles, velocities and accelerations.
 #[inline(always)]
 pub(super) fn planar_slopes<R: Real, const N: usize>(
     Turns { space, joint }: &Turns<R, N>,

@@ -1,4 +1,4 @@
-//! Sines and cosines of joint angles, and of angles a little further on.
+//! Sines and cosines of joint angles.
 
 use crate::scalar::Real;
 
@@ -16,7 +16,7 @@ impl<R: Real> Turn<R> {
         Self { sin, cos }
     }
 
-    /// Sine and cosine each put through a function.
+    /// Sine and cosine converted by a function.
     #[inline(always)]
     pub(super) fn map<L>(self, to: &impl Fn(R) -> L) -> Turn<L> {
         Turn {
@@ -34,7 +34,7 @@ impl<R: Real> Turn<R> {
         }
     }
 
-    /// A small angle more: Taylor series whose first neglected term is x^8/8!.
+    /// Sum with a small angle: Taylor series; the first neglected term is x^8/8!.
     #[inline(always)]
     pub(super) fn further(self, x: R) -> Self {
         let c = R::splat;

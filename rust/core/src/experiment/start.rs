@@ -1,4 +1,4 @@
-//! The motion an experiment begins with.
+//! Initial motion of an experiment.
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
@@ -8,7 +8,7 @@ use crate::plant::friction::Motion;
 use crate::plant::{Plant, State};
 use crate::scalar::Real;
 
-/// The motion an experiment begins with.
+/// Initial motion of an experiment.
 pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     plant: &Plant<A, S, G, N, EFFECTS>,
     current: &CurrentLoop<S, N>,
@@ -49,7 +49,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     });
     let modes = plant.modes_at(&state, &torque);
     for i in 0..N {
-        // Friction stops a standing motor however it is nudged: no derivative either.
+        // friction holds the motor for every small change, so its velocity has no derivative
         if modes.free[i].lane(0) == 0.0 {
             state.motor_velocity[i] = S::splat(0.0);
         }
@@ -61,12 +61,12 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     }
 }
 
-/// Link angles at which gravity's torques and the gears' balance, for motors held where they are.
+/// Link angles [rad] in equilibrium with gravity, for fixed motor angles.
 ///
-/// Each round takes gravity at the last angles and twists gears and turns bases by what holds it.
-/// Gravity's own stiffness is some thousandth of theirs, so a round gains three digits. Once the
-/// angles have settled it goes on as long again: a derivative that they carry settles as fast, but
-/// begins late.
+/// A fixed-point iteration: gravity at the last angles determines the torsion of gears and the
+/// rotation of bases. The stiffness of gravity is some thousandth of theirs, so each iteration
+/// gains three digits. After convergence the iteration continues for as long again, because
+/// derivatives converge as fast but start later.
 fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     plant: &Plant<A, S, G, N, EFFECTS>,
     motor_angle: &[S; N],

@@ -1,4 +1,4 @@
-//! One joint: its gear, what gears and motors have beyond springs and dry friction, and both together.
+//! Joints: gears, effects of gears and motors, and both in one drive train.
 
 pub mod effects;
 pub mod gear;

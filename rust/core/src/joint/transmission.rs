@@ -1,4 +1,4 @@
-//! One joint's drive train, and what its motor's friction and its gear do at one instant.
+//! Drive train of one joint: friction of its motor, and its gear.
 
 use crate::joint::effects::{Effects, Twist};
 use crate::joint::gear::{Gears, Spring};
@@ -44,7 +44,7 @@ pub(crate) const DRIVE: [Parameter; 5] = [
     ),
 ];
 
-/// Damping beside an elastic gear's spring.
+/// Damping parallel to the spring of an elastic gear.
 pub(crate) const GEAR_DAMPING: Parameter = Parameter::new(
     "gear_damping",
     "d_G",
@@ -53,7 +53,7 @@ pub(crate) const GEAR_DAMPING: Parameter = Parameter::new(
     Sign::NonNegative,
 );
 
-/// How fast friction brings a motor to rest; an elastic gear's motor alone has it.
+/// Settling time of friction; for motors of elastic gears.
 pub(crate) const SETTLING: Parameter = Parameter::new(
     "friction_settling_time",
     "tau",
@@ -62,49 +62,49 @@ pub(crate) const SETTLING: Parameter = Parameter::new(
     Sign::NonNegative,
 );
 
-/// One joint's drive train.
+/// Drive train of one joint.
 #[derive(Clone, Copy)]
 pub struct Joint<R: Real, G: Gears> {
     /// n, link turns per motor turn.
     pub ratio: R,
     /// m_M [kg m^2] at the motor.
     pub motor_inertia: R,
-    /// 1/m_M: a division in the innermost loop would cost as much as all else in its line.
+    /// 1/m_M, because a division in the innermost loop would cost as much as the rest of its line.
     pub motor_mobility: R,
     /// d_M [N m s/rad] at the motor.
     pub motor_viscous: R,
     /// f_M [N m] at the motor.
     pub coulomb: R,
-    /// tau [s]: how fast a motor that friction stops comes to rest; zero: at once.
+    /// tau [s]: time constant in which friction stops the motor; zero: instantly.
     pub settling_time: R,
-    /// 1/tau, huge where it stops at once.
+    /// 1/tau, very large for an instant stop.
     pub settling_rate: R,
     /// f_0 [N m] at the motor.
     pub offset: R,
     /// d_L [N m s/rad] at the link.
     pub link_viscous: R,
-    /// Whether the gear is rigid; its spring and damping then mean nothing.
+    /// Whether the gear is rigid; spring and damping are then unused.
     pub rigid: bool,
     /// T(delta).
     pub spring: G::Spring<R>,
     /// d_G [N m s/rad].
     pub gear_damping: R,
-    /// What it has beyond these.
+    /// Effects.
     pub effects: Effects<R>,
 }
 
-/// One gear at one instant.
+/// State of a gear at one instant.
 pub(crate) struct Gear<R> {
-    /// How far it is twisted.
+    /// Torsion and its rate.
     pub(crate) twist: Twist<R>,
-    /// Link turns per motor turn just there: torque at the motor per torque at the link.
+    /// Local ratio n + e'(theta_M): torque at the motor per torque at the link.
     pub(crate) lever: R,
 }
 
-/// `EFFECTS` says at compile time whether the joint may have any.
+/// `EFFECTS` states at compile time whether the joint may have effects.
 impl<R: Real, G: Gears> Joint<R, G> {
-    /// What dry friction can take up at most [N m] at a velocity of the motor [rad/s] and a torque of
-    /// the gear at the motor [N m], and does take up while the motor slides.
+    /// Friction limit [N m] at a motor velocity [rad/s] and a gear torque at the motor [N m]; the
+    /// friction torque of a sliding motor.
     #[inline(always)]
     pub fn dry_friction<const EFFECTS: bool>(&self, velocity: R, load: R) -> R {
         if EFFECTS {
@@ -114,7 +114,7 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// What the drive makes of a voltage [V] that is commanded.
+    /// Effective voltage [V] for a commanded one.
     #[inline(always)]
     pub(crate) fn driven<const EFFECTS: bool>(&self, voltage: R) -> R {
         if EFFECTS {
@@ -124,8 +124,8 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// What acts on the mean of a driven voltage [V] that is held for a time [s], where the drive
-    /// remembers another; it remembers the new one.
+    /// Mean effective voltage [V] over a time [s] for a constant voltage; updates the state of the
+    /// drive.
     #[inline(always)]
     pub(crate) fn held<const EFFECTS: bool>(&self, driven: R, memory: &mut R, time: f64) -> R {
         if EFFECTS {
@@ -137,7 +137,7 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// Link angle [rad] at which an elastic gear is not twisted: n theta_M + e(theta_M).
+    /// Link angle [rad] at zero torsion: n theta_M + e(theta_M).
     pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
         let angle = self.ratio * motor_angle;
         if EFFECTS {
@@ -147,8 +147,8 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// delta = n theta_M + e(theta_M) - theta_L, its rate, and n + e'(theta_M), from the angles and
-    /// the velocities of motor and link.
+    /// delta = n theta_M + e(theta_M) - theta_L, its rate, and n + e'(theta_M), from angles and
+    /// velocities of motor and link.
     #[inline(always)]
     pub(crate) fn gear<const EFFECTS: bool>(
         &self,
@@ -168,7 +168,7 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// T(delta) + d_G ddelta, and what effects add to it.
+    /// T(delta) + d_G ddelta, with effects.
     #[inline(always)]
     pub(crate) fn transmitted<const EFFECTS: bool>(&self, twist: &Twist<R>, z: R) -> R {
         if EFFECTS {
@@ -181,7 +181,7 @@ impl<R: Real, G: Gears> Joint<R, G> {
         }
     }
 
-    /// The torsion [rad] at which the gear passes a torque [N m] at rest.
+    /// Torsion [rad] at rest at a gear torque [N m].
     pub(crate) fn torsion<const EFFECTS: bool>(&self, torque: R) -> R {
         let strain = self.spring.torsion(torque);
         if EFFECTS {

@@ -1,26 +1,25 @@
-//! Coulomb friction as the set-valued law it is: sliding, standing, and the events between.
+//! Set-valued Coulomb friction: sliding, sticking, and the events between.
 //!
-//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`; where the motor has
-//! Stribeck's friction, `f_M` is [`Plant::dry_friction`] here and in what follows. Within a part of a
-//! step every motor either slides one way or stands, so the equations are smooth there and the
-//! integrator keeps its order. The step is cut
+//! The friction torque on a motor is `f_M Sgn(dtheta_M)` with `Sgn(0) = [-1, 1]`; with effects,
+//! `f_M` is [`Plant::dry_friction`]. Between events every motor either slides in one direction or
+//! sticks, so the equations are smooth and the integrator keeps its order. A step is cut
 //!
-//! - where the velocity of a sliding motor comes to zero: the motor stands if the torque it takes to
-//!   hold it is within `f_M`, else it slides on the other way;
-//! - where the torque that holds a standing motor leaves `[-f_M, f_M]`: it slides that way.
+//! - where the velocity of a sliding motor reaches zero: the motor sticks if the torque that holds
+//!   it is within `f_M`, otherwise it slides in the other direction;
+//! - where the torque that holds a sticking motor leaves `[-f_M, f_M]`: the motor starts to slide.
 //!
-//! A motor may be given a settling time tau: friction then does not stop it at once but as fast as
-//! `ddtheta_M = -dtheta_M / tau`, for as long as that takes no more than `f_M`. The torque is
-//! `clamp(H + m_M dtheta_M / tau, -f_M, f_M)`, with H what keeps the motor at rest: one backward Euler
-//! step of length tau of the set-valued law (its Yosida regularisation). Unlike a steep function of
-//! the velocity it lets nothing creep: under any load below `f_M` the motor comes to rest. Friction
-//! changes sides some tau before the motor does. As tau goes to zero the law is the set-valued one,
-//! and its events are the same two.
+//! With a settling time tau, friction does not stop a motor instantly but as fast as `ddtheta_M =
+//! -dtheta_M / tau`, for as long as this takes no more than `f_M`. The torque is `clamp(H + m_M
+//! dtheta_M / tau, -f_M, f_M)`, with the torque H that keeps the motor at rest: one backward Euler
+//! step of length tau of the set-valued law (its Yosida regularisation). In contrast to a steep
+//! function of the velocity there is no creep: under any load below `f_M` the motor comes to rest.
+//! The friction torque changes sign about tau before the velocity does. For tau = 0 the law is the
+//! set-valued one, with the same two events.
 //!
-//! The instants are roots of the integrator's own step as a function of its length, found to
-//! rounding, so that the cut keeps the order, and the result is a smooth function of all parameters
-//! between changes of the events' sequence. Over a scalar with derivatives the instants have theirs,
-//! by the implicit function theorem on that very step.
+//! The times of events are roots of the integrator's own step as a function of its length, to
+//! rounding. The cut therefore keeps the order, and the result is a smooth function of all
+//! parameters as long as the sequence of events does not change. Over dual numbers, the times have
+//! derivatives by the implicit function theorem for that step.
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
@@ -28,16 +27,17 @@ use crate::joint::gear::Gears;
 use crate::plant::{Instant, Modes, Plant, State, Watch};
 use crate::scalar::{Real, Work};
 
-/// Most events within one step; beyond, the motor that asks again is held until the step ends.
+/// Largest number of events within one step. After that, motors at rest are held until the step
+/// ends.
 ///
-/// Chattering needs a torque that changes sign many times within a step, which the step could not
-/// resolve anyway.
+/// More events require a torque that changes sign many times within a step, which the step cannot
+/// resolve.
 const MOST_EVENTS: usize = 12;
 
-/// Part of a leg after which the slope of a margin at its beginning is taken.
+/// Part of a span after which the initial slope of a margin is evaluated.
 const SOON: f64 = 1e-4;
 
-/// One arm in motion: its state, its motors' torques and their friction modes.
+/// Motion of one arm: state, motor torques and friction modes.
 #[derive(Clone, Copy, Debug)]
 pub struct Motion<R, const N: usize> {
     /// Angles and velocities.
@@ -49,7 +49,8 @@ pub struct Motion<R, const N: usize> {
 }
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A, R, G, N, EFFECTS> {
-    /// Modes that fit a state: moving motors slide, resting ones stand if friction can hold them.
+    /// Modes that agree with a state: moving motors slide; resting ones stick if friction can hold
+    /// them.
     pub fn modes_at(&self, x: &State<R, N>, torque: &[R; N]) -> Modes<R, N> {
         const { assert!(R::LANES == 1) };
         let mut modes = Modes {
@@ -67,12 +68,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         modes
     }
 
-    /// What dry friction can take up of an unloaded motor at rest [N m].
+    /// Friction limit of an unloaded motor at rest [N m].
     fn dry_friction_at_rest(&self, i: usize) -> f64 {
         self.dry_friction(R::splat(0.0), R::splat(0.0), i).lane(0)
     }
 
-    /// Sets free the standing motors that friction can no longer hold; says whether there were any.
+    /// Releases the sticking motors that friction cannot hold; returns whether there were any.
     pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
         let mut any = false;
         for i in 0..N {
@@ -88,11 +89,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         any
     }
 
-    /// How far the end of a step is from breaking its modes; negative where it does.
+    /// Margins of the friction modes at the end of a step; negative if a mode has ended.
     ///
-    /// A sliding motor's margin is its velocity in its direction, a held one's the friction left; of
-    /// a motor that takes its time to settle, the first is `dtheta_M + tau ddtheta_M`. `standing` says
-    /// whether any motor is held: then the holding torques are worth their cost.
+    /// The margin of a sliding motor is its velocity in its direction, or with a settling time
+    /// `dtheta_M + tau ddtheta_M`; that of a held motor is the remaining friction. `standing`
+    /// states whether any motor is held; otherwise the holding torques need not be computed.
     #[inline(always)]
     pub fn margins(
         &self,
@@ -112,7 +113,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 let most = self.dry_friction_in(x, i);
                 let left = most - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * left;
-                // 1 where it stops at once, 0 where it settles
+                // 1 for an instant stop, 0 with a settling time
                 let at_once = R::splat(1.0) - joint.settling_time * joint.settling_rate;
                 let beyond = modes.direction[i] * holding[i] - most;
                 let lever = joint.settling_time * joint.motor_mobility * modes.free[i];
@@ -122,8 +123,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         margin
     }
 
-    /// Advances one trajectory by `h` [s] through whatever events the time holds; `stretches` gets
-    /// what lies between them.
+    /// Advances the motion by `h` [s] through all events; `stretches` receives the spans between
+    /// them.
     pub fn advance(
         &self,
         motion: &Motion<R, N>,
@@ -142,7 +143,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let Some((part, joint)) = event else {
                 return end;
             };
-            // what begins in another mode than the leg's does so at a fixed time
+            // a mode that does not fit from the beginning ends at a fixed time
             let part = if part > 0.0 {
                 R::root(part, |part| leg.end(part).1[joint])
             } else {
@@ -162,8 +163,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             .0
     }
 
-    /// Goes through a stretch once more, for somebody to look on: where it ends, and the margins
-    /// there, over a part of its longest length.
+    /// Repeats a span with an observer: its end and the margins there, after a part of its largest
+    /// length.
     #[inline(always)]
     pub(crate) fn retrace(
         &self,
@@ -176,7 +177,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         Leg::new(self, from, target, current, length).integrate(part, watch)
     }
 
-    /// Changes the mode of the joint whose event this is.
+    /// Changes the mode of a joint at its event.
     fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
         if motion.modes.free[joint].lane(0) != 0.0 {
             motion.modes.direction[joint] = R::splat(0.0);
@@ -196,7 +197,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Ends a chatter: motors that hardly move stand until the step is over.
+    /// Ends chattering: motors at rest stick until the end of the step.
     fn hold_restless(&self, motion: &mut Motion<R, N>) {
         for i in 0..N {
             let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
@@ -209,17 +210,17 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     }
 }
 
-/// Where the modes change: which part of the leg that begins at the last event, and whose joint.
+/// An event: part of the span since the last event, and joint.
 pub type Event = (f64, usize);
 
-/// What lies between two events of a step.
+/// The span between two events of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct Stretch<R, const N: usize> {
-    /// Where it begins.
+    /// Motion at its beginning.
     pub from: Motion<R, N>,
-    /// What was left of the step there [s].
+    /// Remaining length of the step [s].
     pub length: f64,
-    /// The event that ends it; `None` where the step does.
+    /// The event at its end; `None` at the end of the step.
     pub event: Option<Event>,
 }
 
@@ -233,7 +234,7 @@ impl<R: Real, const N: usize> Stretch<R, N> {
     }
 }
 
-/// A stretch of time with fixed modes, and the integrator's step over any part of it.
+/// A span of time with fixed modes, and the integrator's step over any part of it.
 struct Leg<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
     plant: &'a Plant<A, R, G, N, EFFECTS>,
     from: &'a Motion<R, N>,
@@ -295,7 +296,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
         }
     }
 
-    /// Where the leg is after a part of its length, and the margins there.
+    /// Motion and margins after a part of the length.
     fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
         R::scope(EndOf(self, part))
     }
@@ -319,7 +320,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
         (motion, margins)
     }
 
-    /// The earliest event.
+    /// The first event.
     fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
         let at_begin = self.plant.margins(
             &self.from.state,
@@ -335,7 +336,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
                     (margin(SOON) - ends[0]) / SOON
                 } else {
-                    // The margin of a sliding motor is its speed.
+                    // the margin of a sliding motor is its speed
                     let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];
                     slope.lane(0) * self.length.lane(0)
                 };
@@ -345,21 +346,20 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 }
 
-/// Where a function that ends below zero comes there from above, on [0, 1].
+/// The root on [0, 1] of a function that is negative at the end.
 ///
-/// The first guess is the root of the parabola through both ends with the given slope at the
-/// beginning; from there regula falsi in Anderson and Bjorck's form, which keeps a bracket and
-/// scales down the value at the end that stays, so that it converges superlinearly. What is left of
-/// the function there is 1e-12 of its ends, and the caller sets it to zero.
+/// The first estimate is the root of the parabola through both ends with the given initial slope.
+/// Then regula falsi in the form of Anderson and Bjorck, which keeps a bracket and scales down the
+/// value at the end that stays, so that it converges superlinearly. The remaining value is 1e-12 of
+/// those at the ends.
 fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
     let bend = end - begin - slope;
     let (mut kept, mut f_kept) = (0.0, begin);
     let (mut last, mut f_last) = (1.0, end);
     if begin <= tiny {
-        // It begins below zero, where a torque jumps, or at zero. If it rises from there, the event
-        // is where it comes back: beyond the top, which half the parabola's way may already have
-        // passed.
+        // The function begins at zero, or below where a torque jumps. If it increases from there,
+        // the root is beyond the maximum, which may be before half of the parabola's span.
         if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
             return 0.0;
         }
@@ -376,7 +376,7 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
         (kept, f_kept) = (part, value);
     }
     let discriminant = slope * slope - 4.0 * bend * begin;
-    // The form of the quadratic's root that does not cancel.
+    // the form of the quadratic's root that does not cancel
     let guess = if begin <= tiny {
         -slope / bend
     } else {

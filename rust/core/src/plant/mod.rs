@@ -1,4 +1,5 @@
-//! Motors, gears and links together: (1) and (2) for given friction modes, and the Runge-Kutta step.
+//! Motors, gears and links in one right-hand side, (1) and (2) for given friction modes, and the
+//! Runge-Kutta step.
 
 pub mod config;
 pub mod friction;
@@ -11,8 +12,7 @@ use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
 use crate::scalar::{Real, Work, apart, solve};
 
-/// Angles [rad] and velocities [rad/s] of motors and links, what the gears remember, the parts of
-/// links that swing by themselves, and the springs that bases turn on.
+/// State: angles [rad] and velocities [rad/s] of motors and links, and the states of effects.
 #[derive(Clone, Copy, Debug)]
 pub struct State<R, const N: usize> {
     /// theta_M.
@@ -23,37 +23,36 @@ pub struct State<R, const N: usize> {
     pub link_angle: [R; N],
     /// dtheta_L.
     pub link_velocity: [R; N],
-    /// z, the gear's hysteresis torque over its largest, within [-1, 1]; zero where it has none.
+    /// z, hysteresis torque relative to its largest, within [-1, 1]; zero without hysteresis.
     pub hysteresis: [R; N],
-    /// Angles in space of the links' parts that swing by themselves; of no meaning without these.
+    /// Angles of flexible parts in space; unused without them.
     pub part_angle: [R; N],
-    /// Their velocities.
+    /// Velocities of flexible parts in space.
     pub part_velocity: [R; N],
-    /// s [N m] in the springs that bases turn on; of no meaning where these are rigid.
+    /// s [N m] of the springs under the bases; unused for rigid bases.
     pub base_torque: [R; N],
     /// ds [N m/s].
     pub base_torque_rate: [R; N],
 }
 
-/// Accelerations [rad/s^2] of motors and links.
+/// Accelerations [rad/s^2].
 #[derive(Clone, Copy, Debug)]
 pub struct Acceleration<R, const N: usize> {
     /// ddtheta_M.
     pub motor: [R; N],
     /// ddtheta_L.
     pub link: [R; N],
-    /// Of the links' parts that swing by themselves.
+    /// Of the flexible parts.
     pub part: [R; N],
-    /// dds [N m/s^2] of the springs that bases turn on.
+    /// dds [N m/s^2] of the springs under the bases.
     pub base: [R; N],
 }
 
-/// What each motor's friction does during a step.
+/// Friction mode of each motor during a step.
 ///
-/// `direction` is +1 or -1 while the motor slides that way and the Coulomb torque opposes it, and 0
-/// while it is held; `free` is 1 where the motor slides and 0 where it is held: where it stands, or
-/// settles at the rate `-dtheta_M / tau`. A joint without Coulomb friction is always free and has
-/// direction 0.
+/// `direction` is +1 or -1 while the motor slides in that direction against the Coulomb torque, and
+/// 0 while it is held; `free` is 1 while it slides and 0 while it is held: it sticks, or settles at
+/// the rate `-dtheta_M / tau`. A joint without Coulomb friction is always free, with direction 0.
 #[derive(Clone, Copy, Debug)]
 pub struct Modes<R, const N: usize> {
     /// Sign that Coulomb friction opposes.
@@ -70,13 +69,13 @@ impl<R: Real, const N: usize> Modes<R, N> {
     }
 }
 
-/// The first joint that bears what the `i`-th link weighs: all before it do where axes are parallel.
+/// The first joint that bears the weight of the `i`-th link: the first one if axes are parallel.
 pub(crate) const fn first_bearing<A: Arm<N>, const N: usize>(i: usize) -> usize {
     if A::PLANAR { 0 } else { i }
 }
 
-/// The angle in space of the `i`-th link [rad], or its joint's own where axes are not parallel; the
-/// same of velocities.
+/// Angle of the `i`-th link in space [rad], or its joint angle if axes are not parallel; likewise
+/// velocities.
 #[inline(always)]
 pub(crate) fn angle_in_space<A: Arm<N>, R: Real, const N: usize>(of_links: &[R; N], i: usize) -> R {
     let mut angle = of_links[i];
@@ -86,39 +85,39 @@ pub(crate) fn angle_in_space<A: Arm<N>, R: Real, const N: usize>(of_links: &[R; 
     angle
 }
 
-/// Something that looks on while a step is made.
+/// Observer of the stages of a step.
 pub trait Watch<R, const N: usize> {
     /// The `k`-th stage, from 0. Implementations are `#[inline(always)]`.
     fn stage(&mut self, k: usize, x: &State<R, N>, a: &Acceleration<R, N>);
 }
 
-/// Nobody looks on.
+/// No observer.
 impl<R, const N: usize> Watch<R, N> for () {
     #[inline(always)]
     fn stage(&mut self, _: usize, _: &State<R, N>, _: &Acceleration<R, N>) {}
 }
 
-/// The arm at one instant.
+/// Posture and accelerations at one instant.
 #[derive(Clone, Copy)]
 pub struct Instant<A: Arm<N>, R: Real, const N: usize> {
     /// Sines and cosines of the link angles.
     pub posture: A::Posture<R>,
-    /// Accelerations there.
+    /// Accelerations.
     pub acceleration: Acceleration<R, N>,
 }
 
-/// An arm with its joints. `G` says at compile time which laws its gears may have, which keeps
-/// branches out of the innermost loop; `EFFECTS` says whether any joint has one of
-/// [`crate::joint::effects`], which takes a scalar of one lane.
+/// An arm with its joints. `G` states at compile time which laws its gears may have, to keep
+/// branches out of the innermost loop; `EFFECTS` states whether any joint has effects, which
+/// requires a scalar of one lane.
 #[derive(Clone, Copy)]
 pub struct Plant<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool = false> {
-    /// Its geometry.
+    /// Geometry.
     pub arm: A,
-    /// Its inertial and gravity parameters.
+    /// Inertial and gravity parameters.
     pub base: A::Base<R>,
-    /// Its drive trains.
+    /// Drive trains.
     pub joints: [Joint<R, G>; N],
-    /// Whether any motor takes its time to come to rest.
+    /// Whether any motor has a settling time.
     pub settles: bool,
 }
 
@@ -135,7 +134,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         self.joints[joint].dry_friction::<EFFECTS>(velocity, load)
     }
 
-    /// The same in a state.
+    /// Friction limit of one joint in a state.
     #[inline(always)]
     pub(crate) fn dry_friction_in(&self, x: &State<R, N>, i: usize) -> R {
         let mut load = R::splat(0.0);
@@ -146,7 +145,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         self.dry_friction(x.motor_velocity[i], load, i)
     }
 
-    /// Torque [N m] that effects add to a motor's.
+    /// Torque [N m] of effects on a motor.
     #[inline(always)]
     fn added_torque(&self, x: &State<R, N>, i: usize) -> R {
         self.joints[i]
@@ -171,7 +170,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         joint.gear::<EFFECTS>([x.motor_angle[i], angle], [x.motor_velocity[i], velocity])
     }
 
-    /// The spring that the `i`-th joint's base turns on.
+    /// State of the spring under the `i`-th joint's base.
     #[inline(always)]
     fn base_torque(x: &State<R, N>, i: usize) -> BaseTorque<R> {
         BaseTorque {
@@ -180,11 +179,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Lets the bases stand still, each where its spring bears the gear's torque: s = -tau.
+    /// Sets the torques of the springs under the bases to their equilibrium with the gears: s =
+    /// -tau.
     ///
-    /// Newton's method, by the stiffness of a gear that is strained by all of its torsion: a stiffer
-    /// one than it may be, for which a round gains less but never too much. Once the torque has
-    /// settled it goes on as long again, for the derivatives that it carries.
+    /// Newton's method with an upper bound of the stiffness of the gear, which makes it slower but
+    /// never overshoot. After convergence the iteration continues for as long again, for the
+    /// derivatives.
     pub(crate) fn load_bases(&self, x: &mut State<R, N>) {
         for i in (0..N).filter(|&i| !self.is_rigid(i)) {
             let joint = &self.joints[i];
@@ -208,7 +208,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// How the part of the `i`-th link that swings by itself is ahead of it.
+    /// Lead of the flexible part of the `i`-th link.
     #[inline(always)]
     fn lead(x: &State<R, N>, i: usize) -> Lead<R> {
         Lead {
@@ -217,7 +217,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Lets the parts of links that swing by themselves move as their links do.
+    /// Moves the flexible parts with their links.
     pub(crate) fn carry_parts(&self, x: &mut State<R, N>) {
         for i in 0..N {
             x.part_angle[i] = angle_in_space::<A, R, N>(&x.link_angle, i);
@@ -225,8 +225,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Accelerations of the links' parts that swing by themselves, and what effects make each joint
-    /// bear [N m].
+    /// Accelerations of the flexible parts, and load torques of effects on each joint [N m].
     #[inline(always)]
     fn swinging(&self, x: &State<R, N>) -> [[R; N]; 2] {
         let mut borne = self.borne(&x.link_angle);
@@ -244,7 +243,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         [part, borne]
     }
 
-    /// What effects make each joint bear [N m] where nothing moves.
+    /// Load torques of effects on each joint at rest [N m].
     #[inline(always)]
     pub(crate) fn borne(&self, link_angle: &[R; N]) -> [R; N] {
         let mut borne = [R::splat(0.0); N];
@@ -259,13 +258,13 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         borne
     }
 
-    /// Torque through the `i`-th joint's gear.
+    /// Torque of the `i`-th joint's gear [N m].
     #[inline(always)]
     pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, twist: &Twist<R>) -> R {
         self.joints[i].transmitted::<EFFECTS>(twist, x.hysteresis[i])
     }
 
-    /// z of each gear at a stage `t` after the beginning.
+    /// Hysteresis states at a stage `t` after the beginning.
     #[inline(always)]
     fn twisted(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
         let mut z = begin.hysteresis;
@@ -294,7 +293,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Accelerations; where there are effects, in a function of their own.
+    /// Accelerations; with effects in a function of their own.
     #[inline(always)]
     fn accelerations_at(
         &self,
@@ -304,7 +303,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
         if EFFECTS || A::COMPACT {
-            // the exponentials and sines of effects in every stage would be half of the program
+            // inlined into every stage, the exponentials and sines of effects would be half of the
+            // program
             apart::<R, _>(Accelerating(self, x, at, torque, modes))
         } else {
             self.accelerations(x, at, torque, modes)
@@ -313,9 +313,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Accelerations from (1) and (2).
     ///
-    /// A rigid gear has no row of its own: its motor's inertia and friction join the link's row as
-    /// m_M/n^2 and d_M/n^2, (5). A standing motor behind a rigid gear holds its link: that link's
-    /// row and column leave the equations.
+    /// A rigid gear has no row of its own: the inertia and friction of its motor enter the link's
+    /// row as m_M/n^2 and d_M/n^2, (5). A sticking motor behind a rigid gear holds its link: the
+    /// row and column of that link are removed from the equations.
     #[inline(always)]
     fn accelerations(
         &self,
@@ -388,11 +388,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Torque [N m] that friction must take up at each motor to hold it, offset apart: to keep it
-    /// at rest, or to let it settle.
+    /// Torque [N m] at each motor, without its offset, with which friction holds it: at rest, or as
+    /// it settles.
     ///
-    /// The motor is held while this stays within +-[`Plant::dry_friction`]: Sgn(0) is the whole
-    /// interval [-1, 1].
+    /// The motor is held while this is within +-[`Plant::dry_friction`], because Sgn(0) = [-1, 1].
     #[inline(always)]
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut holding = [R::splat(0.0); N];
@@ -416,7 +415,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         holding
     }
 
-    /// Behind a rigid gear the load is what the link's row needs with that link at rest.
+    /// Behind a rigid gear the load is the torque of the link's row with that link at rest.
     fn subtract_rigid_loads(
         &self,
         x: &State<R, N>,
@@ -454,10 +453,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// One classical Runge-Kutta step with fixed friction modes.
     ///
-    /// For q'' = a(q, q', t) the four stages need the positions only through earlier stages'
-    /// velocities, and collapse to
+    /// For q'' = a(q, q', t) the four stages need the positions only through velocities of earlier
+    /// stages, so that
     /// q+ = q + h q' + h^2/6 (a1 + a2 + a3), q'+ = q' + h/6 (a1 + 2 a2 + 2 a3 + a4).
-    /// `watch` sees each stage.
+    /// `watch` observes each stage.
     #[inline(always)]
     pub fn runge_kutta(
         &self,
@@ -498,10 +497,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         .0
     }
 
-    /// A stage `t` after the beginning in which the held motors are where they settle:
-    /// dtheta_M(t) = dtheta_M(0) exp(-t/tau), whatever the rest of the arm does.
+    /// Sets the held motors at a stage `t` after the beginning to dtheta_M(t) = dtheta_M(0)
+    /// exp(-t/tau).
     ///
-    /// Solved rather than integrated, so that tau may be any part of the step.
+    /// The equation is solved exactly instead of integrated, so tau may be any part of the step.
     #[inline(always)]
     fn held(
         &self,
@@ -529,7 +528,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         stage
     }
 
-    /// Accelerations at a later stage, whose links have turned a little since `now`.
+    /// Accelerations at a later stage, whose link angles differ little from those of `now`.
     #[inline(always)]
     fn after(
         &self,
@@ -564,7 +563,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         energy
     }
 
-    /// The `i`-th joint, as its effects see it.
+    /// State of the `i`-th joint for its effects.
     fn at(&self, x: &State<R, N>, i: usize) -> At<R> {
         At {
             motor_angle: x.motor_angle[i],
@@ -579,7 +578,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Power [W] that friction and damping take out, given the friction modes.
+    /// Power [W] dissipated by friction and damping in given friction modes.
     pub fn dissipation(&self, x: &State<R, N>, modes: &Modes<R, N>) -> R {
         let mut power = R::splat(0.0);
         for (i, joint) in self.joints.iter().enumerate() {
@@ -597,7 +596,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         power
     }
 
-    /// Torque [N m] each gear passes to its link; a rigid gear's is left at zero.
+    /// Torque [N m] of each gear at its link; zero for a rigid gear.
     pub fn gear_torques(&self, x: &State<R, N>) -> [R; N] {
         std::array::from_fn(|i| {
             if self.is_rigid(i) {
@@ -646,7 +645,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     }
 }
 
-/// A state within a step, and by how much its links have turned since the step began.
+/// A state within a step, and the rotations of the links since its beginning.
 type Stage<R, const N: usize> = (State<R, N>, [R; N]);
 
 impl<R: Real, const N: usize> State<R, N> {

@@ -1,4 +1,4 @@
-//! The arm behind rigid gears, (5)-(7): torques from motion, linear in the base parameters.
+//! The arm with rigid gears, (5)-(7): torques of a motion, linear in the base parameters.
 
 use crate::arm::Arm;
 use crate::joint::gear::AllLaws;
@@ -6,8 +6,8 @@ use crate::plant::Plant;
 
 /// Link-side torques [N m] per base parameter, in the order of [`Arm::names`].
 ///
-/// The equations are linear in the base parameters, so each column is what they give for that
-/// parameter at one and the others at zero: the regressor has no equations of its own.
+/// The equations are linear in the base parameters, so each column is their value with that
+/// parameter at one and the others at zero.
 pub fn base_regressor<A: Arm<N>, const N: usize>(
     arm: &A,
     q: &[f64; N],
@@ -25,9 +25,9 @@ pub fn base_regressor<A: Arm<N>, const N: usize>(
         .collect()
 }
 
-/// Motor torques [N m] that a motion of the links takes if no gear gives way, (5).
+/// Motor torques [N m] of a motion of the links with rigid gears, (5).
 ///
-/// A resting joint is taken to need no Coulomb torque: anything within +-f_M would do.
+/// The Coulomb torque of a resting joint is taken as zero; any value within +-f_M is possible.
 pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
     plant: &Plant<A, f64, AllLaws, N, true>,
     q: &[f64; N],

@@ -1,19 +1,19 @@
-//! Numbers that begin where a line of the cache does.
+//! Lists of numbers that begin at a cache line.
 
 use std::ops::{Deref, DerefMut};
 
-/// A line of the cache, and the widest register [bytes].
+/// Size of a cache line, and of the widest register [bytes].
 const LINE: usize = 64;
 
-/// So many numbers, the first at the beginning of a line: a register that is loaded from two lines
-/// takes twice as long.
+/// A list of numbers that begins at a cache line, because loading a register from two lines takes
+/// twice as long.
 pub(crate) struct Aligned {
     numbers: Vec<f64>,
     first: usize,
 }
 
 impl Aligned {
-    /// All zero.
+    /// A list of zeros.
     pub(crate) fn zeros(count: usize) -> Self {
         let mut numbers = vec![0.0; count + LINE / size_of::<f64>()];
         let first = numbers.as_ptr().align_offset(LINE);

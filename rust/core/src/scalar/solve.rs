@@ -2,8 +2,8 @@
 
 use super::{Real, Work, apart};
 
-/// Solves a small symmetric positive definite system: Cramer's rule for two rows (one division),
-/// L D L' beyond.
+/// Solves a small symmetric positive definite system, by Cramer's rule for two rows (one division)
+/// and by L D L' for more.
 #[inline(always)]
 pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
     let mut x = *right;
@@ -20,7 +20,7 @@ pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N
     x
 }
 
-/// The inverse of a small symmetric positive definite matrix, times a factor.
+/// Inverse of a small symmetric positive definite matrix, times a factor.
 #[inline(always)]
 pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) -> [[R; N]; N] {
     if N > 2 {
@@ -30,13 +30,13 @@ pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) 
     for j in 0..N {
         let mut column = [R::splat(0.0); N];
         column[j] = factor;
-        // symmetric: a column is a row
+        // the matrix is symmetric, so its columns are its rows
         all[j] = solve(matrix, &column);
     }
     all
 }
 
-/// [`solve`] beyond two rows.
+/// [`solve`] for more than two rows.
 struct Solving<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N]);
 
 impl<R: Real, const N: usize> Work for Solving<'_, R, N> {
@@ -47,7 +47,7 @@ impl<R: Real, const N: usize> Work for Solving<'_, R, N> {
     }
 }
 
-/// [`inverse`] beyond two rows.
+/// [`inverse`] for more than two rows.
 struct Inverting<'m, R, const N: usize>(&'m [[R; N]; N], R);
 
 impl<R: Real, const N: usize> Work for Inverting<'_, R, N> {
@@ -77,7 +77,7 @@ impl<R: Real, const N: usize> Factor<R, N> {
         let mut l = *matrix;
         let mut per_d = [R::splat(0.0); N];
         for j in 0..N {
-            // row j times D so far
+            // row j times D, up to here
             let mut scaled = l[j];
             for k in 0..j {
                 scaled[k] = l[j][k] * l[k][k];

@@ -1,10 +1,10 @@
-//! Derivatives by the sizes of effects that an arm does not have yet.
+//! Derivatives with respect to sizes of effects that are zero.
 //!
-//! Where an effect's sizes are nothing the arm moves as it would without, and the effect enters the
-//! variational equations like any other parameter, by what a little of it would add to the gear's,
-//! the motor's and the link's row. So an arm may be asked for the effects it lacks at hardly any
-//! cost. What a little of an effect adds is its own derivative by a size, at size nothing, of numbers
-//! with a derivative ([`Jet`]); the other parameters, such as velocities, have no influence then.
+//! With sizes of zero the arm moves as without the effects, and a size enters the variational
+//! equations like any other parameter, through its derivatives of the gear's, the motor's and the
+//! link's row at zero. They are computed over [`Jet`]s. Other parameters of the effects, such as
+//! velocities, have no influence then. Score tests therefore cost little more than the fit's own
+//! derivatives.
 
 use crate::arm::Arm;
 use crate::joint::effects::{
@@ -19,37 +19,37 @@ use crate::sensitivity::forcing::{GEAR_EFFECTS, MOTOR_EFFECTS, Quads};
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::trace::{Stage, Stages, Trace};
 
-/// The effects that an arm lacks, joint by joint.
+/// Effects of size zero, joint by joint.
 pub(crate) struct EffectSensitivity<L, const N: usize> {
     own: [Vec<OneSize<L>>; N],
-    /// What z follows.
+    /// Hysteresis laws.
     hysteresis: [Option<Hysteresis<f64>>; N],
     /// z at the beginning of the step.
     pub(crate) z: [f64; N],
-    /// What the links' parts follow that swing by themselves.
+    /// Laws of the flexible parts.
     flexible: [Option<FlexibleLink<f64>>; N],
-    /// Their angles and velocities in space at the beginning of the step.
+    /// Angles and velocities of the flexible parts in space at the beginning of the step.
     part: [Swing; N],
-    /// What the springs follow that bases turn on.
+    /// Laws of the bases.
     soft: [Option<SoftBase<f64>>; N],
-    /// Their torques, and the rates of these, at the beginning of the step.
+    /// Torques of the bases' springs and their rates at the beginning of the step.
     base: [Swing; N],
 }
 
-/// What obeys an equation of the second order by itself, and its rate.
+/// State of a second-order equation, and its rate.
 type Swing = [f64; 2];
 
-/// One size of an effect, which is nothing but moves.
+/// Derivatives with respect to one size at zero.
 pub(crate) struct OneSize<L> {
-    /// Its place among the parameters of its joint's effects.
+    /// Index among the parameters of the joint's effects.
     pub(crate) place: usize,
     size: Size,
-    /// The effects with this size alone, for stages side by side and for one instant.
+    /// The effects with the derivative of this size, for stages in lanes and for one instant.
     effects: Effects<Jet<L>>,
     at_once: Effects<Jet<f64>>,
 }
 
-/// A joint at one instant, for its effects.
+/// State of a joint at one instant, for its effects.
 struct Moment<R> {
     motor_angle: R,
     motor_velocity: R,
@@ -57,27 +57,27 @@ struct Moment<R> {
     angle_in_space: R,
     twist: R,
     z: R,
-    /// Torque of the gear at the motor [N m].
+    /// Gear torque at the motor [N m].
     load: R,
     stiffness: R,
     damping: R,
-    /// Of the link's part that swings by itself.
+    /// Of the flexible part.
     part_acceleration: R,
-    /// Of the spring that the base turns on.
+    /// Of the spring under the base.
     base: BaseTorque<R>,
 }
 
-/// What a little of an effect adds, per size.
+/// Derivatives of the equations with respect to a size.
 pub(crate) struct Adds<R> {
-    /// To what dry friction can take up.
+    /// Of the friction limit.
     pub(crate) friction: R,
-    /// To the motor's torque.
+    /// Of the motor's torque.
     pub(crate) motor: R,
-    /// To the torque through the gear.
+    /// Of the gear's torque.
     pub(crate) gear: R,
-    /// To the motor's lever.
+    /// Of the local ratio.
     pub(crate) lever: R,
-    /// To what the link bears, or the link and those before it.
+    /// Of the load torque on the link, or on the link and those before it.
     pub(crate) link: R,
 }
 
@@ -127,7 +127,7 @@ impl<R: Real> Adds<R> {
 }
 
 impl<L: Real> OneSize<L> {
-    /// What it adds where an event ends a stretch.
+    /// Derivatives at the event at the end of a span.
     pub(crate) fn at_an_event<S: Real>(
         &self,
         held: &Holding<S>,
@@ -151,7 +151,7 @@ impl<L: Real> OneSize<L> {
     }
 }
 
-/// The effects of one joint whose values are given, of which one moves.
+/// Effects of one joint with given values, one of which has derivative one.
 fn moving<R: Real>(kinds: EffectKinds, values: &[f64], place: usize) -> Effects<Jet<R>> {
     let mut next = 0;
     Effects::of(kinds, || {
@@ -165,7 +165,7 @@ fn moving<R: Real>(kinds: EffectKinds, values: &[f64], place: usize) -> Effects<
 }
 
 impl<L: Real, const N: usize> EffectSensitivity<L, N> {
-    /// Of a configuration and its parameters, in a motion that begins in a state.
+    /// From a configuration with its parameters, and the initial state.
     pub(crate) fn new<A: Arm<N>, S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
@@ -210,20 +210,20 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         }
     }
 
-    /// The spring that one joint's base turns on, at the beginning of the step.
+    /// State of the spring under one joint's base at the beginning of the step.
     #[inline(always)]
     pub(crate) fn base(&self, joint: usize) -> BaseTorque<f64> {
         let [torque, rate] = self.base[joint];
         BaseTorque { torque, rate }
     }
 
-    /// The sizes of one joint's effects.
+    /// Sizes of one joint.
     pub(crate) fn of(&self, joint: usize) -> &[OneSize<L>] {
         &self.own[joint]
     }
 
-    /// What the effects would add at the stages of a step of length `h`; `push` is what one newton
-    /// metre less at each motor makes of its acceleration.
+    /// Adds the derivatives at the stages of a step of length `h` to `quads`; `push` is the change
+    /// of each motor's acceleration per negative motor torque.
     #[inline(always)]
     pub(crate) fn enter<A: Arm<N>, S: Real, G: Gears>(
         &self,
@@ -290,8 +290,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)]
     }
 
-    /// Accelerations of the part of one link that swings by itself, at the stages of a step of length
-    /// `h`.
+    /// Accelerations of the flexible part of one link at the stages of a step of length `h`.
     #[inline(always)]
     fn swung<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> Stages {
         let Some(law) = &self.flexible[i] else {
@@ -307,8 +306,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         Swaying::over(self.part[i], h, at).acceleration
     }
 
-    /// The torque in the spring that one joint's base turns on, at the stages of a step of length
-    /// `h`.
+    /// Torque of the spring under one joint's base at the stages of a step of length `h`.
     #[inline(always)]
     fn swayed<A: Arm<N>, G: Gears>(
         &self,
@@ -333,8 +331,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         })
     }
 
-    /// The step is made: what gears remember, parts of links swing by and bases turn on, where it
-    /// ended.
+    /// Sets the states of the effects to the end of a step.
     #[inline(always)]
     pub(crate) fn passed<A: Arm<N>, S: Real, G: Gears>(
         &mut self,
@@ -359,7 +356,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     }
 }
 
-/// What obeys an equation of the second order by itself, at the stages of a step.
+/// A second-order equation at the stages of a step.
 struct Swaying {
     place: Stages,
     rate: Stages,
@@ -373,7 +370,7 @@ impl Swaying {
         acceleration: [0.0; 4],
     };
 
-    /// The integrator's own step of length `h`.
+    /// The integrator's step of length `h`.
     #[inline(always)]
     fn over([place, rate]: Swing, h: f64, at: impl Fn(usize, Swing) -> f64) -> Self {
         let half = 0.5 * h;
@@ -393,7 +390,7 @@ impl Swaying {
     }
 }
 
-/// Where it is at the end of a step of length `h`, from its accelerations at the stages.
+/// State at the end of a step of length `h`, from the accelerations at its stages.
 #[inline(always)]
 fn moved_on([place, rate]: Swing, &[a1, a2, a3, a4]: &Stages, h: f64) -> Swing {
     [
@@ -402,7 +399,7 @@ fn moved_on([place, rate]: Swing, &[a1, a2, a3, a4]: &Stages, h: f64) -> Swing {
     ]
 }
 
-/// The configuration and the parameters without the effects, if none of these has any size.
+/// The configuration and the parameters without effects, if all sizes are zero.
 pub(crate) fn without_effects<A: Arm<N>, const N: usize>(
     config: &Config<A, N>,
     parameters: &[f64],

@@ -1,7 +1,7 @@
-//! Where parameters enter the variational equations, and how blocks of directions take them in.
+//! Derivatives of the equations with respect to parameters.
 //!
-//! What each parameter adds to its row is worked out once for all blocks, by four parameters of a
-//! row at a time; a block then picks its own.
+//! They are computed once for all blocks, four parameters of a row at a time ([`Quad`]); each block
+//! selects its own.
 
 use std::collections::BTreeMap;
 
@@ -13,59 +13,59 @@ use crate::plant::config::{Config, Role};
 use crate::plant::first_bearing;
 use crate::scalar::{Lanes, MOST_LANES};
 
-/// The row of the equations that a parameter enters.
+/// Row of the equations.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Row {
-    /// The gear's torque.
+    /// Torque of the gear.
     Gear,
-    /// The motor's acceleration.
+    /// Acceleration of the motor.
     Motor,
-    /// The torque that a link takes.
+    /// Load torque of the link.
     Link,
 }
 
-/// What four parameters of a row add to it at each of the four stages; a stage's are side by side.
+/// Derivatives with respect to four parameters at each of the four stages; those of one stage are
+/// adjacent.
 #[derive(Clone, Copy)]
 #[repr(align(64))]
 pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
 
 /// By motor inertia, viscous and Coulomb friction, offset.
 pub(crate) const MOTOR: usize = 0;
-/// By the damping, then by the parameters of the gear's law: two quads.
+/// By damping, then by the parameters of the gear's law: two quads.
 pub(crate) const GEAR: usize = 1;
-/// By the sizes of effects, the same places in the motor's row,
+/// By the sizes of effects, in the motor's row.
 pub(crate) const MOTOR_EFFECTS: usize = 3;
-/// and in the gear's.
+/// By the sizes of effects, in the gear's row.
 pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
-/// How many quads the sizes of effects take.
+/// Number of quads for the sizes of effects.
 const EFFECT_QUADS: usize = SIZES.div_ceil(4);
-/// How many of a joint's quads there are of these.
+/// Number of quads of a joint's motor and gear.
 const OWN: usize = GEAR_EFFECTS + EFFECT_QUADS;
-/// By the link's viscous friction, then by the arm's base parameters: as many quads as it takes, one
-/// after the other; then by the sizes of effects.
+/// By the link's viscous friction, then by the arm's base parameters, then by the sizes of effects.
 const LINK: usize = OWN;
 
-/// The quads of all joints.
+/// Quads of all joints.
 pub(crate) struct Quads<const N: usize> {
     pub(crate) own: [[Quad; OWN]; N],
-    /// Of the links' rows, joint by joint.
+    /// Quads of the links' rows, joint by joint.
     pub(crate) link: Vec<Quad>,
 }
 
-/// How many quads a link's row has for so many base parameters.
+/// Number of quads of a link's row for base parameters.
 #[inline(always)]
 pub(crate) fn link_quads(bases: usize) -> usize {
     (1 + bases).div_ceil(4)
 }
 
-/// How many it has in all.
+/// Number of quads of a link's row.
 #[inline(always)]
 pub(crate) fn all_link_quads(bases: usize) -> usize {
     link_quads(bases) + EFFECT_QUADS
 }
 
 impl<const N: usize> Quads<N> {
-    /// Nothing at all, for so many base parameters.
+    /// Zero derivatives.
     pub(crate) fn nothing(bases: usize) -> Self {
         let nothing = Quad([[0.0; 4]; 4]);
         Self {
@@ -74,7 +74,7 @@ impl<const N: usize> Quads<N> {
         }
     }
 
-    /// One of the quads by the sizes of effects in a link's row.
+    /// A quad of the sizes of effects in a link's row.
     #[inline(always)]
     pub(crate) fn of_link(&mut self, joint: usize, quad: usize) -> &mut Quad {
         let per_link = self.link.len() / N;
@@ -90,17 +90,17 @@ fn row(quad: usize) -> Row {
     }
 }
 
-/// Where a parameter enters: the row of a joint, and the quad and the slot that say what it adds.
+/// Location of a derivative: the row of a joint, and the quad and the slot.
 #[derive(Clone, Copy)]
 struct Place {
     joint: usize,
-    /// The joint whose quad it is.
+    /// The joint of the quad.
     of: usize,
     quad: usize,
     slot: usize,
 }
 
-/// The places of each of a configuration's parameters.
+/// Locations for each parameter.
 fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
     let at = |joint, quad, slot| Place {
         joint,
@@ -115,9 +115,9 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         Role::Drive(k) => vec![at(i, MOTOR, k)],
         Role::Damping => vec![at(i, GEAR, 0)],
         Role::Gear(k) => vec![at(i, GEAR, 1 + k)],
-        // it acts on held motors alone
+        // it acts on held motors only
         Role::Settling => Vec::new(),
-        // a velocity or an exponent does nothing where the effect itself is nothing
+        // other parameters of an effect have no influence at size zero
         Role::Effect(k) => match config.joints[i].effects.parameters()[k].1 {
             Some(size) => {
                 let own = effect_places(size, bases);
@@ -135,8 +135,7 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
     config.roles().into_iter().map(place).collect()
 }
 
-/// The rows of its own joint that the size of an effect enters, by their first quads, and its slot
-/// there.
+/// Quads and slots of the size of an effect in the rows of its own joint.
 fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
     let Enters {
         friction,
@@ -155,22 +154,22 @@ fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize
     entered.map(move |(_, quad)| (quad, size.index))
 }
 
-/// The place of the link's viscous friction in a joint's drive: all before it act on the motor.
+/// Index of the link's viscous friction in a joint's drive; those before it act on the motor.
 const LINK_VISCOUS: usize = DRIVE.len() - 1;
 
-/// Most quads that one row takes numbers from: each lane takes one at most.
+/// Largest number of quads per row: each lane uses at most one.
 const MOST_QUADS: usize = MOST_LANES;
 
-/// From which quads a row takes numbers, and how; the first ones.
+/// Quads of a row with the selection of their numbers.
 type Picks<P> = [Option<(usize, P)>; MOST_QUADS];
 
-/// What a block's parameters add to the gears', motors' and links' rows.
+/// Derivatives of the equations for the directions of a block.
 pub(crate) struct Forcing<V: Lanes, const N: usize> {
     picks: [[Picks<V::Pick>; N]; 3],
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
-    /// By the first `V::LANES` directions.
+    /// For the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
         let per_link = all_link_quads(config.arm.names().len());
@@ -197,7 +196,7 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
         Self { picks }
     }
 
-    /// What is added to a joint's row at a stage of a step with these quads.
+    /// Derivatives of a joint's row at a stage.
     #[inline(always)]
     pub(crate) fn of(&self, quads: &Quads<N>, row: Row, joint: usize, stage: usize) -> V {
         let from = match row {

@@ -1,4 +1,4 @@
-//! What an IMU's sensors read of blocks of directions.
+//! Derivatives of the readings of an IMU.
 
 use crate::arm::Arm;
 use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
@@ -8,13 +8,13 @@ use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensors::imu::{MOUNTED, Mounted, Signals};
 use crate::sensors::low_pass::{Feedthrough, LowPass};
 
-/// The low-passes and slopes that all blocks share.
+/// Low-passes and slopes for all blocks.
 pub(crate) struct MountedSensing<V, const N: usize> {
     filters: [[Option<Feedthrough<V, 2>>; N]; MOUNTED],
     slopes: [LinkSignalSlopes<f64, N>; N],
 }
 
-/// One block's states of the low-passes, and its readings.
+/// States of the low-passes and readings of one block.
 #[derive(Clone)]
 pub(crate) struct MountedSensed<V, const N: usize> {
     states: [[[V; 2]; N]; MOUNTED],
@@ -22,7 +22,7 @@ pub(crate) struct MountedSensed<V, const N: usize> {
 }
 
 impl<V: Real, const N: usize> MountedSensing<V, N> {
-    /// Of the low-passes of a plain simulation.
+    /// From the low-passes of a simulation.
     pub(crate) fn new<S: Real>(plain: &Mounted<S, N>) -> Self {
         let none = LinkSignalSlopes {
             angle: [[0.0; N]; LINK_SIGNALS],
@@ -36,7 +36,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
         }
     }
 
-    /// Takes how the signals of an instant depend on the motion, in half steps of 1/`rate` [s].
+    /// Computes the slopes of the signals at an instant, in half steps of 1/`rate` [s].
     #[inline(always)]
     pub(crate) fn take<A: Arm<N>, S: Real>(
         &mut self,
@@ -58,7 +58,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
         }
     }
 
-    /// The signals' derivatives before any low-pass.
+    /// Derivatives of the signals before any low-pass.
     #[inline(always)]
     fn tangents<A: Arm<N>>(
         &self,
@@ -86,7 +86,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
 }
 
 impl<V: Real, const N: usize> MountedSensed<V, N> {
-    /// At rest at the derivatives of the first signals.
+    /// At rest at the derivatives of the initial signals.
     pub(crate) fn at_rest(sensing: &MountedSensing<V, N>, first: Signals<V, N>) -> Self {
         let rest = |k: usize, i: usize| match &sensing.filters[k][i] {
             Some(filter) => filter.at_rest(first[k][i]),
@@ -98,8 +98,7 @@ impl<V: Real, const N: usize> MountedSensed<V, N> {
         }
     }
 
-    /// The readings of an instant, and what the low-passes make of them; `rates` are the links' in
-    /// space.
+    /// Updates the readings at an instant; `rates` are those of the links in space.
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,

@@ -1,10 +1,10 @@
-//! Experiments with the derivatives of all that is recorded, consistent with the integrator step by
-//! step: [`dual_simulation`] runs the whole chain over numbers with derivatives, [`forward`] follows
-//! the plain simulation with variational equations.
+//! Experiments with derivatives of all recorded quantities, consistent with each step of the
+//! integrator: [`dual_simulation`] uses dual numbers, [`forward`] follows the simulation with
+//! variational equations.
 //!
-//! The instants of friction's events move with the parameters, and their derivatives are in. Where
-//! a change of a parameter, however small, changes the sequence of events, there is no derivative;
-//! the one given then is that of the sequence seen. An encoder's is that of the angle it reads.
+//! Derivatives include those of the times of friction events. If an arbitrarily small change of a
+//! parameter changes the sequence of events, the derivative does not exist, and that of the
+//! simulated sequence is returned. The derivative of an encoder reading is that of the angle.
 
 mod block_trajectory;
 pub(crate) mod dual_simulation;
@@ -26,16 +26,17 @@ use crate::experiment::{Record, RecordOf, values};
 use crate::scalar::{Dual, Real};
 use crate::sensors::decimation::Decimation;
 
-/// What was recorded, and how it depends on what was asked for.
+/// Recorded quantities and their derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sensitivities<const N: usize> {
-    /// As [`crate::dispatch::simulate`] gives it, or its rows behind a low-pass.
+    /// Samples, or their rows behind a low-pass.
     pub values: Record<N>,
-    /// For each quantity samples, or rows, times joints times directions, the last running fastest.
+    /// For each quantity samples, or rows, times joints times directions; the last index varies
+    /// fastest.
     pub tangents: Vec<Vec<f64>>,
 }
 
-/// A record's rows behind a low-pass, if there is one.
+/// Rows of a recording behind a low-pass, if there is one.
 #[inline(always)]
 pub(crate) fn decimated<V: Real, const N: usize>(
     record: Record<N>,
@@ -53,7 +54,7 @@ pub(crate) fn decimated<V: Real, const N: usize>(
 }
 
 impl<const N: usize> Sensitivities<N> {
-    /// The rows behind a low-pass, if there is one.
+    /// Rows behind a low-pass, if there is one.
     pub(crate) fn decimated(self, decimation: Option<&Decimation>, directions: usize) -> Self {
         let Some(low_pass) = decimation else {
             return self;
@@ -66,7 +67,7 @@ impl<const N: usize> Sensitivities<N> {
         }
     }
 
-    /// Puts in the directions from the `first`, of `width` in all.
+    /// Stores the directions from the `first`, of `width` in all.
     fn take<S: Real, V: Real>(
         &mut self,
         record: &RecordOf<Dual<S, V>, N>,

@@ -1,14 +1,14 @@
-//! The derivatives of what is recorded, sample by sample.
+//! Derivatives of recorded quantities, sample by sample.
 
 use crate::scalar::{Aligned, Real};
 use crate::sensors::decimation::{Decimation, Decimator};
 
-/// One sample of all blocks, and all samples, or their rows behind a low-pass, before it.
+/// The current sample of all blocks, and all earlier samples or their rows behind a low-pass.
 pub(crate) struct SampleBuffer<const N: usize> {
     directions: usize,
-    /// Directions with the lanes that the last block has too many.
+    /// Number of directions, rounded up to whole blocks.
     places: usize,
-    /// Quantity by quantity and joint by joint the directions.
+    /// Directions for each quantity and joint.
     sample: Aligned,
     decimated: Option<Decimator>,
     /// For each quantity samples, or rows, times joints times directions.
@@ -16,7 +16,7 @@ pub(crate) struct SampleBuffer<const N: usize> {
 }
 
 impl<const N: usize> SampleBuffer<N> {
-    /// Of so many quantities, samples, directions and lanes a block.
+    /// For numbers of quantities, samples, directions and lanes of a block.
     pub(crate) fn new(
         [quantities, samples, directions, lanes]: [usize; 4],
         decimation: Option<&Decimation>,
@@ -36,13 +36,13 @@ impl<const N: usize> SampleBuffer<N> {
         }
     }
 
-    /// Where a quantity's derivatives go, those of one joint.
+    /// The derivatives of one quantity and joint in the current sample.
     #[inline(always)]
     pub(crate) fn place(&mut self, quantity: usize, joint: usize) -> &mut [f64] {
         &mut self.sample[(quantity * N + joint) * self.places..][..self.places]
     }
 
-    /// The sample is whole.
+    /// Stores the current sample.
     pub(crate) fn take<V: Real>(&mut self) {
         let whole = match &mut self.decimated {
             None => Some(&self.sample[..]),

@@ -1,4 +1,4 @@
-//! What accelerometers and gyros read of blocks of directions.
+//! Derivatives of the readings of accelerometers and gyros.
 
 use crate::arm::Arm;
 use crate::arm::link_signals::summed;
@@ -10,12 +10,12 @@ use crate::sensitivity::imu::{MountedSensed, MountedSensing};
 use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensors::low_pass::Feedthrough;
 
-/// The filters of one kind of sensor, of M states, joint by joint.
+/// Filters of `M` states of one kind of sensor, joint by joint.
 type Filters<V, const N: usize, const M: usize> = [Option<Feedthrough<V, M>>; N];
 
-/// The sensors that are recorded, alike for all blocks.
+/// Recorded sensors, for all blocks.
 pub(crate) struct Sensing<V, const N: usize> {
-    /// Half steps a second: the motion's derivatives are in half steps.
+    /// Half steps per second: the derivatives of the motion are in half steps.
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
@@ -24,18 +24,18 @@ pub(crate) struct Sensing<V, const N: usize> {
     rates: RateSlopes<N>,
 }
 
-/// One block's sensors: the states of their filters, and what they read now.
+/// States of the filters and readings of one block.
 #[derive(Clone)]
 pub(crate) struct Sensed<V, const N: usize> {
     accelerometers: [[V; 2]; N],
     gyros: [[V; 1]; N],
-    /// Of the accelerometers and of the gyros.
+    /// Accelerometers and gyros.
     pub(crate) readings: [[V; N]; 2],
-    /// Boxed: where no IMU is recorded, it is not in the way.
+    /// Boxed to keep it out of the way if no IMU is recorded.
     pub(crate) mounted: Option<Box<MountedSensed<V, N>>>,
 }
 
-/// How the accelerometers' readings depend on the motion at an instant.
+/// Slopes of the accelerometers' readings at an instant.
 struct ReadingSlopes<const N: usize> {
     angle: [[f64; N]; N],
     velocity: [[f64; N]; N],
@@ -43,7 +43,7 @@ struct ReadingSlopes<const N: usize> {
 }
 
 impl<V: Real, const N: usize> Sensing<V, N> {
-    /// Of a task, and of the sensors of its plain simulation; `None` where neither is recorded.
+    /// For a task and the sensors of its simulation; `None` if neither is recorded.
     pub(crate) fn new<A: Arm<N>, S: Real>(
         task: &Task<A, N>,
         sensors: Option<&Sensors<S, N>>,
@@ -70,7 +70,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         })
     }
 
-    /// Takes how the readings of an instant depend on the motion.
+    /// Computes the slopes of the readings at an instant.
     #[inline(always)]
     pub(crate) fn take<A: Arm<N>, S: Real>(
         &mut self,
@@ -101,7 +101,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
 }
 
 impl<V: Real, const N: usize> Sensed<V, N> {
-    /// At rest at the first readings of the accelerometers and of the gyros.
+    /// At rest at the initial readings of accelerometers and gyros.
     pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
         let mut own = Self {
             accelerometers: [[V::splat(0.0); 2]; N],
@@ -120,7 +120,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
         own
     }
 
-    /// The readings of an instant, and what the filters make of them.
+    /// Updates the readings at an instant.
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
@@ -158,7 +158,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
 }
 
 impl<const N: usize> ReadingSlopes<N> {
-    /// Of what [`Arm::accelerometer_slopes`] says is not zero.
+    /// For the nonzero entries of [`Arm::accelerometer_slopes`].
     #[inline(always)]
     fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
         let (c, mut sum) = (V::splat, [V::splat(0.0); N]);
@@ -171,7 +171,7 @@ impl<const N: usize> ReadingSlopes<N> {
                     sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
-            // known last
+            // computed last
             for j in 0..=i {
                 sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
             }
@@ -180,14 +180,14 @@ impl<const N: usize> ReadingSlopes<N> {
     }
 }
 
-/// How the links' rates in space depend on the motion at an instant, where the arm is not planar.
+/// Slopes of the links' rates in space at an instant, for arms that are not planar.
 struct RateSlopes<const N: usize> {
     angle: [[f64; N]; N],
     velocity: [[f64; N]; N],
 }
 
 impl<const N: usize> RateSlopes<N> {
-    /// Takes them, in half steps of 1/`rate` [s].
+    /// Computes the slopes, in half steps of 1/`rate` [s].
     #[inline(always)]
     fn take<A: Arm<N>, S: Real>(
         &mut self,
@@ -205,7 +205,7 @@ impl<const N: usize> RateSlopes<N> {
         }
     }
 
-    /// The rates' derivatives [rad/s].
+    /// Derivatives of the rates [rad/s].
     #[inline(always)]
     fn tangents<A: Arm<N>, V: Real>(&self, rate: f64, x: &Tangent<V, N>) -> [V; N] {
         if A::PLANAR {

@@ -1,7 +1,7 @@
-//! How fast the end of a step moves as the step gets longer.
+//! Derivatives of the end of a step with respect to its length.
 //!
-//! The stages of a longer step lie further on, which is known from what the step went through; what
-//! follows from that goes through the variational equations like any other direction.
+//! The stages of a longer step are further ahead, by rates that the trace of the step determines.
+//! The rest follows from the variational equations.
 
 use crate::arm::Arm;
 use crate::joint::gear::Gears;
@@ -10,7 +10,8 @@ use crate::sensitivity::tangent::Tangent;
 use crate::sensitivity::trace::{Stages, Trace};
 use crate::sensitivity::variational::Linearised;
 
-/// How fast the stages of a step move as it gets longer, and its end, with all accelerations held.
+/// Derivatives of the stages and of the end of a step with respect to its length, for fixed
+/// accelerations.
 pub(crate) struct StepLengthSensitivity<S, const N: usize> {
     /// The second to the fourth stage.
     pub(crate) stages: [Tangent<S, N>; 3],
@@ -20,7 +21,7 @@ pub(crate) struct StepLengthSensitivity<S, const N: usize> {
 }
 
 impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
-    /// Of the step of length `h` that left a trace.
+    /// For a step of length `h` with its trace.
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, L: Lanes, G: Gears>(
         trace: &Trace<N>,
@@ -60,8 +61,8 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
     }
 }
 
-/// How fast a position and its velocity move as the step gets longer: at the second to the fourth
-/// stage, and at the end.
+/// Derivatives of a position and its velocity with respect to the step length, at the second to the
+/// fourth stage and at the end.
 struct Stretching {
     place: Stages,
     speed: Stages,
@@ -86,7 +87,7 @@ impl Stretching {
         }
     }
 
-    /// Of a held motor: its stages are where it settles, and so is its end.
+    /// For a held motor, whose stages and end are those of settling.
     fn settling(v: Stages, a: Stages) -> Self {
         Self {
             place: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],

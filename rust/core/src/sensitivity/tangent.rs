@@ -1,13 +1,12 @@
-//! Derivatives of the motion in some directions, and of the accelerations that follow from it.
+//! Derivatives of the motion, and of the accelerations.
 
 use crate::arm::Arm;
 use crate::scalar::Real;
 
-/// Derivatives of twists and link angles, and of the motors' and links' velocities.
+/// Derivatives of torsions and link angles, and of the velocities of motors and links.
 ///
-/// Time runs in half steps of the integrator here, and motors turn as the links do that they would
-/// drive without gears that give way: a velocity times half a step is an angle, so that a stage is
-/// mostly the sum of the last one and its rates.
+/// Time is in half steps of the integrator, and motor angles are link-side: a velocity times half a
+/// step is an angle, so most of a stage is a sum of the last one and its rates.
 #[derive(Clone, Copy)]
 pub(crate) struct Tangent<V, const N: usize> {
     pub(crate) twist: [V; N],
@@ -18,12 +17,12 @@ pub(crate) struct Tangent<V, const N: usize> {
     pub(crate) link: [V; N],
 }
 
-/// Derivatives of what the state brings about at once.
+/// Derivatives of torques and accelerations.
 #[derive(Clone, Copy)]
 pub(crate) struct Response<V, const N: usize> {
     /// Gear torques [N m].
     pub(crate) gear: [V; N],
-    /// Twist rates times half a step.
+    /// Torsion rates times half a step.
     pub(crate) rate: [V; N],
     /// n ddtheta_M' times half a step squared.
     pub(crate) motor: [V; N],
@@ -32,7 +31,7 @@ pub(crate) struct Response<V, const N: usize> {
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
-    /// Nothing moves.
+    /// Zero derivatives.
     pub(crate) fn still() -> Self {
         let zero = [V::splat(0.0); N];
         Self {
@@ -43,7 +42,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// Accelerated for a time.
+    /// Adds accelerations over a time.
     #[inline(always)]
     pub(crate) fn push(&mut self, time: V, a: &Response<V, N>) {
         for i in 0..N {
@@ -52,7 +51,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// Moved by what acceleration makes of positions, `square` the half of a time's square or so.
+    /// Adds the displacement of accelerations; `square` is half of the square of a time.
     #[inline(always)]
     pub(crate) fn shift(&mut self, square: V, a: &Response<V, N>) {
         for i in 0..N {
@@ -61,7 +60,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// Moves on by `time` at the given rates.
+    /// Advances by `time` at given rates.
     #[inline(always)]
     pub(crate) fn add<S: Real>(&mut self, rates: &Tangent<S, N>, time: V) {
         let c = |rate: S| V::splat(rate.lane(0));
@@ -73,8 +72,8 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// A later stage: `on` at the velocities of the stage `at` and its accelerations. Of the link
-    /// angles those that are felt.
+    /// A later stage, advanced by `on` with the velocities of the stage `at` and its accelerations.
+    /// Only link angles that the equations depend on are advanced.
     #[inline(always)]
     pub(crate) fn moved<A: Arm<N>>(
         &self,
@@ -114,7 +113,8 @@ impl<V: Real, const N: usize> Sum<V, N> {
 }
 
 impl<V: Real, const N: usize> Response<V, N> {
-    /// a1 + a2 + a3, by which places move, and with a2 + a3 once more, which velocities add a4 to.
+    /// a1 + a2 + a3, which displace positions, and a1 + 2 a2 + 2 a3, which with a4 change
+    /// velocities.
     #[inline(always)]
     pub(crate) fn sums(&self, second: &Self, third: &Self) -> [Sum<V, N>; 2] {
         let Self { motor, link, .. } = *second;

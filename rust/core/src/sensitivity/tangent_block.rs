@@ -1,4 +1,4 @@
-//! Directions of derivatives side by side, and what a step does to them.
+//! A block of directions, and its step.
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
@@ -11,11 +11,11 @@ use crate::sensitivity::step_length::StepLengthSensitivity;
 use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensitivity::variational::Linearised;
 
-/// `V::LANES` directions.
+/// Derivatives in `V::LANES` directions.
 pub(crate) struct TangentBlock<V: Lanes, const N: usize> {
     pub(crate) tangent: Tangent<V, N>,
     forcing: Forcing<V, N>,
-    /// One where a direction is the joint's settling time.
+    /// One for directions that are the joint's settling time.
     settling: [V; N],
 }
 
@@ -41,8 +41,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         }
     }
 
-    /// The equations of stage `k`; of an arm of which few programs have to do, in a function of their
-    /// own.
+    /// The equations of stage `k`; for some arms in a function of their own.
     #[inline(always)]
     pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
@@ -107,7 +106,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         response
     }
 
-    /// The rest of a whole step after its first stage.
+    /// Advances by a whole step after its first stage.
     #[inline(always)]
     pub(crate) fn advance<A: Arm<N>, L: Lanes, G: Gears>(
         &mut self,
@@ -118,10 +117,10 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         self.advance_part::<A, L, G, true>(step, first, torque, 1.0);
     }
 
-    /// The rest of a part of a step after its first stage.
+    /// Advances by a part of a step after its first stage.
     ///
-    /// The classical Runge-Kutta step, its stages half the part and the part on. `WHOLE` says that
-    /// the part is all, and takes a factor of one out of most sums.
+    /// The classical Runge-Kutta step with stages at half of the part and at its end. `WHOLE`
+    /// states that the part is one, which removes a factor from most sums.
     #[inline(always)]
     pub(crate) fn advance_part<A: Arm<N>, L: Lanes, G: Gears, const WHOLE: bool>(
         &mut self,
@@ -149,7 +148,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let third = self.respond(step, 2, &at, middle);
         let next = x.moved::<A>(twice, &at, &third);
         let at = self.held(step, next, &at, (2.0 * part, 1));
-        // before the fourth stage: the sums need fewer registers than what they are of
+        // before the fourth stage, because the sums need fewer registers than their terms
         let [places, velocities] = first.sums(&second, &third);
         let fourth = self.respond(step, 3, &at, end);
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
@@ -164,8 +163,8 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         self.tangent = self.held(step, to, &x, (0.0, 1));
     }
 
-    /// How fast the end of a step of length `h` moves as it gets longer; for a block that no
-    /// parameter forces.
+    /// Derivatives of the end of a step of length `h` with respect to its length, for a block
+    /// without parameters.
     #[inline(always)]
     pub(crate) fn by_step_length<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
@@ -192,8 +191,8 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         to
     }
 
-    /// A later stage, half of a step on or, with `end` at one, the whole, in which held motors have
-    /// settled. It was reached with the velocities of the stage `before`, over so many half steps.
+    /// Applies settling motors to a later stage, half a step on (`end` = 0) or a whole one (`end` =
+    /// 1). The stage has moved with the velocities of the stage `before` over `moved` half steps.
     #[inline(always)]
     fn held<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
@@ -209,7 +208,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             };
             let motor = self.tangent.motor[i];
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
-            // as far as a steady motor would have gone
+            // a motor at constant velocity would have moved by this
             let behind = motor - before.motor[i];
             stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
             stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);

@@ -1,4 +1,4 @@
-//! What the plain simulation's Runge-Kutta step went through, stage by stage.
+//! Stages of a Runge-Kutta step of the simulation.
 
 use crate::joint::effects::Twist;
 use crate::plant::{Acceleration, State, Watch};
@@ -7,17 +7,17 @@ use crate::scalar::Real;
 /// A number at each of the four stages.
 pub(crate) type Stages = [f64; 4];
 
-/// What the nominal step went through.
+/// Trace of a simulation step.
 ///
-/// Stage by stage, not quantity by quantity: a vector loaded from numbers that were just stored one
-/// by one would wait until the whole step has retired.
+/// Stages are stored one by one, not by quantity: a vector loaded from numbers that were just
+/// stored one by one would wait until the whole step has retired.
 #[derive(Clone, Copy)]
 pub(crate) struct Trace<const N: usize> {
     pub(crate) ratio: [f64; N],
     pub(crate) stages: [Stage<N>; 4],
 }
 
-/// One of its stages.
+/// One stage of a step.
 #[derive(Clone, Copy)]
 pub(crate) struct Stage<const N: usize> {
     pub(crate) angle: [f64; N],
@@ -53,13 +53,13 @@ impl<const N: usize> Trace<N> {
         [0, 1, 2, 3].map(|k| number(&self.stages[k]))
     }
 
-    /// The same, stages side by side, from the `first`.
+    /// A number at the stages from the `first`, in lanes.
     #[inline(always)]
     pub(crate) fn across<L: Real>(&self, first: usize, number: impl Fn(&Stage<N>) -> f64) -> L {
         L::load(&self.each(number)[first..])
     }
 
-    /// The same of each joint.
+    /// A number of each joint at the stages from the `first`, in lanes.
     #[inline(always)]
     pub(crate) fn joints<L: Real>(
         &self,
@@ -94,7 +94,7 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
 }
 
 impl<const N: usize> Trace<N> {
-    /// Of gear `i` at stage `k`.
+    /// Torsion of gear `i` at stage `k`.
     #[inline(always)]
     pub(crate) fn twist_at(&self, i: usize, k: usize) -> Twist<f64> {
         let stage = &self.stages[k];
@@ -104,7 +104,7 @@ impl<const N: usize> Trace<N> {
         }
     }
 
-    /// Of gear `i` in a state.
+    /// Torsion of gear `i` in a state.
     #[inline(always)]
     pub(crate) fn twist_of<S: Real>(&self, i: usize, x: &State<S, N>) -> Twist<f64> {
         let n = S::splat(self.ratio[i]);

@@ -1,14 +1,15 @@
-//! The variational equations of the very Runge-Kutta step, for arms whose gears are all elastic.
+//! Variational equations of the Runge-Kutta step, for arms with elastic gears.
 //!
-//! Within a step whose friction modes stay, the derivatives of the motion obey linear equations
-//! whose coefficients are the same in every direction. The nominal step leaves a [`Trace`] of its
-//! four stages; [`Linearised`] makes the coefficients of all four from it at once, stages side by
-//! side; and each [`crate::sensitivity::tangent_block::TangentBlock`] of directions goes through the stages with a few multiply-adds.
+//! Within a step with fixed friction modes, the derivatives of the motion obey linear equations
+//! whose coefficients are the same in every direction. The simulated step leaves a [`Trace`] of its
+//! four stages; [`Linearised`] computes the coefficients of all four in lanes; and each
+//! [`crate::sensitivity::tangent_block::TangentBlock`] of directions advances through the stages
+//! with a few multiply-adds.
 //!
-//! The twists of the gears stand in place of the motors' angles: nothing depends on those alone.
-//! With s the gear torques, primes for derivatives, and what a parameter adds by itself left out:
+//! Torsions replace motor angles, because nothing depends on the latter alone. With gear torques s,
+//! primes for derivatives, and without the terms of parameters:
 //!
-//! - s' = K twist' + d_G (n dtheta_M' - dtheta_L')
+//! - s' = K delta' + d_G (n dtheta_M' - dtheta_L')
 //! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
 //! - ddtheta_L' = M_L^-1 (s' - (M_L ddtheta_L + c + g)' - d_L dtheta_L')
 
@@ -22,46 +23,47 @@ use crate::sensitivity::forcing::{GEAR, MOTOR, Quads, all_link_quads, link_quads
 use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
-/// [`crate::sensitivity::tangent_block::Tangent`].
+/// [`crate::sensitivity::tangent::Tangent`].
 pub(crate) struct Linearised<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
     plant: Plant<A, L, G, N>,
     shared: [Shared<L, G>; N],
-    /// How many parameters each gear's law has.
+    /// Number of parameters of each gear's law.
     of_law: [usize; N],
     /// Half of the integrator's step [s].
     pub(crate) half: f64,
     pub(crate) stiffness: [Stages; N],
     pub(crate) inverse: [[Stages; N]; N],
-    /// What a link's row takes of the gear's torque, by the link angles and velocities.
+    /// Derivatives of the load torque of each link with respect to link angles and velocities.
     pub(crate) by_angle: [[Stages; N]; N],
     pub(crate) by_velocity: [[Stages; N]; N],
     pub(crate) damping: [f64; N],
     /// n ddtheta_M' per gear torque, per n dtheta_M' and per motor torque.
     pub(crate) motor: [[f64; N]; 3],
-    /// What each parameter adds to its rows.
+    /// Derivatives with respect to parameters.
     pub(crate) quads: Quads<N>,
-    /// What a little of the effects that the arm lacks would add.
+    /// Effects of size zero.
     pub(crate) effects: Option<EffectSensitivity<L, N>>,
     pub(crate) settling: [Option<Settling>; N],
 }
 
-/// What a gear's derivatives share.
+/// Terms of a gear's derivatives that do not depend on the torsion.
 type Shared<L, G> = <<G as Gears>::Spring<L> as Spring<L>>::Shared;
 
-/// How a held motor that settles moves over half a step and over the whole, beside a steady one:
-/// its angle by v tau (1 - exp(-t/tau)) instead of v t, its velocity by v exp(-t/tau) instead of v.
+/// Motion of a settling motor over half a step and over a whole one, relative to constant velocity:
+/// its angle changes by v tau (1 - exp(-t/tau)) instead of v t, its velocity is v exp(-t/tau)
+/// instead of v.
 #[derive(Clone, Copy)]
 pub(crate) struct Settling {
-    /// Change of the angle per velocity, times the gear ratio as all that follows.
+    /// Change of the angle per velocity, times the gear ratio like all that follows.
     pub(crate) angle: [f64; 2],
     /// Change of the velocity per velocity.
     pub(crate) velocity: [f64; 2],
-    /// Both again, per settling time.
+    /// Derivatives of both with respect to the settling time.
     pub(crate) by_time: [[f64; 2]; 2],
 }
 
 impl Settling {
-    /// Over a step of length `h`, velocities being angles in `half` [s].
+    /// For a step of length `h`, with velocities as angles in `half` [s].
     fn new(time: f64, speed: f64, h: f64, half: f64) -> Self {
         let parts = [0.5 * h, h];
         let left = parts.map(|t| (-t / time).exp());
@@ -78,8 +80,8 @@ impl Settling {
 }
 
 impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
-    /// Of an arm without effects, for steps of length `step` [s]. Directions are by the parameters
-    /// of `asked`, which may have effects whose sizes are nothing; the motion begins in a state.
+    /// For an arm without effects and steps of length `step` [s]. Directions are by the parameters
+    /// of `asked`, which may have effects of size zero; the motion begins in a state.
     pub(crate) fn new<S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
@@ -108,7 +110,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
-    /// Makes the coefficients of a step that begins in a posture.
+    /// Computes the coefficients of a step that begins in a posture.
     #[inline(always)]
     pub(crate) fn update<S: Real>(
         &mut self,
@@ -136,7 +138,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
-    /// The step is made: the effects that are asked about go on from where it ended.
+    /// Sets the states of effects to the end of a step.
     #[inline(always)]
     pub(crate) fn passed<S: Real>(&mut self, trace: &Trace<N>, end: &State<S, N>, h: f64) {
         if let Some(effects) = &mut self.effects {
@@ -144,7 +146,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
-    /// One motor, which slides or is held.
+    /// Coefficients of one motor, sliding or held.
     #[inline(always)]
     fn motor<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, i: usize, h: f64) {
         let (joint, half) = (&self.plant.joints[i], self.half);
@@ -168,7 +170,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
-    /// Link side, for the stages from the `first`.
+    /// Coefficients of the links, for the stages from the `first`.
     #[inline(always)]
     fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
         let mut turned: [L; N] = trace.joints(first, |stage| &stage.angle);
@@ -198,7 +200,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
         let regressor = arm.regressor(&at, &dq, &ddq);
         let by = regressor.as_ref();
-        // all in loops of known length, without closures: each would be a call
+        // loops of constant length without closures, because each closure would be a call
         let per_link = all_link_quads(by.len());
         let quads = &mut self.quads.link[..N * per_link];
         for i in 0..N {
@@ -218,7 +220,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
     }
 
-    /// One gear, for the stages from the `first`.
+    /// Coefficients of one gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
         let (joint, quads) = (&self.plant.joints[i], &mut self.quads.own[i]);
@@ -237,7 +239,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
     }
 }
 
-/// Stores four numbers times a factor, as one vector where there are vectors.
+/// Stores four numbers times a factor, as one vector if possible.
 #[inline(always)]
 fn put<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
     for first in (0..4).step_by(L::LANES) {

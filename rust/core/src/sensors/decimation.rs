@@ -1,7 +1,7 @@
-//! Recorded samples through a low-pass, of which a row is kept for every few samples.
+//! Decimation of recorded samples through a low-pass.
 //!
-//! Whoever compares an experiment with a measured one wants far fewer numbers than its samples'
-//! derivatives are; so these never leave the processor's caches.
+//! A comparison with a measurement needs far fewer numbers than the derivatives of all samples, so
+//! those never leave the caches of the processor.
 
 use std::ops::Range;
 
@@ -15,8 +15,8 @@ pub struct Decimation {
 }
 
 impl Decimation {
-    /// Of taps for each quantity, and samples from one row to the next; `None` where the lists are
-    /// not all as long as some multiple of that.
+    /// From taps for each quantity and the number of samples from row to row; `None` unless all
+    /// lists have the same length, a multiple of that number.
     pub fn new(taps: Vec<Vec<f64>>, step: usize) -> Option<Self> {
         let length = taps.first()?.len();
         let whole = step > 0 && length > 0 && length.is_multiple_of(step);
@@ -24,12 +24,12 @@ impl Decimation {
         (whole && alike).then_some(Self { taps, step })
     }
 
-    /// How many quantities it is for.
+    /// Number of quantities.
     pub fn quantities(&self) -> usize {
         self.taps.len()
     }
 
-    /// Rows of so many samples: those that the low-pass reaches all samples of.
+    /// Number of rows for a number of samples: those for which the low-pass has all samples.
     pub fn rows(&self, samples: usize) -> usize {
         let length = self.taps[0].len();
         if samples < length {
@@ -38,7 +38,7 @@ impl Decimation {
         (samples - length) / self.step + 1
     }
 
-    /// Rows of a quantity's samples, each of `width` numbers.
+    /// Rows of a quantity's samples of `width` numbers each.
     #[inline(always)]
     pub(crate) fn of<V: Real>(&self, quantity: usize, samples: &[f64], width: usize) -> Vec<f64> {
         let taps = &self.taps[quantity];
@@ -56,7 +56,7 @@ impl Decimation {
     }
 }
 
-/// Sum of taps times as many numbers.
+/// Sum of taps times numbers.
 #[inline(always)]
 fn product<V: Real>(taps: &[f64], numbers: &[f64]) -> f64 {
     let (taps, rest) = taps.split_at(taps.len() / V::LANES * V::LANES);
@@ -75,21 +75,20 @@ fn product<V: Real>(taps: &[f64], numbers: &[f64]) -> f64 {
     sum
 }
 
-/// Samples on their way through a [`Decimation`]: `step` of them at a time are added to all rows that
-/// reach them.
+/// Samples passing through a [`Decimation`]: every `step` samples are added to all rows that
+/// include them.
 pub(crate) struct Decimator {
     decimation: Decimation,
-    /// Numbers of one quantity in a sample, or in a row.
+    /// Numbers of one quantity in a sample or row.
     width: usize,
-    /// How many rows there will be.
+    /// Number of rows.
     rows: usize,
-    /// The samples since the last whole block: quantity by quantity, sample by sample.
+    /// Samples since the last whole block, by quantity and sample.
     block: Aligned,
     filled: usize,
-    /// Whole blocks so far.
+    /// Number of whole blocks.
     blocks: usize,
-    /// Rows under way, each in the place of its number modulo how many there are, with their
-    /// quantities.
+    /// Incomplete rows, each at its number modulo their count, by quantity.
     begun: Aligned,
 }
 
@@ -107,7 +106,7 @@ impl Decimator {
         }
     }
 
-    /// Takes in a sample, quantity by quantity, and gives the row that it completes, if any.
+    /// Adds a sample, by quantity, and returns the row that it completes, if any.
     pub(crate) fn push<V: Real>(&mut self, sample: &[f64]) -> Option<&[f64]> {
         let (step, width) = (self.decimation.step, self.width);
         for (k, own) in sample.chunks_exact(width).enumerate() {
@@ -124,20 +123,20 @@ impl Decimator {
         (row < self.rows).then(|| &self.begun[self.place(row)])
     }
 
-    /// Blocks that a row reaches.
+    /// Number of blocks of a row.
     fn parts(&self) -> usize {
         self.decimation.taps[0].len() / self.decimation.step
     }
 
-    /// Where a row under way is.
+    /// Location of an incomplete row.
     fn place(&self, row: usize) -> Range<usize> {
         let numbers = self.decimation.taps.len() * self.width;
         let first = row % self.parts() * numbers;
         first..first + numbers
     }
 
-    /// Adds the block to all rows that reach it, two at a time: samples that are loaded for one row
-    /// serve the next.
+    /// Adds the block to all rows that include it, two at a time, so that loaded samples serve
+    /// both.
     #[inline(always)]
     fn add<V: Real>(&mut self) {
         let newest = self.place(self.blocks);
@@ -173,8 +172,8 @@ impl Decimator {
     }
 }
 
-/// Adds taps times samples to the sums of each row, from the `first` number on, as long as there
-/// are `C` registers of them: so many wait for one another's multiply-adds.
+/// Adds taps times samples to the sums of each row from the `first` number on, `C` registers at a
+/// time, so that multiply-adds overlap.
 #[inline(always)]
 fn add_products<V: Real, const C: usize, const R: usize>(
     rows: &mut [&mut [f64]; R],

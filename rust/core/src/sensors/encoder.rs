@@ -1,11 +1,11 @@
-//! What a motor's encoder reads.
+//! Encoders of the motors.
 
 use crate::scalar::Real;
 
-/// Encoder reading [rad] of a motor angle: whole counts, or the angle itself without an encoder.
+/// Encoder reading [rad] of a motor angle: whole counts, or the angle without an encoder.
 ///
-/// A derivative that the angle carries is the reading's too: that of the staircase, zero but for
-/// its jumps, would say that the encoder sees no motion.
+/// The derivative of the reading is that of the angle. The derivative of the staircase, zero except
+/// for its jumps, would hide the motion.
 pub fn encoder_angle<R: Real>(angle: R, counts_per_turn: Option<f64>) -> R {
     let mut reading = angle;
     if let Some(counts) = counts_per_turn {

@@ -1,4 +1,4 @@
-//! What the sensors of an IMU read combinations of, behind its low-passes.
+//! Signals of an IMU behind its low-passes.
 
 use crate::arm::Arm;
 use crate::arm::link_signals::LINK_SIGNALS;
@@ -9,10 +9,10 @@ use crate::sensors::low_pass::LowPass;
 /// f_x, f_y, alpha, w^2, and the rate itself.
 pub(crate) const MOUNTED: usize = LINK_SIGNALS + 1;
 
-/// A number of each link for each of these signals.
+/// A number per link for each signal.
 pub(crate) type Signals<R, const N: usize> = [[R; N]; MOUNTED];
 
-/// The low-passes of the plain simulation.
+/// Low-passes of a simulation.
 pub(crate) struct Mounted<R, const N: usize> {
     pub(crate) filters: [[Option<LowPass<R, 2>>; N]; MOUNTED],
     pub(crate) readings: Signals<R, N>,
@@ -31,7 +31,7 @@ pub(crate) fn ideal<A: Arm<N>, R: Real, const N: usize>(
 }
 
 impl<R: Real, const N: usize> Mounted<R, N> {
-    /// At rest at the first signals, for steps of `h` [s].
+    /// At rest at the initial signals, for steps of `h` [s].
     pub(crate) fn at_rest<A: Arm<N>>(
         config: &Config<A, N>,
         h: f64,
@@ -52,7 +52,7 @@ impl<R: Real, const N: usize> Mounted<R, N> {
         }
     }
 
-    /// Takes in the signals at the end of a step.
+    /// Updates with the signals at the end of a step.
     #[inline(always)]
     pub(crate) fn update(&mut self, ideal: Signals<R, N>) {
         self.readings = ideal;

@@ -2,7 +2,7 @@
 
 use crate::scalar::Real;
 
-/// A continuous-time low-pass of `M` states, its first state the output, unit gain at rest,
+/// A continuous-time low-pass of `M` states with unit gain, whose first state is the output,
 /// discretised exactly for an input that is linear within each step (first-order hold).
 #[derive(Clone, Copy, Debug)]
 pub struct LowPass<R, const M: usize> {
@@ -39,8 +39,8 @@ impl<R: Real> LowPass<R, 2> {
 }
 
 impl<R: Real, const M: usize> LowPass<R, M> {
-    /// With u(t) = u0 + (u1 - u0) t/h, exp of [[A, B, 0], [0, 0, 1/h], [0, 0, 0]] h holds
-    /// the transition and the two input columns.
+    /// With u(t) = u0 + (u1 - u0) t/h, exp of [[A, B, 0], [0, 0, 1/h], [0, 0, 0]] h contains the
+    /// transition matrix and the two input columns.
     fn discretised(a: [[f64; M]; M], b: [f64; M], h: f64, state: [R; M], input: R) -> Self {
         let size = M + 2;
         let mut generator = vec![vec![0.0; size]; size];
@@ -65,7 +65,7 @@ impl<R: Real, const M: usize> LowPass<R, M> {
         }
     }
 
-    /// Takes in the reading at the end of a step.
+    /// Updates with the reading at the end of a step.
     #[inline(always)]
     pub fn update(&mut self, input: R) {
         let old = self.state;
@@ -79,7 +79,7 @@ impl<R: Real, const M: usize> LowPass<R, M> {
         self.input = input;
     }
 
-    /// The filter that derivatives of the readings go through.
+    /// The filter for derivatives of the readings.
     pub(crate) fn feedthrough<V: Real>(&self) -> Feedthrough<V, M> {
         let plain = |row: &[R; M]| row.map(|number| number.lane(0));
         let (transition, newest) = (self.transition.each_ref().map(plain), plain(&self.from_new));
@@ -96,17 +96,17 @@ impl<R: Real, const M: usize> LowPass<R, M> {
         }
     }
 
-    /// The sensor's output now.
+    /// Output of the sensor.
     #[inline(always)]
     pub fn output(&self) -> R {
         self.state[0]
     }
 }
 
-/// A [`LowPass`] with the newest reading's part `c u` taken out of its state:
-/// y = s_0 + c_0 u, s+ = A s + e u.
+/// A [`LowPass`] with the share `c u` of the newest reading removed from its state: y = s_0 + c_0
+/// u, s+ = A s + e u.
 ///
-/// It has a product less for each state, and its constants serve all directions.
+/// It needs one product less per state, and its constants serve all directions.
 #[derive(Clone, Copy)]
 pub(crate) struct Feedthrough<V, const M: usize> {
     transition: [[V; M]; M],
@@ -122,7 +122,7 @@ impl<V: Real, const M: usize> Feedthrough<V, M> {
         state
     }
 
-    /// Takes in a reading, the first at once, and gives the sensor's output.
+    /// Updates with a reading, and returns the output.
     #[inline(always)]
     pub(crate) fn update(&self, state: &mut [V; M], reading: V) -> V {
         let old = *state;
@@ -137,7 +137,7 @@ impl<V: Real, const M: usize> Feedthrough<V, M> {
     }
 }
 
-/// Matrix exponential by scaling, a Taylor series that ends below rounding, and squaring.
+/// Matrix exponential by scaling, a Taylor series truncated below rounding, and squaring.
 fn exponential(matrix: &[Vec<f64>]) -> Vec<Vec<f64>> {
     let n = matrix.len();
     let norm = matrix

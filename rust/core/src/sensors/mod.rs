@@ -1,4 +1,4 @@
-//! What sensors make of the motion: encoders, low-passes, IMUs, and the decimation of samples.
+//! Sensors: encoders, low-passes, IMUs, and decimation of samples.
 
 pub mod decimation;
 pub mod encoder;

@@ -1,4 +1,4 @@
-//! A chain of rigid links on revolute or prismatic joints that are placed anywhere in space.
+//! A chain of rigid links on revolute or prismatic joints placed anywhere in space.
 
 mod placement;
 mod recursion;
@@ -14,11 +14,11 @@ use crate::scalar::{Real, Work, apart};
 use placement::Placement;
 use vector::{Matrix, cross, dot, plus, scaled, splat, times};
 
-/// Inertial parameters of a link.
+/// Number of inertial parameters of a link.
 const PER_LINK: usize = 10;
 
-/// Their names: mass m [kg], first moments m c [kg m] and the inertia [kg m^2] about the origin of the
-/// link's frame, in its axes.
+/// Names of the inertial parameters: mass m [kg], first moments m c [kg m] and inertia [kg m^2]
+/// about the origin of the link's frame, along its axes.
 const OF_A_LINK: [Parameter; PER_LINK] = [
     Parameter::new("link_mass", "m", "mass of the link", MASS, Sign::Positive),
     Parameter::new(
@@ -86,39 +86,38 @@ const OF_A_LINK: [Parameter; PER_LINK] = [
     ),
 ];
 
-/// kg, whatever the joint.
+/// For both joint types.
 const MASS: [&str; 2] = ["kg"; 2];
-/// kg m, whatever the joint.
+/// For both joint types.
 const FIRST_MOMENT: [&str; 2] = ["kg m"; 2];
-/// kg m^2, whatever the joint.
+/// For both joint types.
 const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 
-/// A chain of `N` links, the first on a fixed base.
+/// A chain of `N` links on a fixed base.
 ///
-/// Torques by Newton and Euler's recursion; they are linear in ten parameters per link, all of which
-/// are parameters of the arm, whether a motion shows them or not. The inertia matrix is the sum of
-/// what each link adds.
+/// Torques follow from the recursion of Newton and Euler; they are linear in ten parameters per
+/// link, all of which are parameters of the arm, identifiable or not. The inertia matrix is the sum
+/// over the links (composite rigid bodies).
 ///
-/// A link's accelerometer sits at `accelerometer_distance` across the joint's axis, along the link
-/// frame's x axis as far as that is across (its y axis where the joint's axis is x), and reads across
-/// both; on a prismatic joint it reads along the axis, at the link's origin. A gyro reads the rate
-/// about the axis. The link signals are those of the plane across the axis: all that an IMU reads
-/// where the axes are parallel, and a part of it elsewhere.
+/// The accelerometer of a link sits at `accelerometer_distance` across the joint's axis, along the
+/// projection of the frame's x axis (of its y axis if the joint's axis is x), and reads
+/// perpendicular to both. On a prismatic joint it sits at the link's origin and reads along the
+/// axis. A gyro reads the rate about the axis. The link signals are those in the plane across the
+/// axis: all that an IMU reads if the axes are parallel, and a part of it otherwise.
 ///
-/// One arm runs at a time, and each kind of processor has one program for all kinds of joints.
-/// Derivatives by the motion come from the recursion over numbers with a derivative.
+/// Derivatives with respect to the motion follow from the recursion over [`crate::scalar::Jet`]s.
 #[derive(Clone, Copy, Debug)]
 pub struct SerialChain<const N: usize> {
     joints: [Placement; N],
-    /// [m/s^2] in the base's frame.
+    /// [m/s^2] in the base frame.
     gravity: [f64; 3],
 }
 
 impl<const N: usize> SerialChain<N> {
-    /// Joints from the base on, and gravity's acceleration [m/s^2] in the base's frame.
+    /// Joints from the base, and the acceleration of gravity [m/s^2] in the base frame.
     ///
     /// # Errors
-    /// The place of the first joint whose axis has no direction.
+    /// The index of the first joint whose axis has length zero.
     pub fn new(joints: &[ChainJoint; N], gravity: [f64; 3]) -> Result<Self, usize> {
         let placed = joints.each_ref().map(Placement::new);
         if let Some(place) = placed.iter().position(Option::is_none) {
@@ -133,7 +132,7 @@ impl<const N: usize> SerialChain<N> {
         Ok(Self { joints, gravity })
     }
 
-    /// Turns the frames as far as the joints are turned.
+    /// Rotates the frames by the joint angles.
     #[inline(always)]
     fn rotated<R: Real>(&self, turn: [Turn<R>; N], shift: [R; N]) -> Posture<R, N> {
         let zero = R::splat(0.0);
@@ -162,14 +161,14 @@ impl<const N: usize> SerialChain<N> {
     }
 }
 
-/// How the joints stand.
+/// Joint positions.
 #[derive(Clone, Copy)]
 pub struct Posture<R, const N: usize> {
     /// Of revolute joints.
     turn: [Turn<R>; N],
-    /// [m] of prismatic ones.
+    /// Displacements [m] of prismatic joints.
     shift: [R; N],
-    /// Of each link's frame in that of the link before.
+    /// Rotation of each link's frame relative to the link before.
     rotation: [Matrix<R>; N],
 }
 
@@ -198,8 +197,8 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         (0..N).flat_map(of).collect()
     }
 
-    /// A body's pseudo-inertia matrix (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is positive
-    /// definite, and with those of all links so is the inertia matrix.
+    /// The pseudo-inertia matrix of a body (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is
+    /// positive definite. If those of all links are, the inertia matrix is too.
     fn check(&self, values: &[f64], _: &[Option<f64>; N]) -> Result<(), (usize, &'static str)> {
         for (i, own) in values.as_chunks::<PER_LINK>().0.iter().enumerate() {
             let first = i * PER_LINK;
@@ -303,7 +302,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     fn potential<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>) -> R {
-        // mass and first moment of all links from the i-th on, about its origin
+        // mass and first moment of all links from the i-th, about its origin
         let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
         for i in (0..N).rev() {
             let [own, x, y, z, ..] = base[i];
@@ -365,8 +364,8 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 }
 
-/// Whether ten parameters are those of a body: Cholesky's factor of [[S, h], [h', m]] exists, where
-/// S = tr(I)/2 - I is the second moment of mass.
+/// Whether ten parameters belong to a body: [[S, h], [h', m]] has a Cholesky factor, where S =
+/// tr(I)/2 - I is the second moment of mass.
 fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; PER_LINK]) -> bool {
     let half = 0.5 * (xx + yy + zz);
     let mut l = [
@@ -392,8 +391,8 @@ fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; PER_LINK]) -> bool {
     true
 }
 
-/// Work of a chain that the integrator's stages call, so that it is there once: the recursions of six
-/// links in every stage of every step would be most of the program.
+/// Recursions compiled as functions of their own, because every stage of every step calls them:
+/// inlined, those of six links would be most of the program.
 macro_rules! out_of_line {
     ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(
         $(#[$doc])*
@@ -430,7 +429,7 @@ mod tests {
     use crate::plant::rigid::base_regressor;
     use proptest::prelude::*;
 
-    /// No two axes parallel, every third joint prismatic.
+    /// A chain without parallel axes; every third joint is prismatic.
     fn chain<const N: usize>() -> SerialChain<N> {
         let joint = |i: usize| {
             let k = i as f64;
@@ -448,7 +447,7 @@ mod tests {
         SerialChain::new(&std::array::from_fn(joint), [0.5, -0.3, -9.8]).expect("axes")
     }
 
-    /// Links of about 4 kg and 0.3 m, each a little different.
+    /// Different links of about 4 kg and 0.3 m.
     fn bodies<const N: usize>() -> Vec<f64> {
         let own = |k: usize| {
             let x = 0.01 * k as f64;
@@ -497,13 +496,13 @@ mod tests {
                 columns.map(|(column, value)| column[i] * value).sum(),
             );
         }
-        // near by, and all that depends on the place alone: gravity's work
+        // a nearby position, and the work of gravity, which depends on the position only
         let moved = std::array::from_fn(|i| 1e-5 * (1.0 + dq[i]));
         let ends = [1.0, -1.0].map(|side| arm.near(&at, &moved.map(|x| side * x)));
         let gained = arm.potential(&base, &ends[0]) - arm.potential(&base, &ends[1]);
         let gravity = arm.bias(&base, &at, &[0.0; N]);
         let work: f64 = (0..N).map(|i| 2.0 * moved[i] * gravity[i]).sum();
-        // the cube of steps that add up to some 1e-4 rad, times energies of the order of 100 J
+        // the cube of steps of about 1e-4 rad in all, times energies of the order of 100 J
         assert!((gained - work).abs() < 1e-9, "{gained} {work}");
     }
 

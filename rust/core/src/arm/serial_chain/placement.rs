@@ -1,13 +1,13 @@
-//! Where the joints of a chain are, and how they move.
+//! Positions and motions of the joints of a chain.
 
 use super::vector::{Matrix, Vector, cross, dot, times};
 
-/// How a joint moves.
+/// Kind of motion of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum JointType {
-    /// It turns about its axis.
+    /// Rotation about the axis.
     Revolute,
-    /// It slides along its axis.
+    /// Translation along the axis.
     Prismatic,
 }
 
@@ -17,23 +17,22 @@ pub enum JointType {
 /// (a, -d sin alpha, d cos alpha), the attitude (alpha, 0, 0) and the axis (0, 0, 1).
 #[derive(Clone, Copy, Debug)]
 pub struct ChainJoint {
-    /// How it moves.
+    /// Kind of motion.
     pub joint_type: JointType,
     /// The joint's origin [m] in the frame of the link before, or of the base.
     pub position: [f64; 3],
     /// Roll, pitch and yaw [rad] of the joint's frame at zero angle in that frame.
     pub attitude: [f64; 3],
-    /// Its axis in its own frame, of any length but zero.
+    /// Axis in the joint's frame; its length does not matter.
     pub axis: [f64; 3],
-    /// l_a [m], how far from the axis the link's accelerometer sits; see
-    /// [`super::SerialChain`].
+    /// l_a [m], distance of the link's accelerometer from the axis; see [`super::SerialChain`].
     pub accelerometer_distance: f64,
 }
 
-/// A joint's constants, worked out once.
+/// Constants of a joint.
 ///
-/// The link's frame is turned by cos(q) `cos` + sin(q) `sin` + `fixed` in that of the link before,
-/// Rodrigues' formula behind the placement; a prismatic joint's by `fixed` alone.
+/// The rotation of the link's frame relative to the link before is cos(q) `cos` + sin(q) `sin` +
+/// `fixed`, Rodrigues' formula after the placement; that of a prismatic joint is `fixed`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub(super) joint_type: JointType,
@@ -44,14 +43,14 @@ pub(super) struct Placement {
     pub(super) cos: Matrix<f64>,
     pub(super) sin: Matrix<f64>,
     pub(super) fixed: Matrix<f64>,
-    /// Across the axis, and across both.
+    /// Perpendicular to the axis, and to both.
     pub(super) x: Vector<f64>,
     pub(super) y: Vector<f64>,
     pub(super) accelerometer_distance: f64,
 }
 
 impl Placement {
-    /// `None` where the axis has no direction.
+    /// `None` if the axis has length zero.
     pub(super) fn new(joint: &ChainJoint) -> Option<Self> {
         let axis = unit(&joint.axis)?;
         let placed = attitude(&joint.attitude);
@@ -89,7 +88,7 @@ impl Placement {
     }
 }
 
-/// In the same direction, of length one.
+/// The unit vector in this direction.
 fn unit(a: &Vector<f64>) -> Option<Vector<f64>> {
     let length = dot(a, a).sqrt();
     (length > 0.0 && length.is_finite()).then(|| a.map(|entry| entry / length))

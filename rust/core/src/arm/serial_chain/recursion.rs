@@ -1,19 +1,19 @@
-//! The recursions along a chain, each link in its own frame: Newton and Euler's for torques, and the
-//! joints' twists for all that is linear in them.
+//! Recursions along a chain, each link in its own frame: Newton and Euler's for torques, and joint
+//! twists for quantities that are linear in them.
 
 use super::placement::JointType;
 use super::vector::{Matrix, Vector, cross, dot, plus, scaled, splat, times, times_transposed};
 use super::{PER_LINK, Posture, SerialChain};
 use crate::scalar::Real;
 
-/// How a link moves, in its own frame.
+/// Motion of a link in its own frame.
 #[derive(Clone, Copy)]
 pub(super) struct LinkMotion<R> {
     /// Angular velocity [rad/s].
     pub(super) rate: Vector<R>,
     /// Angular acceleration [rad/s^2].
     pub(super) turning: Vector<R>,
-    /// Specific force [m/s^2] at its origin: the acceleration without gravity's.
+    /// Specific force [m/s^2] at its origin: acceleration minus gravity.
     pub(super) force: Vector<R>,
 }
 
@@ -42,8 +42,8 @@ impl<R: Real> Inertia<R> {
         }
     }
 
-    /// Force and moment about the origin that accelerations take:
-    /// f = m s + alpha x h, n = I alpha + h x s.
+    /// Force and moment about the origin for given accelerations: f = m s + alpha x h, n = I alpha
+    /// + h x s.
     #[inline(always)]
     fn accelerated(&self, turning: &Vector<R>, force: &Vector<R>) -> [Vector<R>; 2] {
         let h = &self.first_moment;
@@ -53,7 +53,8 @@ impl<R: Real> Inertia<R> {
         ]
     }
 
-    /// What a whole motion takes: f += omega x (omega x h), n += omega x I omega.
+    /// Force and moment of a motion, with the terms of the velocity: f += omega x (omega x h), n +=
+    /// omega x I omega.
     #[inline(always)]
     fn wrench(&self, motion: &LinkMotion<R>) -> [Vector<R>; 2] {
         let [force, moment] = self.accelerated(&motion.turning, &motion.force);
@@ -79,7 +80,7 @@ impl<const N: usize> SerialChain<N> {
         }
     }
 
-    /// Outward: how the links move.
+    /// Outward recursion: motion of the links.
     #[inline(always)]
     pub(super) fn motions<R: Real>(
         &self,
@@ -123,7 +124,7 @@ impl<const N: usize> SerialChain<N> {
         all
     }
 
-    /// Inward: the torques that a motion takes.
+    /// Inward recursion: joint torques of a motion.
     #[inline(always)]
     pub(super) fn newton_euler<R: Real>(
         &self,
@@ -153,7 +154,7 @@ impl<const N: usize> SerialChain<N> {
         torque
     }
 
-    /// Takes the twists that the joints before give a link to link `i`'s frame, and adds its own
+    /// Transforms the twists of the preceding joints to the frame of link `i` and adds its own
     /// joint's.
     #[inline(always)]
     fn extend<R: Real>(&self, at: &Posture<R, N>, i: usize, twists: &mut [Twist<R>; N]) {
@@ -171,7 +172,7 @@ impl<const N: usize> SerialChain<N> {
         twists[i] = Twist { turning, moving };
     }
 
-    /// Sum over the links of J' G J, J the joints' twists of a link and G its inertia.
+    /// Sum over the links of J' G J, with the joint twists J and the inertia G of a link.
     #[inline(always)]
     pub(super) fn mass_matrix<R: Real>(
         &self,
@@ -202,8 +203,8 @@ impl<const N: usize> SerialChain<N> {
         all
     }
 
-    /// Torques per inertial parameter of each link: a joint's twist of the link times what the
-    /// parameter makes of the link's motion.
+    /// Torques per inertial parameter of each link: the joint's twist of the link times the wrench
+    /// per parameter.
     #[inline(always)]
     pub(super) fn torques_per_parameter<R: Real>(
         &self,
@@ -229,7 +230,7 @@ impl<const N: usize> SerialChain<N> {
     }
 }
 
-/// w n + v f, with force f and moment n of a link that moves, by each of its parameters.
+/// w n + v f per parameter of a link, with its force f and moment n.
 #[inline(always)]
 fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; PER_LINK] {
     let (w, v) = (&twist.turning, &twist.moving);

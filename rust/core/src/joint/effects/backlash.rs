@@ -1,20 +1,20 @@
-//! A gear that turns freely for a little.
+//! Backlash: the gear turns freely over a small angle.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
-/// Torsion [rad] far below any band, and far above what rounding leaves of a torsion of zero, whose
-/// sign would else decide on the derivative by a band of no width.
+/// Smallest smoothing width [rad]: far below any backlash, and far above the rounding of a torsion
+/// of zero, whose sign would otherwise determine the derivative of a backlash of zero.
 const LEAST: f64 = 1e-8;
 
-/// A dead band: the gear's spring feels the torsion beyond +-b. Its damping acts within it too.
+/// A dead band of the gear's spring at torsions within +-b. Its damping acts there too.
 ///
-/// The strain is delta - b delta / max(|delta|, b, r), with r for [`LEAST`]: sharp but for bands
-/// narrower than r.
+/// The strain is delta - b delta / max(|delta|, b, r), with r = [`LEAST`]: sharp for bands
+/// wider than r.
 #[derive(Clone, Copy, Debug)]
 pub struct Backlash<R> {
-    /// b [rad] at the link, half the band.
+    /// b [rad] at the link, half the width.
     pub half: R,
 }
 
@@ -46,7 +46,7 @@ impl<R: Real> Effect<R> for Backlash<R> {
         torsion - self.half * torsion / widest
     }
 
-    /// In the middle of the band where the spring feels nothing; below [`LEAST`] not quite.
+    /// The middle of the dead band at zero strain; slightly off below [`LEAST`].
     fn torsion(&self, strain: R) -> R {
         strain + self.half * strain / strain.abs().max(R::splat(LEAST))
     }

@@ -1,18 +1,18 @@
-//! A drive that small commands do not move.
+//! Dead zone of a drive: small commands do not move it.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, VOLTAGE};
 use crate::scalar::Real;
 
-/// Voltage [V] far below any dead zone, and far above what rounding leaves of a voltage of zero,
-/// whose sign would else decide on the derivative by a dead zone of no width.
+/// Smallest smoothing width [V]: far below any dead zone, and far above the rounding of a voltage
+/// of zero, whose sign would otherwise determine the derivative of a dead zone of zero.
 const LEAST: f64 = 1e-9;
 
-/// The drive makes u - d u / max(|u|, d, r) of a voltage u, with r for [`LEAST`]: nothing within
-/// +-d, and d less beyond.
+/// The effective voltage is u - d u / max(|u|, d, r), with r = [`LEAST`]: zero within +-d, and
+/// smaller by d beyond.
 #[derive(Clone, Copy, Debug)]
 pub struct DeadZone<R> {
-    /// d [V], half the dead zone.
+    /// d [V], half the width.
     pub half: R,
 }
 

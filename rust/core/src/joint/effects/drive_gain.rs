@@ -1,10 +1,10 @@
-//! A drive whose gain is not the one that is known.
+//! Gain error of a drive.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
-/// The drive makes u (1 + g) of a voltage u.
+/// The effective voltage is u (1 + g).
 #[derive(Clone, Copy, Debug)]
 pub struct DriveGain<R> {
     /// g.

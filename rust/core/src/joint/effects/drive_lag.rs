@@ -1,16 +1,15 @@
-//! A drive that is slower than its study says.
+//! Lag of a drive beyond the current loop of the study.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TIME};
 use crate::scalar::Real;
 
-/// How many time constants a voltage is held for at most, where the rest of a lag counts: beyond
-/// that exp(-T/tau) is below rounding.
+/// Limit of T/tau: at this value exp(-T/tau) is below rounding.
 const LONGEST: f64 = 40.0;
 
-/// The voltage that acts follows the commanded u by tau dm/dt = u - m. Over a time T in which u is
-/// held it is u - (u - m) (tau/T) (1 - exp(-T/tau)) on the mean, and u - (u - m) exp(-T/tau) at the
-/// end. Both, and their derivatives, are regular where tau is zero.
+/// The effective voltage m follows the commanded u by tau dm/dt = u - m. Over a time T of constant
+/// u its mean is u - (u - m) (tau/T) (1 - exp(-T/tau)), and its end u - (u - m) exp(-T/tau). Both
+/// and their derivatives are regular at tau = 0.
 #[derive(Clone, Copy, Debug)]
 pub struct DriveLag<R> {
     /// tau [s].
@@ -76,7 +75,7 @@ mod tests {
     }
 
     proptest! {
-        /// Held for two times in a row is held for both at once.
+        /// Two periods in a row equal one of both lengths.
         #[test]
         fn the_mean_is_that_of_the_exponential(
             tau in 1e-5..1e-2f64, from in -10.0..10.0f64, to in -10.0..10.0f64, share in 0.1..0.9f64

@@ -1,11 +1,11 @@
-//! An amplifier that gives less beyond a voltage.
+//! Limit of an amplifier at large voltages.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, VOLTAGE};
 use crate::scalar::Real;
 
-/// The drive makes u - c sgn(u) max(|u| - L, 0) of a voltage u: a share c of what is beyond L is
-/// lost, all of it where c is one.
+/// The effective voltage is u - c sgn(u) max(|u| - L, 0): a share c of the voltage beyond L is
+/// lost.
 #[derive(Clone, Copy, Debug)]
 pub struct DriveLimit<R> {
     /// c.

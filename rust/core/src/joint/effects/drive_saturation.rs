@@ -1,10 +1,10 @@
-//! A motor whose torque constant falls with its current.
+//! Saturation of a motor: its torque constant falls with current.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
-/// The drive makes u (1 - s |u|) of a voltage u.
+/// The effective voltage is u (1 - s |u|).
 #[derive(Clone, Copy, Debug)]
 pub struct DriveSaturation<R> {
     /// s [1/V].

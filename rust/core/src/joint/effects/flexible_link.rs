@@ -1,12 +1,12 @@
-//! A part of a link that swings by itself.
+//! Flexible part of a link.
 
 use super::{At, Declared, Effect, Enters, Lead, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{FREQUENCY, INERTIA, Parameter, Sign};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
 
-/// An inertia J on a spring and a damper that stand on the link: with the link held still it rings
-/// at f, w = 2 pi f, with a damping ratio zeta.
+/// An inertia J on a spring and a damper on the link. With the link fixed its natural frequency is
+/// f, w = 2 pi f, with the damping ratio zeta.
 #[derive(Clone, Copy, Debug)]
 pub struct FlexibleLink<R> {
     /// J [kg m^2].

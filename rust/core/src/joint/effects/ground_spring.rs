@@ -1,10 +1,10 @@
-//! A spring between link and ground, as a bundle of cables is.
+//! Spring between link and ground, such as a bundle of cables.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// The link bears c theta_L + t.
+/// The load on the link is c theta_L + t.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundSpring<R> {
     /// c [N m/rad].

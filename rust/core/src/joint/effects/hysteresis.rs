@@ -1,15 +1,15 @@
-//! A gear whose torque lags its torsion.
+//! Hysteresis of a gear.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE, Twist};
 use crate::parameter::{ANGLE, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// Dahl's element beside a gear's spring: the torque T_h z with
-/// dz/dt = (ddelta - |ddelta| z) / delta_h.
+/// Dahl's element parallel to the gear's spring: the torque T_h z with dz/dt = (ddelta - |ddelta|
+/// z) / delta_h.
 ///
-/// The law knows the twist's way but not its speed, and has a closed form between two reversals.
-/// It is solved, not integrated: z stays within [-1, 1] however short `delta_h` is, and a step
-/// without a reversal sees a smooth spring.
+/// The law is rate-independent and has a closed form between two reversals. It is evaluated, not
+/// integrated: z stays within [-1, 1] for any `delta_h`, and a step without a reversal has a smooth
+/// spring.
 #[derive(Clone, Copy, Debug)]
 pub struct Hysteresis<R> {
     /// T_h [N m] at the link.
@@ -19,19 +19,19 @@ pub struct Hysteresis<R> {
 }
 
 impl<R: Real> Hysteresis<R> {
-    /// z after the twist went one way, by `way` [rad]: s + (z - s) exp(-|way| / delta_h), with s the
-    /// way's sign.
+    /// z after a torsion change `way` [rad] without reversal: s + (z - s) exp(-|way| / delta_h),
+    /// with the sign s of the change.
     #[inline(always)]
     pub fn along(&self, z: R, way: R) -> R {
         let limit = R::splat(1.0).copysign(way);
         (z - limit).mul_add((-(way.abs() / self.twist)).exp(), limit)
     }
 
-    /// z after a time [s] in which the twist went from one place to another, back and forth if its
-    /// rate changed sign; for scalars of one lane.
+    /// z after a time [s] between two torsions, with one reversal if the torsion rate changes sign;
+    /// for scalars of one lane.
     ///
-    /// It turns where the cubic through both ends, with the rates there, does. The cubic is flat at
-    /// that place, so that no derivative of the place itself is needed.
+    /// The reversal is that of the cubic through both ends with their rates. The torsion is
+    /// stationary there, so no derivative of its time is needed.
     #[inline(always)]
     pub fn follow(&self, z: R, from: &Twist<R>, to: &Twist<R>, time: R) -> R {
         let way = to.angle - from.angle;
@@ -46,17 +46,17 @@ impl<R: Real> Hysteresis<R> {
         self.along(self.along(z, there), way - there)
     }
 
-    /// What can be got back of the work done on it [J]: T_h delta_h z^2 / 2.
+    /// Recoverable energy [J]: T_h delta_h z^2 / 2.
     #[inline(always)]
     pub fn stored(&self, z: R) -> R {
         R::splat(0.5) * self.torque * self.twist * z * z
     }
 }
 
-/// Where between 0 and 1 `a s + b s^2 + c s^3`, whose slopes there have opposite signs, turns.
+/// Extremum between 0 and 1 of `a s + b s^2 + c s^3`, whose slopes at the ends have opposite signs.
 fn turning(a: f64, b: f64, c: f64) -> f64 {
     let discriminant = (b * b - 3.0 * a * c).max(0.0);
-    // of the two forms of the quadratic's root the one that does not cancel in the common case b < 0
+    // the form of the quadratic's root that does not cancel in the common case b < 0
     (a / (discriminant.sqrt().copysign(a) - b)).clamp(0.0, 1.0)
 }
 
@@ -126,7 +126,7 @@ mod tests {
         }
     }
 
-    /// Dahl's law by many small steps of Heun's method along a given twist.
+    /// Dahl's law integrated by Heun's method in small steps along a torsion.
     fn integrated(z: f64, twist: impl Fn(f64) -> f64, time: f64) -> f64 {
         let law = hysteresis();
         let steps = 100_000;
@@ -155,7 +155,7 @@ mod tests {
         fn back_and_forth_is_too(
             z in -1.0..1.0f64, rate in -0.1..0.1f64, acceleration in -800.0..800.0f64, jerk in -1e5..1e5f64,
         ) {
-            // A cubic twist over one long step of the integrator: the turning point is exact.
+            // a cubic torsion over one long step of the integrator has an exact reversal
             let time = 2.5e-4;
             let angle = |t: f64| t * (rate + t * (0.5 * acceleration + t * jerk / 6.0));
             let twist = |t: f64| Twist {
@@ -163,15 +163,15 @@ mod tests {
                 rate: rate + t * (acceleration + 0.5 * t * jerk),
             };
             let found = hysteresis().follow(z, &twist(0.0), &twist(time), time);
-            // Where the rate changes sign twice no end tells; jerks as small as these do not do that
-            // by more than a nanoradian.
+            // The ends do not show two changes of sign; with jerks as small as these, that moves
+            // the reversal by less than a nanoradian.
             prop_assert!((found - integrated(z, angle, time)).abs() < 2e-5);
         }
 
         #[test]
         fn a_loop_takes_energy_out(z in -1.0..1.0f64, way in 1e-6..1e-3f64) {
             let law = hysteresis();
-            // the work is the integral of T_h z along the way
+            // the work is the integral of T_h z over the torsion
             let works = |z: f64, way: f64| {
                 let limit = way.signum();
                 let decayed = law.twist * (1.0 - (-way.abs() / law.twist).exp());

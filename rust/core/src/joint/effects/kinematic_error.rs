@@ -1,18 +1,18 @@
-//! A gear whose ratio changes as the wave generator turns.
+//! Kinematic error of a gear: its ratio varies with the angle of the wave generator.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
-/// The link's angle is off by e = a cos(k theta_M) + b sin(k theta_M): the wave generator has two
-/// lobes, k = 2, and no gear is round.
+/// The link's angle has the error e = a cos(k theta_M) + b sin(k theta_M). The wave generator has
+/// two lobes, so k = 2 is usual.
 #[derive(Clone, Copy, Debug)]
 pub struct KinematicError<R> {
     /// a [rad] at the link.
     pub cos: R,
     /// b [rad] at the link.
     pub sin: R,
-    /// k, periods in a turn of the motor.
+    /// k, periods per turn of the motor.
     pub order: R,
 }
 
@@ -89,7 +89,7 @@ mod tests {
             let error = KinematicError { cos, sin, order };
             let h = 1e-4;
             let slope = (error.at(theta + h)[0] - error.at(theta - h)[0]) / (2.0 * h);
-            // of a sine of k theta: h^2 / 6 of its third derivative, k^3 fold
+            // of a sine of k theta: h^2 / 6 of its third derivative, which is proportional to k^3
             let off = 6.0 * 2e-4 * order.powi(3) * h * h / 6.0;
             prop_assert!((error.at(theta)[1] - slope).abs() < off + 1e-11);
             let turn = std::f64::consts::TAU / order;

@@ -1,12 +1,12 @@
-//! Dry friction that grows with the torque through the gear.
+//! Dry friction that grows with the torque of the gear.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
-/// Friction of the teeth: dry friction takes up mu |T| more, T being the gear's torque at the motor.
+/// Friction of the teeth: adds mu |T| to the friction limit, with the gear torque T at the motor.
 ///
-/// It acts where the motor has Coulomb friction as well.
+/// It requires Coulomb friction of the motor.
 #[derive(Clone, Copy, Debug)]
 pub struct LoadFriction<R> {
     /// mu.

@@ -1,10 +1,10 @@
-//! What real gears and motors add to springs and dry friction, each on request; one effect a file.
+//! Optional effects of gears and motors beyond springs and dry friction; one effect per file.
 //!
-//! To add an effect, implement [`Effect`] for it in a file here and name it in the list below. The
-//! integrator, the events of friction, the sensitivities and the tests take it as it is.
+//! To add an effect, implement [`Effect`] for it in a file here and name it in the list below.
+//! Integrator, friction events, sensitivities and tests use the list.
 //!
-//! All of it costs exponentials and sines in the innermost loop, so a [`crate::plant::Plant`] says at
-//! compile time whether it has any.
+//! Effects cost exponentials and sines in the innermost loop, so a [`crate::plant::Plant`] states
+//! at compile time whether it has any.
 
 mod backlash;
 mod dead_zone;
@@ -43,27 +43,27 @@ pub use torque_ripple::TorqueRipple;
 use crate::parameter::Parameter;
 use crate::scalar::Real;
 
-/// Most parameters that an effect has.
+/// Largest number of parameters of an effect.
 pub const MOST_OF_AN_EFFECT: usize = 4;
 
-/// Where an effect enters the equations.
+/// Terms of the equations that an effect changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Enters {
-    /// What dry friction can take up.
+    /// Limit of dry friction.
     pub friction: bool,
-    /// The motor's torque.
+    /// Torque of the motor.
     pub motor: bool,
-    /// The torque through the gear.
+    /// Torque of the gear.
     pub gear: bool,
-    /// What the link bears. An effect enters by this or by `weight`.
+    /// Load on the link. An effect enters by this or by `weight`.
     pub link: bool,
-    /// What the link bears, and with it those before it.
+    /// Load on the link and on those before it.
     pub weight: bool,
-    /// What the drive makes of a voltage.
+    /// Effective voltage.
     pub drive: bool,
 }
 
-/// In none of the equations.
+/// No term.
 pub const NOWHERE: Enters = Enters {
     friction: false,
     motor: false,
@@ -73,18 +73,18 @@ pub const NOWHERE: Enters = Enters {
     drive: false,
 };
 
-/// What all else knows of an effect.
+/// Declaration of an effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Declared {
-    /// As in a study file.
+    /// Name in study files.
     pub name: &'static str,
-    /// Its parameters, in the order of a flat list of values: first its sizes.
+    /// Parameters in the order of a flat list of values; the sizes come first.
     pub parameters: &'static [Parameter],
-    /// How many of these are sizes: where all are zero the effect is not there.
+    /// Number of sizes. With all sizes zero the effect vanishes.
     pub sizes: usize,
-    /// Whether it takes an elastic gear.
+    /// Whether it requires an elastic gear.
     pub of_gear: bool,
-    /// Where it enters.
+    /// Terms that it changes.
     pub enters: Enters,
 }
 
@@ -97,8 +97,7 @@ pub struct Twist<R> {
     pub rate: R,
 }
 
-/// By how much a part that swings by itself is ahead of its link [rad], and the rate of that
-/// [rad/s].
+/// Lead [rad] of the flexible part over its link, and its rate [rad/s].
 #[derive(Clone, Copy, Debug)]
 pub struct Lead<R> {
     /// x.
@@ -107,7 +106,7 @@ pub struct Lead<R> {
     pub rate: R,
 }
 
-/// Torque [N m] in the spring that a joint's base turns on, and the rate of that [N m/s].
+/// Torque [N m] of the spring under a joint's base, and its rate [N m/s].
 #[derive(Clone, Copy, Debug)]
 pub struct BaseTorque<R> {
     /// s.
@@ -116,7 +115,7 @@ pub struct BaseTorque<R> {
     pub rate: R,
 }
 
-/// A joint at one instant.
+/// State of a joint at one instant.
 #[derive(Clone, Copy, Debug)]
 pub struct At<R> {
     /// theta_M [rad].
@@ -125,143 +124,141 @@ pub struct At<R> {
     pub motor_velocity: R,
     /// theta_L [rad].
     pub link_angle: R,
-    /// What [`Effect::weight`] depends on [rad].
+    /// Angle in space, or the joint's own angle if axes are not parallel [rad].
     pub angle_in_space: R,
     /// delta and its rate.
     pub twist: Twist<R>,
-    /// What the gear remembers.
+    /// Hysteresis state z of the gear.
     pub z: R,
-    /// x and dx of the link's part that swings by itself.
+    /// x and dx of the flexible part.
     pub lead: Lead<R>,
-    /// Velocity of that part in space [rad/s].
+    /// Velocity of the flexible part in space [rad/s].
     pub part_velocity: R,
-    /// s and ds of the spring that the base turns on.
+    /// s and ds of the spring under the base.
     pub base: BaseTorque<R>,
 }
 
-/// An effect with its values. What it does not say is nothing; all methods that a step of the
+/// An effect with its values. The defaults change nothing. All methods that a step of the
 /// integrator calls are `#[inline(always)]`.
 pub trait Effect<R: Real>: Copy + Send + Sync {
-    /// What is known of it beforehand.
+    /// Declaration.
     const DECLARED: Declared;
 
     /// The effect with given values of its parameters.
     fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self;
 
-    /// What dry friction can take up beyond Coulomb's [N m] at a velocity of the motor [rad/s] and
-    /// a torque of the gear at the motor [N m]; enters by `friction`.
+    /// Friction limit beyond Coulomb's [N m] at a motor velocity [rad/s] and a gear torque at the
+    /// motor [N m]; enters by `friction`.
     #[inline(always)]
     fn dry_friction(&self, _velocity: R, _load: R) -> R {
         R::splat(0.0)
     }
 
-    /// What adds to the motor's torque [N m]; enters by `motor`.
+    /// Torque added to the motor's [N m]; enters by `motor`.
     #[inline(always)]
     fn motor_torque(&self, _angle: R, _velocity: R) -> R {
         R::splat(0.0)
     }
 
-    /// By how much the link's angle is off its motor's [rad], and the slope of that by the motor's
-    /// angle; enters by `gear` and `motor`.
+    /// Error of the link's angle [rad], and its derivative with respect to the motor's angle;
+    /// enters by `gear` and `motor`.
     #[inline(always)]
     fn error(&self, _motor_angle: R) -> [R; 2] {
         [R::splat(0.0); 2]
     }
 
-    /// What the gear's spring feels of a torsion [rad]; enters by `gear`.
+    /// Torsion [rad] that strains the gear's spring; enters by `gear`.
     #[inline(always)]
     fn strain(&self, torsion: R) -> R {
         torsion
     }
 
-    /// The torsion of which the spring feels so much: the inverse of [`Effect::strain`].
+    /// Inverse of [`Effect::strain`].
     fn torsion(&self, strain: R) -> R {
         strain
     }
 
-    /// What adds to the gear's torque [N m] for what it remembers; enters by `gear`.
+    /// Torque added to the gear's [N m] in a hysteresis state; enters by `gear`.
     #[inline(always)]
     fn gear_torque(&self, _z: R) -> R {
         R::splat(0.0)
     }
 
-    /// What the gear remembers after a time [s] in which its torsion went from one place to another.
+    /// Hysteresis state after a time [s] between two torsions.
     #[inline(always)]
     fn after(&self, z: R, _from: &Twist<R>, _to: &Twist<R>, _time: R) -> R {
         z
     }
 
-    /// Second derivative [N m/s^2] of the torque in the spring that the base turns on, where the gear
-    /// passes a torque [N m]; enters by `gear`.
+    /// Second derivative [N m/s^2] of the torque of the spring under the base, at a gear torque [N
+    /// m]; enters by `gear`.
     #[inline(always)]
     fn base_acceleration(&self, _base: &BaseTorque<R>, _gear: R) -> R {
         R::splat(0.0)
     }
 
-    /// What the base turns by [rad] at a torque in its spring [N m], or the rates of both; linear,
+    /// Rotation of the base [rad] at a torque of its spring [N m], or the rates of both; linear,
     /// enters by `gear`.
     #[inline(always)]
     fn base_turn(&self, _torque: R) -> R {
         R::splat(0.0)
     }
 
-    /// What the link bears [N m] at an angle of its joint [rad]; enters by `link`.
+    /// Load torque on the link [N m] at its joint angle [rad]; enters by `link`.
     #[inline(always)]
     fn load(&self, _angle: R) -> R {
         R::splat(0.0)
     }
 
-    /// What the link bears [N m] at its angle in space [rad], and the joints before it with it;
-    /// enters by `weight`. Where an arm's axes are not parallel, the joint's own angle stands for
-    /// the one in space, and no other joint bears any of it.
+    /// Load torque on the link [N m] and on those before it, at its angle in space [rad]; enters by
+    /// `weight`. If axes are not parallel, the joint's own angle replaces the angle in space, and
+    /// only the link itself bears the load.
     #[inline(always)]
     fn weight(&self, _angle: R) -> R {
         R::splat(0.0)
     }
 
-    /// Acceleration in space [rad/s^2] of a part of the link that swings by itself; enters by
-    /// `weight`.
+    /// Acceleration in space [rad/s^2] of the flexible part; enters by `weight`.
     #[inline(always)]
     fn part_acceleration(&self, _lead: &Lead<R>) -> R {
         R::splat(0.0)
     }
 
-    /// What the link bears of that part [N m] at an acceleration [rad/s^2], and the joints before it
-    /// with it; enters by `weight`.
+    /// Load torque of the flexible part [N m] on the link and on those before it, at an
+    /// acceleration [rad/s^2]; enters by `weight`.
     #[inline(always)]
     fn part_load(&self, _acceleration: R) -> R {
         R::splat(0.0)
     }
 
-    /// What the drive makes of a voltage [V] that is commanded; enters by `drive`.
+    /// Effective voltage [V] for a commanded one; enters by `drive`.
     #[inline(always)]
     fn drive(&self, voltage: R) -> R {
         voltage
     }
 
-    /// What acts on the mean [V] over a step of the integrator [s] in which the drive is to follow a
-    /// voltage [V], and what the drive remembers at its end [V], from what it remembers at its
-    /// beginning; enters by `drive`.
+    /// Mean effective voltage [V] over a step of the integrator [s], and the state of the drive at
+    /// its end [V], for a voltage [V] and a state at the beginning; enters by `drive`.
     #[inline(always)]
     fn held(&self, voltage: R, memory: R, _time: f64) -> [R; 2] {
         [voltage, memory]
     }
 
-    /// What can be got back of the work done on it [J], the spring's apart.
+    /// Recoverable energy [J], without the gear's spring.
     fn energy(&self, _at: &At<R>) -> R {
         R::splat(0.0)
     }
 
-    /// Power [W] that it takes out, that of dry friction apart.
+    /// Dissipated power [W], without dry friction.
     fn loss(&self, _at: &At<R>) -> R {
         R::splat(0.0)
     }
 }
 
-/// [`EffectKinds`], [`Effects`] and what goes through the list of effects.
+/// [`EffectKinds`], [`Effects`] and the sums over the list of effects.
 macro_rules! effects {
     ($($field:ident: $effect:ident,)*) => {
-        /// Which of the effects a joint has.
+        /// Selection of effects of a joint.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         pub struct EffectKinds {
             $(
@@ -270,7 +267,7 @@ macro_rules! effects {
             )*
         }
 
-        /// The effects of one joint.
+        /// Effects of one joint.
         #[derive(Clone, Copy)]
         pub struct Effects<R> {
             $(
@@ -279,18 +276,18 @@ macro_rules! effects {
             )*
         }
 
-        /// What is known of each effect, in the order of flat lists.
+        /// Declarations of the effects, in the order of flat lists.
         pub const DECLARED: &[Declared] = &[$(<$effect<f64> as Effect<f64>>::DECLARED),*];
 
         impl EffectKinds {
-            /// All of them.
+            /// All effects.
             pub const ALL: Self = Self { $($field: true),* };
 
             fn each(self) -> impl Iterator<Item = (bool, &'static Declared)> {
                 [$(self.$field),*].into_iter().zip(DECLARED)
             }
 
-            /// Whether there was an effect of that name to add.
+            /// Selects the effect of a name; false if there is none.
             pub fn add(&mut self, name: &str) -> bool {
                 $(
                     if name == <$effect<f64> as Effect<f64>>::DECLARED.name {
@@ -303,10 +300,10 @@ macro_rules! effects {
         }
 
         impl<R: Real> Effects<R> {
-            /// None.
+            /// No effect.
             pub const NONE: Self = Self { $($field: None),* };
 
-            /// Those of the given kinds, their parameters taken in the order of their names.
+            /// Effects of a selection; `take` gives their parameters in order.
             pub(crate) fn of(kinds: EffectKinds, mut take: impl FnMut() -> R) -> Self {
                 let mut all = Self::NONE;
                 $(
@@ -322,7 +319,7 @@ macro_rules! effects {
                 all
             }
 
-            /// Beyond Coulomb's friction.
+            /// Sum of [`Effect::dry_friction`].
             #[inline(always)]
             pub(crate) fn dry_friction(&self, velocity: R, load: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -336,7 +333,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What adds to the motor's torque.
+            /// Sum of [`Effect::motor_torque`].
             #[inline(always)]
             pub(crate) fn motor_torque(&self, angle: R, velocity: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -350,7 +347,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// How far the link is off its motor, and the slope of that.
+            /// Sum of [`Effect::error`].
             #[inline(always)]
             pub(crate) fn error(&self, motor_angle: R) -> [R; 2] {
                 let mut sum = [R::splat(0.0); 2];
@@ -365,7 +362,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the spring feels of a torsion.
+            /// Composition of [`Effect::strain`].
             #[inline(always)]
             pub(crate) fn strain(&self, torsion: R) -> R {
                 let mut strain = torsion;
@@ -379,7 +376,7 @@ macro_rules! effects {
                 strain
             }
 
-            /// The torsion of which the spring feels so much.
+            /// Composition of [`Effect::torsion`].
             pub(crate) fn torsion(&self, strain: R) -> R {
                 let mut torsion = strain;
                 $(
@@ -390,7 +387,7 @@ macro_rules! effects {
                 torsion
             }
 
-            /// What adds to the gear's torque.
+            /// Sum of [`Effect::gear_torque`].
             #[inline(always)]
             pub(crate) fn gear_torque(&self, z: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -404,7 +401,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the gear remembers.
+            /// [`Effect::after`].
             #[inline(always)]
             pub(crate) fn after(&self, z: R, from: &Twist<R>, to: &Twist<R>, time: R) -> R {
                 let mut after = z;
@@ -418,7 +415,7 @@ macro_rules! effects {
                 after
             }
 
-            /// Second derivative of the torque in the spring that the base turns on.
+            /// Sum of [`Effect::base_acceleration`].
             #[inline(always)]
             pub(crate) fn base_acceleration(&self, base: &BaseTorque<R>, gear: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -432,7 +429,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the base turns by.
+            /// Sum of [`Effect::base_turn`].
             #[inline(always)]
             pub(crate) fn base_turn(&self, torque: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -446,7 +443,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the link bears.
+            /// Sum of [`Effect::load`].
             #[inline(always)]
             pub(crate) fn load(&self, angle: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -460,7 +457,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the link and those before it bear.
+            /// Sum of [`Effect::weight`].
             #[inline(always)]
             pub(crate) fn weight(&self, angle: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -474,7 +471,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// Acceleration of the part of the link that swings by itself.
+            /// Sum of [`Effect::part_acceleration`].
             #[inline(always)]
             pub(crate) fn part_acceleration(&self, lead: &Lead<R>) -> R {
                 let mut sum = R::splat(0.0);
@@ -488,7 +485,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the link and those before it bear of that part.
+            /// Sum of [`Effect::part_load`].
             #[inline(always)]
             pub(crate) fn part_load(&self, acceleration: R) -> R {
                 let mut sum = R::splat(0.0);
@@ -502,7 +499,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What the drive makes of a voltage: one effect after the other.
+            /// Composition of [`Effect::drive`].
             #[inline(always)]
             pub(crate) fn drive(&self, voltage: R) -> R {
                 let mut driven = voltage;
@@ -516,7 +513,7 @@ macro_rules! effects {
                 driven
             }
 
-            /// What acts of a voltage while it is held, and what the drive remembers at the end.
+            /// [`Effect::held`].
             #[inline(always)]
             pub(crate) fn held(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
                 let mut held = [voltage, memory];
@@ -530,7 +527,7 @@ macro_rules! effects {
                 held
             }
 
-            /// What can be got back.
+            /// Sum of [`Effect::energy`].
             pub(crate) fn energy(&self, at: &At<R>) -> R {
                 let mut sum = R::splat(0.0);
                 $(
@@ -541,7 +538,7 @@ macro_rules! effects {
                 sum
             }
 
-            /// What is taken out.
+            /// Sum of [`Effect::loss`].
             pub(crate) fn loss(&self, at: &At<R>) -> R {
                 let mut sum = R::splat(0.0);
                 $(
@@ -574,16 +571,16 @@ effects! {
     soft_base: SoftBase,
 }
 
-/// A size that an effect has.
+/// A size of an effect.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Size {
-    /// Its place among the sizes of all effects.
+    /// Index among the sizes of all effects.
     pub(crate) index: usize,
-    /// Where its effect enters.
+    /// Terms that the effect changes.
     pub(crate) enters: Enters,
 }
 
-/// How many sizes all effects have.
+/// Number of sizes of all effects.
 pub(crate) const SIZES: usize = {
     let (mut sum, mut k) = (0, 0);
     while k < DECLARED.len() {
@@ -593,7 +590,7 @@ pub(crate) const SIZES: usize = {
     sum
 };
 
-/// How many parameters all effects have.
+/// Number of parameters of all effects.
 pub(crate) const MOST_OF_EFFECTS: usize = {
     let (mut sum, mut k) = (0, 0);
     while k < DECLARED.len() {
@@ -604,18 +601,19 @@ pub(crate) const MOST_OF_EFFECTS: usize = {
 };
 
 impl EffectKinds {
-    /// Whether there is any.
+    /// Whether any effect is selected.
     pub fn any(self) -> bool {
         self != Self::default()
     }
 
-    /// The first of these that takes an elastic gear, by its name.
+    /// Name of the first selected effect that requires an elastic gear.
     pub fn of_gear(self) -> Option<&'static str> {
         let own = self.each().find(|(has, declared)| *has && declared.of_gear);
         own.map(|(_, declared)| declared.name)
     }
 
-    /// The effects' parameters, and what size each is; none is a velocity or an exponent, say.
+    /// Parameters of the selected effects, and which size each is; `None` for others, such as
+    /// velocities and exponents.
     pub(crate) fn parameters(self) -> Vec<(Parameter, Option<Size>)> {
         let (mut all, mut index) = (Vec::new(), 0);
         for (has, declared) in self.each() {

@@ -1,14 +1,14 @@
-//! Friction that grows with a power of the velocity, as grease's does.
+//! Friction that grows with a power of the velocity, such as that of grease.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// A torque f_P ((|dtheta_M|/w + s)^p - s^p) against the motion, w being 100 rad/s and s = 0.01: the
-/// root of the velocity for p = 1/2, without its steepness at rest.
+/// A torque f_P ((|dtheta_M|/w + s)^p - s^p) against the motion, with w = 100 rad/s and s = 0.01.
+/// For p = 1/2 it approximates the square root of the velocity with a finite slope at rest.
 #[derive(Clone, Copy, Debug)]
 pub struct PowerFriction<R> {
-    /// f_P [N m] at the motor, at 100 rad/s.
+    /// f_P [N m] at the motor, at about 100 rad/s.
     pub friction: R,
     /// p.
     pub exponent: R,

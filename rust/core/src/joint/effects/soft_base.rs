@@ -1,13 +1,13 @@
-//! A joint whose motor and gear stand on something that gives way.
+//! Compliant base of a joint.
 
 use super::{At, BaseTorque, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{COMPLIANCE, FREQUENCY, Parameter, Sign};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
 
-/// A base that turns about the joint's axis by phi = c s on a spring of compliance c, whose torque
-/// s obeys dds = -w (2 zeta ds + w (s + tau)) under the torque tau of the gear: with nothing on it
-/// the base rings at f, w = 2 pi f, with a damping ratio zeta.
+/// The base turns about the joint's axis by phi = c s on a spring of compliance c. Its torque s
+/// obeys dds = -w (2 zeta ds + w (s + tau)) under the gear torque tau; without load the base has
+/// the natural frequency f, w = 2 pi f, and the damping ratio zeta.
 #[derive(Clone, Copy, Debug)]
 pub struct SoftBase<R> {
     /// c [rad/(N m)].

@@ -1,10 +1,10 @@
-//! Friction that is largest at rest.
+//! Stribeck friction.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE, VELOCITY};
 use crate::scalar::Real;
 
-/// Friction beyond Coulomb's that goes away as the motor gets faster: f_S exp(-(dtheta_M/w_s)^2).
+/// Friction beyond Coulomb's that falls with velocity: f_S exp(-(dtheta_M/w_s)^2).
 #[derive(Clone, Copy, Debug)]
 pub struct Stribeck<R> {
     /// f_S [N m] at the motor.
@@ -14,7 +14,7 @@ pub struct Stribeck<R> {
 }
 
 impl<R: Real> Stribeck<R> {
-    /// What is left of it at a velocity of the motor [rad/s], in N m.
+    /// f_S exp(-(v/w_s)^2) [N m] at a motor velocity v [rad/s].
     #[inline(always)]
     pub fn at(&self, velocity: R) -> R {
         let share = velocity / self.velocity;

@@ -1,11 +1,11 @@
-//! Gravity of which the arm's model knows nothing.
+//! Gravity that the arm's model does not include.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// The link has the potential energy -s cos a + c sin a at its angle in space a: an arm that is
-/// taken for horizontal stands on a tilted table, or gravity's direction is off.
+/// The link has the potential energy -s cos a + c sin a at its angle in space a: a horizontal arm
+/// on a tilted table, or an error in gravity's direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Tilt<R> {
     /// s [N m].

@@ -1,17 +1,17 @@
-//! A motor whose torque depends on its angle.
+//! Torque ripple of a motor.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// A torque a cos(k theta_M) + b sin(k theta_M): cogging, or a commutation that is off.
+/// A torque a cos(k theta_M) + b sin(k theta_M), from cogging or commutation errors.
 #[derive(Clone, Copy, Debug)]
 pub struct TorqueRipple<R> {
     /// a [N m] at the motor.
     pub cos: R,
     /// b [N m] at the motor.
     pub sin: R,
-    /// k, periods in a turn of the motor.
+    /// k, periods per turn of the motor.
     pub order: R,
 }
 

@@ -1,4 +1,4 @@
-//! The list of laws, and the sets of them that programs are compiled for.
+//! The list of laws, and sets of laws for which programs are compiled.
 
 use super::three_slope::PerSlope;
 use super::{
@@ -6,12 +6,12 @@ use super::{
 };
 use crate::scalar::Real;
 
-/// Gears of one or three slopes, without a branch: one slope is three that are the same, exactly,
-/// since knees change nothing there.
+/// Linear and three-slope gears without a branch: a linear gear has three equal slopes, for which
+/// the knees have no effect.
 #[derive(Clone, Copy, Debug)]
 pub struct Slopes;
 
-/// A gear of one slope or of three.
+/// A linear or three-slope gear.
 #[derive(Clone, Copy, Debug)]
 pub struct SlopesSpring<R> {
     slopes: ThreeSlopeSpring<R>,
@@ -78,7 +78,7 @@ impl<R: Real> Spring<R> for SlopesSpring<R> {
     }
 }
 
-/// Gears of one law alone, which may be one that this crate does not know.
+/// Gears of one law, which may be defined outside of this crate.
 #[derive(Clone, Copy, Debug)]
 pub struct Only<L>(std::marker::PhantomData<L>);
 
@@ -96,18 +96,18 @@ impl<L: GearLaw> Gears for Only<L> {
     }
 }
 
-/// [`ELASTIC`], [`AllLaws`] and its gear, and `of_law!`, which runs the same code on whichever law a
-/// gear is of; `$` is what stands before the latter's own variables.
+/// [`ELASTIC`], [`AllLaws`] with its gear, and `of_law!`, which runs the same code for any law; `$`
+/// precedes the variables of the latter.
 macro_rules! laws {
     ($dollar:tt $($law:ident)*) => {
-        /// The elastic laws.
+        /// Elastic laws.
         pub(super) const ELASTIC: &[Law] = &[$($law::LAW),*];
 
-        /// Gears of all laws that the core knows, and rigid ones.
+        /// Gears of all laws of the core, and rigid gears.
         #[derive(Clone, Copy, Debug)]
         pub struct AllLaws;
 
-        /// A gear of any of these laws.
+        /// A gear of any law.
         #[derive(Clone, Copy)]
         pub enum AnySpring<R: Real> {
             $(

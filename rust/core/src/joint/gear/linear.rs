@@ -4,11 +4,11 @@ use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign};
 use crate::scalar::Real;
 
-/// The law of one stiffness, (2).
+/// The linear law, (2).
 #[derive(Clone, Copy, Debug)]
 pub struct Linear;
 
-/// A gear of one stiffness.
+/// A linear gear.
 #[derive(Clone, Copy, Debug)]
 pub struct LinearSpring<R> {
     stiffness: R,

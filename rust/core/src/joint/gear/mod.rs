@@ -1,8 +1,7 @@
-//! Elastic laws of gears: torque as a function of torsion, one law a file.
+//! Elastic laws of gears: torque as a function of torsion; one law per file.
 //!
 //! To add a law, implement [`GearLaw`] and [`Spring`] for it in a file here and name it in the list
-//! of [`laws`] below. The integrator, the events of friction, the sensitivities and the tests take
-//! it as it is.
+//! of [`laws`] below. Integrator, friction events, sensitivities and tests use the list.
 
 mod cubic;
 mod laws;
@@ -17,19 +16,19 @@ pub use three_slope::{CORNER, ThreeSlope, ThreeSlopeSpring};
 use crate::parameter::Parameter;
 use crate::scalar::Real;
 
-/// Most parameters that a law has.
+/// Largest number of parameters of a law.
 pub const MOST_OF_A_LAW: usize = 7;
 
-/// What all else knows of a law: its name and its parameters.
+/// Declaration of a law.
 #[derive(Clone, Copy, Debug)]
 pub struct Law {
-    /// As in a study file.
+    /// Name in study files.
     pub name: &'static str,
-    /// Its parameters, in the order of a flat list of values.
+    /// Parameters in the order of a flat list of values.
     pub parameters: &'static [Parameter],
-    /// Of which of them each must be above the one before, as places: knees, say.
+    /// Indices of parameters that must exceed the one before, such as knees.
     pub rising: &'static [usize],
-    /// Whether it gives way at all.
+    /// Whether the gear is elastic.
     pub elastic: bool,
 }
 
@@ -39,7 +38,7 @@ impl PartialEq for Law {
     }
 }
 
-/// A gear that does not give way: motor and link move as one.
+/// A rigid gear: motor and link move together.
 pub const RIGID: Law = Law {
     name: "rigid",
     parameters: &[],
@@ -47,54 +46,53 @@ pub const RIGID: Law = Law {
     elastic: false,
 };
 
-/// The laws that the core knows.
+/// Laws of the core.
 pub fn known() -> Vec<Law> {
     let mut all = laws::ELASTIC.to_vec();
     all.push(RIGID);
     all
 }
 
-/// The law of a name.
+/// The law with a name.
 pub fn law(name: &str) -> Option<Law> {
     known().into_iter().find(|law| law.name == name)
 }
 
-/// A law by which a gear gives way.
+/// An elastic law of a gear.
 pub trait GearLaw: Copy + Send + Sync + 'static {
-    /// Its name and parameters.
+    /// Declaration.
     const LAW: Law;
     /// A gear of this law.
     type Spring<R: Real>: Spring<R>;
-    /// A gear with given values of the law's parameters; `corner` [rad] is the half width over
-    /// which a law with knees rounds them.
+    /// A gear with values of the law's parameters; `corner` [rad] is the half width of rounded
+    /// knees.
     fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], corner: f64) -> Self::Spring<R>;
 }
 
-/// A gear's elastic torque T(delta), odd in the torsion delta and rising. All methods that a step
-/// of the integrator calls are `#[inline(always)]`.
+/// Elastic torque T(delta) of a gear, odd in the torsion delta and increasing. All methods that a
+/// step of the integrator calls are `#[inline(always)]`.
 pub trait Spring<R: Real>: Copy + Send + Sync {
-    /// What the derivatives at every torsion share.
+    /// Terms of the derivatives that do not depend on the torsion.
     type Shared: Copy;
 
     /// T(delta) [N m] at the link, `delta` in rad.
     fn torque(&self, delta: R) -> R;
     /// dT/ddelta [N m/rad].
     fn stiffness(&self, delta: R) -> R;
-    /// Potential energy [J]: the integral of T from no torsion.
+    /// Potential energy [J]: the integral of T from zero torsion.
     fn energy(&self, delta: R) -> R;
-    /// A lower bound [N m/rad] of T(delta)/delta up to the torsion at which it reaches `torque`.
+    /// A lower bound [N m/rad] of T(delta)/delta for torques up to `torque`.
     fn least_stiffness(&self, torque: R) -> R;
     /// See [`Spring::Shared`].
     fn shared(&self) -> Self::Shared;
-    /// dT/dp at a torsion for each of the law's parameters p, in their order; zeros behind them.
+    /// dT/dp for each of the law's parameters p in order, followed by zeros.
     fn by_parameters(&self, delta: R, shared: &Self::Shared) -> [R; MOST_OF_A_LAW];
 
-    /// The torsion [rad] at which the gear passes a torque [N m]: the inverse of
-    /// [`Spring::torque`].
+    /// Torsion [rad] at a torque [N m]: the inverse of [`Spring::torque`].
     ///
-    /// Newton's iteration inside a bracket that is halved wherever a step leaves it or does not
-    /// halve the excess: between a steep slope and a flat one the bare iteration can go round for
-    /// ever.
+    /// Newton's method within a bracket. A step that leaves the bracket or does not halve the
+    /// residual is replaced by bisection, because Newton's method can cycle between a steep and a
+    /// flat slope.
     fn torsion(&self, torque: R) -> R {
         const { assert!(R::LANES == 1) };
         let wanted = torque.abs();
@@ -124,17 +122,17 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
     }
 }
 
-/// A set of laws that the gears of an arm may have, known at compile time.
+/// A set of laws for the gears of an arm, known at compile time.
 ///
-/// The fewer there are the fewer branches stand in the innermost loop: [`Slopes`] has none,
-/// [`AllLaws`] one a gear, and [`Only`] takes a law from outside of this crate.
+/// Fewer laws need fewer branches in the innermost loop: [`Slopes`] has none, [`AllLaws`] one per
+/// gear, and [`Only`] is a law from outside of this crate.
 pub trait Gears: Copy + Send + Sync + 'static {
-    /// A gear of any of the laws.
+    /// A gear of any law of the set.
     type Spring<R: Real>: Spring<R>;
-    /// Whether a gear may be rigid as well.
+    /// Whether the set includes rigid gears.
     const RIGID: bool;
-    /// Whether gears of a law are in this set.
+    /// Whether the set includes a law.
     fn have(law: &Law) -> bool;
-    /// A gear of a law with given values of its parameters; of a rigid one, any.
+    /// A gear of a law with values of its parameters; any gear for a rigid one.
     fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> Self::Spring<R>;
 }

@@ -1,29 +1,28 @@
-//! Three stiffnesses and two knees, as catalogues give a strain-wave gear.
+//! Three stiffnesses and two knees, as in catalogues of strain-wave gears.
 
 use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// Half width [rad] over which a knee of the three-slope spring is rounded.
+/// Half width [rad] of the rounded knees of three-slope springs.
 ///
-/// A corner that is rounded over +-w by a parabola departs from the sharp one by at most
-/// `(K2 - K1) w / 4`: 0.01 N m for the stiffest knee of a size 20 gear and this width, a four
-/// hundredth of its first knee's torque.
+/// A parabola over +-w differs from the sharp knee by at most `(K2 - K1) w / 4`: 0.01 N m for the
+/// stiffest knee of a size 20 gear, one four-hundredth of its first knee's torque.
 pub const CORNER: f64 = 5e-6;
 
-/// The elastic law T(delta) of Fig. 2: slope K1 up to the torque T1, K2 up to T2, K3 beyond, odd in
+/// The elastic law T(delta) of Fig. 2: slope K1 up to the torque T1, K2 up to T2, K3 beyond; odd in
 /// delta.
 #[derive(Clone, Copy, Debug)]
 pub struct ThreeSlope;
 
-/// A gear of three slopes.
+/// A three-slope gear.
 #[derive(Clone, Copy, Debug)]
 pub struct ThreeSlopeSpring<R> {
     k1: R,
     knees: [Knee<R>; 2],
 }
 
-/// Where the slope changes, and by how much.
+/// Torsion of a knee, and the change of slope there.
 #[derive(Clone, Copy, Debug)]
 struct Knee<R> {
     shift: R,        // w - d: moves the beginning of the rounded corner to zero
@@ -33,7 +32,7 @@ struct Knee<R> {
     per_width: R,    // 1 / (4 w)
 }
 
-/// 1/K1 and 1/K2, and how fast the knees come in as K1 and K2 rise.
+/// 1/K1 and 1/K2, and derivatives of the knees' torsions with respect to K1 and K2.
 #[derive(Clone, Copy, Debug)]
 pub struct PerSlope<R> {
     k1: R,
@@ -149,7 +148,7 @@ impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
         let one = R::splat(1.0).copysign(delta);
         let torsion = delta.abs();
         let (first, second) = (self.knees[0].ramp(torsion), self.knees[1].ramp(torsion));
-        // How the torque falls where a knee moves out.
+        // derivative of the torque with respect to a knee's torsion
         let two_out = one * self.knees[1].slope(torsion);
         let both_out = one.mul_add(self.knees[0].slope(torsion), two_out);
         let k1 = one.mul_add(torsion - first, both_out * per.first_knee_by_k1);
@@ -179,7 +178,8 @@ impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
 }
 
 impl<R: Real> Knee<R> {
-    /// Adds `change * ramp(torsion - d)`: zero before the corner, a parabola in it, straight beyond.
+    /// Adds `change * ramp(torsion - d)`: zero before the knee, a parabola within it, linear
+    /// beyond.
     #[inline(always)]
     fn add_to(&self, torque: R, torsion: R) -> R {
         let into = (torsion + self.shift).max(R::splat(0.0));
@@ -188,7 +188,7 @@ impl<R: Real> Knee<R> {
         self.slope_change.mul_add(into - inside, torque)
     }
 
-    /// What `add_to` adds per change of slope.
+    /// Derivative of `add_to` with respect to the change of slope.
     #[inline(always)]
     fn ramp(&self, torsion: R) -> R {
         let into = (torsion + self.shift).max(R::splat(0.0));
@@ -196,14 +196,14 @@ impl<R: Real> Knee<R> {
         (self.per_width * inside).mul_add(inside, into - inside)
     }
 
-    /// Slope of what `add_to` adds.
+    /// Derivative of `add_to` with respect to the torsion.
     #[inline(always)]
     fn slope(&self, torsion: R) -> R {
         let inside = (torsion + self.shift).max(R::splat(0.0)).min(self.width);
         R::splat(2.0) * self.half_rise * inside
     }
 
-    /// Integral of what `add_to` adds, from no torsion.
+    /// Integral of `add_to` from zero torsion.
     #[inline(always)]
     fn energy(&self, torsion: R) -> R {
         let into = (torsion + self.shift).max(R::splat(0.0));
