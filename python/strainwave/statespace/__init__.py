@@ -1,8 +1,9 @@
-"""State-space estimation: arrays of inputs and outputs in, models with uncertainty out.
+"""State-space estimation from input-output data, with covariances.
 
-`subspace` needs no start and `pem` refines it, both on deviations from a working point, as
-`without_means` gives them; `check_model` and `select_order` judge. What follows from a model, with
-its uncertainty: `to_continuous`, `frequency_response`, `modes`, and anything else by `propagate`.
+`subspace` estimates a model without a starting value; `pem` refines it by prediction-error
+minimisation. Both expect channels without means, see `without_means`. `check_model` tests the
+residuals and `select_order` compares orders. `to_continuous`, `frequency_response` and `modes`
+derive quantities from a model with their uncertainty; `propagate` does so for any function.
 """
 
 from strainwave.statespace._stack import without_means

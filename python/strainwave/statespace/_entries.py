@@ -1,4 +1,4 @@
-"""The five matrices as one vector, and the coordinates of the state."""
+"""Packing of the state-space matrices into one vector, and state transformations."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from strainwave.statespace._stack import Stack
 
 @dataclass(frozen=True, slots=True)
 class Matrices:
-    """A, B, C, D, K and one initial state a record."""
+    """State-space matrices A, B, C, D, K and the initial state of each record."""
 
     A: FloatArray
     B: FloatArray
@@ -28,12 +28,12 @@ class Matrices:
         return len(self.A)
 
     def pack(self) -> FloatArray:
-        """A, B, C, D, K row by row, then the initial states: the core's layout."""
+        """Entries in the layout of the core: A, B, C, D, K by rows, then the initial states."""
         parts = (self.A, self.B, self.C, self.D, self.K, self.initial_states)
         return np.concatenate([np.ravel(part) for part in parts])
 
     def transformed(self, T: FloatArray) -> Matrices:
-        """The same model in coordinates T x."""
+        """Model with the state T x."""
         inverse = np.linalg.inv(T)
         return Matrices(
             A=T @ self.A @ inverse,
@@ -46,32 +46,32 @@ class Matrices:
 
 
 def shapes(order: int, n_inputs: int, n_outputs: int) -> tuple[tuple[int, int], ...]:
-    """Shapes of A, B, C, D, K."""
+    """Shapes of A, B, C, D and K."""
     n, m, p = order, n_inputs, n_outputs
     return (n, n), (n, m), (p, n), (p, m), (n, p)
 
 
 def n_entries(order: int, n_inputs: int, n_outputs: int) -> int:
-    """Entries of A, B, C, D, K together."""
+    """Total number of entries of A, B, C, D and K."""
     return sum(rows * columns for rows, columns in shapes(order, n_inputs, n_outputs))
 
 
 def split(vector: FloatArray, sizes: Sequence[tuple[int, int]]) -> list[FloatArray]:
-    """Matrices of the given shapes from the front of a vector."""
+    """Split the front of a vector into matrices of the given shapes."""
     stops = np.cumsum([rows * columns for rows, columns in sizes])
-    pieces = np.split(vector[: stops[-1]], stops[:-1])
-    return [piece.reshape(shape) for piece, shape in zip(pieces, sizes, strict=True)]
+    parts = np.split(vector[: stops[-1]], stops[:-1])
+    return [part.reshape(shape) for part, shape in zip(parts, sizes, strict=True)]
 
 
 def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> Matrices:
-    """The inverse of `Matrices.pack`."""
+    """Matrices from a packed vector; the inverse of `Matrices.pack`."""
     A, B, C, D, K = split(values, shapes(order, n_inputs, n_outputs))
     start = n_entries(order, n_inputs, n_outputs)
     return Matrices(A, B, C, D, K, initial_states=values[start:].reshape(-1, order))
 
 
 def unscale(matrices: Matrices, data: Stack) -> Matrices:
-    """From scaled channels to the user's."""
+    """Convert a model of scaled channels to the units of the data."""
     return Matrices(
         A=matrices.A,
         B=matrices.B / data.input_scale,
@@ -83,7 +83,7 @@ def unscale(matrices: Matrices, data: Stack) -> Matrices:
 
 
 def rescale(matrices: Matrices, data: Stack) -> Matrices:
-    """From the user's channels to scaled ones."""
+    """Convert a model in the units of the data to scaled channels."""
     return Matrices(
         A=matrices.A,
         B=matrices.B * data.input_scale,
@@ -95,42 +95,42 @@ def rescale(matrices: Matrices, data: Stack) -> Matrices:
 
 
 def balanced(matrices: Matrices) -> Matrices:
-    """The model in the coordinates of `balancing`."""
+    """Model in the balanced coordinates of `balancing`."""
     return matrices.transformed(balancing(matrices))
 
 
 def balancing(matrices: Matrices) -> FloatArray:
-    """T such that in coordinates T x the predictor's states are as easy to reach as to see.
+    """State transformation T that balances the predictor.
 
-    The Gramians of (A - K C, [B, K], C) become equal and diagonal. Entries then have comparable
-    weight, and the normal equations of a fit are as well conditioned as the data allow. Where a
-    Gramian is singular, as for a state that no input moves, and where the predictor is unstable and
-    has none, the coordinates stay.
+    In the coordinates T x, the controllability and observability Gramians of (A - K C, [B, K], C)
+    are equal and diagonal, which keeps the normal equations of a fit well conditioned. T is the
+    identity if the predictor is unstable or a Gramian is singular.
     """
-    closed = matrices.A - matrices.K @ matrices.C
-    if not is_stable(closed):
+    predictor = matrices.A - matrices.K @ matrices.C
+    if not is_stable(predictor):
         return np.eye(matrices.order)
-    reach = _gramian(closed, np.hstack([matrices.B, matrices.K]))
-    sight = _gramian(closed.T, matrices.C.T)
+    controllability = _gramian(predictor, np.hstack([matrices.B, matrices.K]))
+    observability = _gramian(predictor.T, matrices.C.T)
     try:
-        L = np.linalg.cholesky(reach)
-        squares, U = np.linalg.eigh(L.T @ sight @ L)
+        L = np.linalg.cholesky(controllability)
+        hankel_squares, U = np.linalg.eigh(L.T @ observability @ L)
     except np.linalg.LinAlgError:
         return np.eye(matrices.order)
-    if not squares[0] > 1e-24 * squares[-1]:  # a Hankel singular value lost to rounding
+    # smallest Hankel singular value below rounding
+    if not hankel_squares[0] > 1e-24 * hankel_squares[-1]:
         return np.eye(matrices.order)
-    # T = S^(1/2) U' L^-1 with S the Hankel singular values.
-    T = np.sqrt(np.sqrt(squares))[:, None] * np.linalg.solve(L.T, U).T
+    # T = S^(1/2) U' L^-1, where S holds the Hankel singular values.
+    T = np.sqrt(np.sqrt(hankel_squares))[:, None] * np.linalg.solve(L.T, U).T
     return np.asarray(T)
 
 
 def _gramian(A: FloatArray, B: FloatArray) -> FloatArray:
-    """X = A X A' + B B' by doubling; A stable."""
+    """Solution of X = A X A' + B B' by doubling, for stable A."""
     X = B @ B.T
     for _ in range(60):
-        step = A @ X @ A.T
-        X = X + step
-        if not np.abs(step).max() > 1e-15 * np.abs(X).max():
+        increment = A @ X @ A.T
+        X = X + increment
+        if not np.abs(increment).max() > 1e-15 * np.abs(X).max():
             break
         A = A @ A
     return 0.5 * (X + X.T)

@@ -1,4 +1,4 @@
-"""Models on stacked data: innovations, cost, and the entries that enter linearly."""
+"""Evaluation of models on stacked data: innovations, cost and linear least squares."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from strainwave.statespace._entries import Matrices, unpack, unscale
 from strainwave.statespace._riccati import is_stable
 from strainwave.statespace._stack import Stack
 
-# Innovations below 1e-10 of their channel's root mean square are rounding, far under any sensor's
-# resolution: the determinant of exact data stays finite.
+# Relative variance that regularises the innovations' covariance. It corresponds to innovations of
+# 1e-10 of the channel's root mean square, far below the resolution of any sensor, and keeps the
+# determinant finite for noise-free data.
 FLOOR = 1e-20
 
-# Innovations this many times their channel's root mean square are those of no model.
+# Innovations that exceed this multiple of the channel's root mean square indicate divergence.
 DIVERGED = 1e3
 
 
 class Evaluator:
-    """The compiled predictor over one stack of data, for models of one order."""
+    """Compiled one-step predictor for one data set and one model order."""
 
     def __init__(self, data: Stack, order: int) -> None:
         self.data = data
@@ -32,16 +33,16 @@ class Evaluator:
         self.core = _core.Innovations(order, data.inputs, data.outputs, lengths)
 
     def unpack(self, values: FloatArray) -> Matrices:
-        """From the core's vector."""
+        """Matrices from a vector in the layout of the core."""
         return unpack(values, self.order, self.data.n_inputs, self.data.n_outputs)
 
     def residuals(self, matrices: Matrices) -> FloatArray:
-        """(n_samples, n_outputs) innovations, scaled."""
+        """Scaled innovations (n_samples, n_outputs)."""
         with np.errstate(all="ignore"):
             return self.core.residuals(matrices.pack())
 
     def cost(self, values: FloatArray) -> float:
-        """(N/2) log det of the innovations' covariance; infinite where they diverge."""
+        """Cost (N/2) log det of the innovations' covariance; infinite for divergent innovations."""
         residuals = self.core.residuals(values)
         if not np.abs(residuals).max() < DIVERGED:
             return np.inf
@@ -49,7 +50,7 @@ class Evaluator:
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
 
     def whitener(self, matrices: Matrices) -> FloatArray:
-        """Lower factor of the innovations' covariance."""
+        """Lower Cholesky factor of the innovations' covariance."""
         return np.asarray(np.linalg.cholesky(floored_covariance(self.residuals(matrices))))
 
     def linear(
@@ -60,34 +61,34 @@ class Evaluator:
         gain: bool,
         solutions: int = 2,
     ) -> Matrices:
-        """B, D and the initial states by least squares over the whole record, A, C, K given.
+        """Estimate B, D and the initial states by linear least squares for given A, C and K.
 
-        The innovations are linear in them. The first solution weighs the outputs alike, the second
-        by the covariance that the first left; for a start one will do. Without `gain`, K is set to
-        zero and the outputs are simulated; without `feedthrough`, only the initial states are
-        estimated. A predictor that overflows over the record is a `LinAlgError`: nothing can be
-        said of its entries, and with none it would pass for a model of no inputs.
+        The innovations are linear in these entries. The first solution weights all outputs equally;
+        the second uses the inverse of the innovations' covariance from the first. One solution
+        suffices for a starting value. Without `gain`, K is set to zero, so the outputs are
+        simulated. If `feedthrough` is None, only the initial states are estimated. Raises
+        `LinAlgError` if the predictor overflows.
         """
         if not gain:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
         if feedthrough is not None:
             matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        chosen = self._linear_entries(feedthrough)
+        free = self._linear_entries(feedthrough)
         values = matrices.pack()
-        values[chosen] = 0.0
+        values[free] = 0.0
         whitener = np.eye(self.data.n_outputs)
         for solution in range(solutions):
             hessian, gradient = self.core.normal_equations(values, whitener)
-            # Fresh from the same point, so that a second solution replaces the first.
-            block = hessian[np.ix_(chosen, chosen)]
+            # The expansion point stays the same, so a second solution replaces the first.
+            block = hessian[np.ix_(free, free)]
             if not np.all(np.isfinite(block)):
                 raise np.linalg.LinAlgError("the predictor overflows over the record")
             scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
-            step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[chosen] / scale, 1e-14)
-            values[chosen] += step[0] / scale
+            step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[free] / scale, 1e-14)
+            values[free] += step[0] / scale
             if solution + 1 < solutions:
                 residuals = self.residuals(self.unpack(values))
-                # Where the predictor diverges, the first solution stands.
+                # If the predictor diverges, keep the first solution.
                 if not np.abs(residuals).max() < DIVERGED:
                     break
                 whitener = np.asarray(np.linalg.cholesky(floored_covariance(residuals)))
@@ -103,26 +104,26 @@ class Evaluator:
         return np.concatenate([start_b + np.arange(n * m), D, states])
 
     def simulated(self, matrices: Matrices) -> FloatArray:
-        """(n_samples, n_outputs) outputs from the inputs alone, initial states fitted, scaled."""
+        """Scaled outputs simulated from the inputs, with fitted initial states."""
         with np.errstate(all="ignore"):
-            free = replace(matrices, K=np.zeros_like(matrices.K))
-            if is_stable(free.A):
-                free = self.linear(free, None, gain=False, solutions=1)
-            return self.data.outputs - self.core.residuals(free.pack())
+            simulator = replace(matrices, K=np.zeros_like(matrices.K))
+            if is_stable(simulator.A):
+                simulator = self.linear(simulator, None, gain=False, solutions=1)
+            return self.data.outputs - self.core.residuals(simulator.pack())
 
 
 def floored_covariance(residuals: FloatArray) -> FloatArray:
-    """E'E / N, kept away from singular."""
+    """Covariance E'E / N, regularised by `FLOOR`."""
     covariance = residuals.T @ residuals / len(residuals)
     return covariance + FLOOR * np.eye(len(covariance))
 
 
 def fit_percent(measured: FloatArray, modelled: FloatArray) -> tuple[float, ...]:
-    """100 (1 - |y - yhat| / |y - mean y|) of each column; -inf where the model diverges."""
+    """Fit 100 (1 - |y - yhat| / |y - mean y|) of each column [%]; -inf if the model diverges."""
     with np.errstate(all="ignore"):
-        miss = np.linalg.norm(measured - modelled, axis=0)
-        spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
-        fit = 100.0 * (1.0 - miss / np.where(spread > 0.0, spread, np.nan))
+        error_norm = np.linalg.norm(measured - modelled, axis=0)
+        signal_norm = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
+        fit = 100.0 * (1.0 - error_norm / np.where(signal_norm > 0.0, signal_norm, np.nan))
     return tuple(float(value) if np.isfinite(value) else -np.inf for value in fit)
 
 
@@ -134,7 +135,7 @@ def assemble(
     feedthrough: tuple[bool, ...],
     warnings: tuple[Diagnostic, ...] = (),
 ) -> StateSpace:
-    """The record of a model of scaled channels, in the user's units."""
+    """Result record of a model of scaled channels, in the units of the data."""
     evaluator = Evaluator(data, matrices.order)
     residuals = evaluator.residuals(matrices)
     n, m, p = matrices.order, data.n_inputs, data.n_outputs
@@ -144,17 +145,17 @@ def assemble(
     covariance = floored_covariance(residuals)
     log_scale = samples * float(np.log(data.output_scale).sum())
     cost = 0.5 * samples * float(np.linalg.slogdet(covariance)[1])
-    # Every output's mean square is short by the parameters fitted to it.
+    # Degrees of freedom: each output's mean square is reduced by its share of the parameters.
     unbiased = covariance * samples / max(samples - n_parameters / p, 1.0)
-    own = unscale(matrices, data)
+    unscaled = unscale(matrices, data)
     return StateSpace(
-        A=own.A,
-        B=own.B,
-        C=own.C,
-        D=own.D,
-        K=own.K,
+        A=unscaled.A,
+        B=unscaled.B,
+        C=unscaled.C,
+        D=unscaled.D,
+        K=unscaled.K,
         noise_covariance=unbiased * np.outer(data.output_scale, data.output_scale),
-        initial_states=own.initial_states,
+        initial_states=unscaled.initial_states,
         sample_time=data.sample_time,
         hold=data.hold,
         method=method,

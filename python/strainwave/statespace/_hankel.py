@@ -1,4 +1,4 @@
-"""Triangular factor of a block-Hankel matrix: all that a subspace method needs of the data."""
+"""Triangular factor of a block-Hankel matrix, the data of all subspace methods."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from strainwave import _core
 from strainwave.domain import FloatArray
 from strainwave.statespace._stack import Stack
 
-# Squaring the data loses the square of a pivot against one. Down to this ratio what rounding
-# leaves of the smallest direction, 1e-16 / 1e-12, is still below the scatter of any real record.
+# Smallest ratio of pivots for which the Gram matrix is used instead of a QR decomposition. The
+# relative error of the weakest direction is then about 1e-16 / 1e-12, below the noise of measured
+# data.
 SMALLEST_PIVOT = 1e-6
 
-# Rows factored at a time where squaring would lose too much: the tall matrix is never stored.
+# Rows of each block of the QR decomposition; the full Hankel matrix is never stored.
 BLOCK = 2048
 
 
 def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[FloatArray, int]:
-    """R with R'R = Z'Z, columns of Z reordered.
+    """Triangular factor R with R'R = Z'Z, and the number of rows of the block-Hankel matrix Z.
 
-    Row k of Z is [z[k], ..., z[k + depth - 1]] with z = [u, y]. Z'Z comes from its displacement
-    structure and R from Cholesky; where that would lose digits, from a blocked QR of Z.
+    Row k of Z is [z[k], ..., z[k + depth - 1]] with z = [u, y]. The displacement structure gives
+    Z'Z, and R is its Cholesky factor. If Z'Z is ill-conditioned, a blocked QR decomposition of Z is
+    used.
 
-    `depth`: Samples side by side in a row of Z.
-    `order` (n_inputs + n_outputs): Columns of Z as they are to stand in R.
-
-    Returns: `rows`: Rows of Z.
+    `depth`: Number of samples in a row of Z. `order` (depth * (n_inputs + n_outputs),): Permutation
+        of the columns of Z.
     """
     z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
     gram, rows = _core.hankel_gram(z, list(data.lengths), depth)
@@ -40,7 +40,7 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
 
 
 def solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
-    """R^-1 right for triangular R; of least norm where columns of R depend on one another."""
+    """Solution of R x = right for triangular R; the minimum-norm solution if R is singular."""
     pivots = np.abs(np.diagonal(R))
     if pivots.min() > SMALLEST_PIVOT * pivots.max():
         return np.asarray(np.linalg.solve(R, right))
@@ -59,5 +59,5 @@ def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
 
 
 def _upper(matrix: FloatArray) -> FloatArray:
-    """R of matrix = Q R."""
+    """Triangular factor R of matrix = Q R."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -10,17 +10,19 @@ from strainwave.domain import FloatArray
 def innovations_gain(
     A: FloatArray, C: FloatArray, Q: FloatArray, S: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Steady Kalman predictor of x+ = A x + w, y = C x + v with cov [w; v] = [Q S; S' R].
+    """Gain of the steady-state Kalman predictor, and covariance of its innovations.
 
-    P = A P A' + Q - K (C P C' + R) K', K = (A P C' + S)(C P C' + R)^-1, by the structure-preserving
-    doubling algorithm (Anderson, Int. J. Control 28, 1978): quadratic convergence, and A - K C is
-    stable where the noise moves every state on or outside the unit circle.
+    The model is x+ = A x + w, y = C x + v with cov [w; v] = [Q S; S' R]. The gain solves
 
-    `A` (n, n).
-    `Q` (n, n).
-    `S` (n, p).
+        P = A P A' + Q - K (C P C' + R) K',   K = (A P C' + S) (C P C' + R)^-1
 
-    Returns: `K` (n, p); `covariance`: C P C' + R, of the innovations.
+    by the structure-preserving doubling algorithm (Anderson, Int. J. Control 28, 1978), which
+    converges quadratically. A - K C is stable if the noise excites all modes on or outside the unit
+    circle.
+
+    `Q` (n, n). `S` (n, p). `R` (p, p).
+
+    Returns K (n, p) and C P C' + R (p, p).
     """
     n = len(A)
     weighted = np.linalg.solve(R, np.hstack([C, S.T]))
@@ -29,12 +31,12 @@ def innovations_gain(
     P = Q - S @ weighted[:, n:]
     identity = np.eye(n)
     for _ in range(60):
-        inner = np.linalg.solve(identity + G @ P, np.hstack([F, G]))
-        step = F.T @ P @ inner[:, :n]
-        G = G + F @ inner[:, n:] @ F.T
-        F = F @ inner[:, :n]
-        P = P + 0.5 * (step + step.T)
-        if not np.abs(step).max() > 1e-14 * np.abs(P).max():
+        solution = np.linalg.solve(identity + G @ P, np.hstack([F, G]))
+        increment = F.T @ P @ solution[:, :n]
+        G = G + F @ solution[:, n:] @ F.T
+        F = F @ solution[:, :n]
+        P = P + 0.5 * (increment + increment.T)
+        if not np.abs(increment).max() > 1e-14 * np.abs(P).max():
             break
     covariance = C @ P @ C.T + R
     K = np.linalg.solve(covariance, (A @ P @ C.T + S).T).T
@@ -42,15 +44,16 @@ def innovations_gain(
 
 
 def is_stable(A: FloatArray) -> bool:
-    """Whether every eigenvalue lies inside the unit circle."""
+    """Whether all eigenvalues of A lie inside the unit circle."""
     return bool(np.isfinite(A).all() and np.abs(np.linalg.eigvals(A)).max() < 1.0)
 
 
 def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray) -> FloatArray:
-    """K if A - K C is stable; otherwise the stable predictor of the same noise spectrum.
+    """Gain K, or the gain of the stable predictor with the same noise spectrum.
 
-    The innovations form with gain K is one model of w = K e, v = e; the Riccati equation finds the
-    other. A little noise is added to every state, so that poles on the unit circle are moved too.
+    K is returned if A - K C is stable. Otherwise the Riccati equation with w = K e and v = e gives
+    the stable predictor. A small process noise on every state moves eigenvalues away from the unit
+    circle.
     """
     n = len(A)
     scale = np.trace(R) / len(R)
@@ -63,11 +66,11 @@ def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray)
 
 
 def reflected(A: FloatArray) -> FloatArray:
-    """A with eigenvalues on or outside the unit circle mirrored to its inside."""
+    """Matrix A with the eigenvalues on or outside the unit circle reflected to the inside."""
     values, vectors = np.linalg.eig(A)
     moduli = np.abs(values)
     if (moduli < 1.0).all():
         return A
-    inside = np.where(moduli >= 1.0, np.minimum(1.0 / moduli, 1.0 - 1e-6), moduli)
-    mirrored = vectors @ np.diag(values / moduli * inside) @ np.linalg.inv(vectors)
-    return np.asarray(mirrored.real)
+    new_moduli = np.where(moduli >= 1.0, np.minimum(1.0 / moduli, 1.0 - 1e-6), moduli)
+    result = vectors @ np.diag(values / moduli * new_moduli) @ np.linalg.inv(vectors)
+    return np.asarray(result.real)

@@ -1,4 +1,4 @@
-"""Records of inputs and outputs, checked, stacked and scaled for the compiled core."""
+"""Validation, stacking and scaling of input-output records for the compiled core."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Data = InputOutput | Sequence[InputOutput]
 
 @dataclass(frozen=True, slots=True)
 class Stack:
-    """Records one above the other, each channel divided by its root mean square."""
+    """Stacked records, each channel divided by its root mean square."""
 
     inputs: FloatArray  # (n_samples, n_inputs), scaled
     outputs: FloatArray  # (n_samples, n_outputs), scaled
@@ -40,20 +40,21 @@ class Stack:
         return int(self.outputs.shape[1])
 
     def rows(self) -> list[slice]:
-        """Where each record lies."""
+        """Slice of each record in the stacked samples."""
         stops = np.cumsum(self.lengths)
         return [slice(stop - n, stop) for n, stop in zip(self.lengths, stops, strict=True)]
 
 
 def records_of(data: Data) -> tuple[InputOutput, ...]:
-    """One record or several, as several."""
+    """Tuple of records from one record or a sequence."""
     return (data,) if isinstance(data, InputOutput) else tuple(data)
 
 
 def stack(data: Data) -> Stack:
-    """Check and stack records.
+    """Check records and stack them.
 
-    Raises `InvalidInput`: no record, shapes that do not fit together, entries that are not finite.
+    Raises `InvalidInput` if there is no record, if shapes are inconsistent, or if entries are not
+    finite.
     """
     records = records_of(data)
     if not records:
@@ -79,7 +80,10 @@ def stack(data: Data) -> Stack:
 
 
 def without_means(data: Data) -> tuple[InputOutput, ...]:
-    """Each record with the mean of every channel taken off: the model is then of deviations."""
+    """Records with the mean of every channel removed.
+
+    A linear model describes deviations from an operating point, which the means represent.
+    """
     return tuple(
         replace(
             record,
@@ -104,11 +108,11 @@ def _check(record: InputOutput, where: str) -> None:
                 where=where,
                 remedy="one row a sample, one column a channel; a single channel is x[:, None]",
             )
-        bad = np.flatnonzero(~np.isfinite(signal).all(axis=1))
-        if len(bad):
+        not_finite = np.flatnonzero(~np.isfinite(signal).all(axis=1))
+        if len(not_finite):
             raise InvalidInput(
-                f"expected finite {name}, got {len(bad)} samples with NaN or infinity",
-                where=f"{where}, sample {bad[0]}",
+                f"expected finite {name}, got {len(not_finite)} samples with NaN or infinity",
+                where=f"{where}, sample {not_finite[0]}",
                 remedy="cut the record there and pass the pieces as several records",
             )
     if len(record.inputs) != len(record.outputs):

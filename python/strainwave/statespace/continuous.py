@@ -1,4 +1,4 @@
-"""From a sampled model to the continuous-time one whose samples it gives."""
+"""Conversion of sampled state-space models to continuous time."""
 
 from __future__ import annotations
 
@@ -12,36 +12,35 @@ from strainwave.errors import NotIdentifiable
 from strainwave.numerics.linalg import exponential
 from strainwave.statespace.propagation import propagate
 
-# Share of the Nyquist frequency beyond which a pole may be the alias of a faster one.
+# Fraction of the Nyquist frequency above which a pole may be an alias of a faster pole.
 NEAR_NYQUIST = 0.8
 
-# Condition of the eigenvectors up to which functions of A are taken on its eigenvalues; beyond,
-# poles all but coincide and the slower scaling and squaring is used.
+# Largest condition number of the eigenvectors for which the eigendecomposition of A is used. For
+# nearly multiple poles, the slower scaling-and-squaring method is used.
 WELL_CONDITIONED = 1e6
 
-# (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first; enough terms up to that size of x.
+# Coefficients of (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first. The truncation
+# error is below rounding for |x| < _SMALL.
 _SERIES = [1.0 / factorial(k + 2) for k in range(14, -1, -1)]
 _SMALL = 0.5
 
 
 def to_continuous(model: StateSpace) -> ContinuousStateSpace:
-    """The continuous-time model, given how each input goes on between samples.
+    """Convert a sampled model to continuous time, with the hold of each input.
 
-    A = log(A_d) / T. With P1 the integral of exp(A s) over one sample and P2 that of
-    exp(A (T - s)) s / T: an input that is held enters as B = P1^-1 B_d; one that is joined by
-    straight lines, as B = (A_d P2 + P1 - P2)^-1 B_d and D = D_d - C P2 B.
+    A = log(A_d) / T. P1 is the integral of exp(A s) over one sampling period, and P2 is the
+    integral of exp(A (T - s)) s / T. For an input with zero-order hold, B = P1^-1 B_d and D = D_d.
+    For an input with first-order hold, B = (A_d P2 + P1 - P2)^-1 B_d and D = D_d - C P2 B.
 
-    Returns: With a covariance if the model has one. A warning names poles so near the Nyquist
-    frequency that they may be aliases.
-
-    Raises `NotIdentifiable`: A pole at zero or on the negative real axis, which no continuous-time
-    model of this order has.
+    The result has a covariance if the model has one. A pole near the Nyquist frequency, which may
+    be an alias, gives a warning. Raises `NotIdentifiable` if a pole of the sampled model is zero or
+    on the negative real axis: no continuous-time model of the same order exists.
     """
-    found = _convert(model)
+    converted = _convert(model)
     if model.covariance is None:
-        return found
+        return converted
     _, covariance = propagate(model, lambda near: _entries(_convert(near)), stacked=True)
-    return replace(found, covariance=covariance)
+    return replace(converted, covariance=covariance)
 
 
 def _entries(model: ContinuousStateSpace) -> FloatArray:
@@ -50,16 +49,16 @@ def _entries(model: ContinuousStateSpace) -> FloatArray:
 
 
 def _convert(model: StateSpace) -> ContinuousStateSpace:
-    """Of one model, or of a stack of them."""
+    """Conversion without covariance of one model or a stack of models."""
     T = model.sample_time
     A, P1, P2 = _between_samples(model.A, T)
-    first = np.array([hold == "first" for hold in model.hold])
+    is_first_order = np.array([hold == "first" for hold in model.hold])
     B = np.asarray(np.linalg.solve(P1, model.B), dtype=np.float64)
     D = model.D.copy()
-    if first.any():
+    if is_first_order.any():
         joined = model.A @ P2 + P1 - P2
-        B[..., first] = np.linalg.solve(joined, model.B[..., first])
-        D[..., first] -= model.C @ P2 @ B[..., first]
+        B[..., is_first_order] = np.linalg.solve(joined, model.B[..., is_first_order])
+        D[..., is_first_order] -= model.C @ P2 @ B[..., is_first_order]
     return ContinuousStateSpace(
         A=A,
         B=B,
@@ -72,7 +71,10 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
 
 
 def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The real logarithm over T whose eigenvalues have the least imaginary parts, P1 and P2."""
+    """Continuous-time A, and the integrals P1 and P2 of `to_continuous`.
+
+    A is the real logarithm with the smallest imaginary parts of the eigenvalues.
+    """
     values, vectors = np.linalg.eig(A)
     bad = values[(values.imag == 0.0) & (values.real <= 0.0)]
     if len(bad):
@@ -89,25 +91,25 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
         logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T
         return logarithm, *_hold_integrals(logarithm, T)
     x = np.log(values.astype(complex))
-    # (e^x - 1 - x)/x^2 cancels where x is small; its series ends below rounding up to there
+    # the closed form loses digits for small x, so the series is used there
     small = np.abs(x) < _SMALL
     series = np.polyval(_SERIES, x)
-    away = np.where(small, 1.0, x)
-    second = np.where(small, series, (np.exp(away) - 1.0 - away) / away**2)
+    nonzero = np.where(small, 1.0, x)
+    second = np.where(small, series, (np.exp(nonzero) - 1.0 - nonzero) / nonzero**2)
     inverse = np.linalg.inv(vectors)
-    shapes = np.stack([x / T, T * (1.0 + x * second), T * second])
-    found = np.real((vectors * shapes[..., None, :]) @ inverse)
-    return found[0], found[1], found[2]
+    functions = np.stack([x / T, T * (1.0 + x * second), T * second])
+    matrices = np.real((vectors * functions[..., None, :]) @ inverse)
+    return matrices[0], matrices[1], matrices[2]
 
 
 def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
-    """P1 and P2 as blocks of one matrix exponential (Van Loan, IEEE Trans. AC 23, 1978)."""
+    """Integrals P1 and P2 from one block matrix exponential (Van Loan, IEEE Trans. AC 23, 1978)."""
     n = len(A)
-    whole = np.zeros((3 * n, 3 * n))
-    whole[:n, :n] = A * T
-    whole[:n, n : 2 * n] = np.eye(n) * T
-    whole[n : 2 * n, 2 * n :] = np.eye(n)
-    top = exponential(whole)[:n]
+    block = np.zeros((3 * n, 3 * n))
+    block[:n, :n] = A * T
+    block[:n, n : 2 * n] = np.eye(n) * T
+    block[n : 2 * n, 2 * n :] = np.eye(n)
+    top = exponential(block)[:n]
     return top[:, n : 2 * n], top[:, 2 * n :]
 
 

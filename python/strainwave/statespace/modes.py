@@ -1,4 +1,4 @@
-"""Poles and zeros: the resonances and anti-resonances of a joint."""
+"""Poles and zeros of state-space models: the resonances and anti-resonances of a joint."""
 
 from __future__ import annotations
 
@@ -12,28 +12,27 @@ from strainwave.statespace.propagation import propagate
 
 ComplexArray = NDArray[np.complex128]
 
-# Zeros beyond this multiple of the fastest pole are those at infinity, moved there by rounding and
-# by noise in a feedthrough.
+# Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise
+# in D make finite.
 FAR = 100.0
 
-# Where the pencil of the zeros is inverted, over the fastest pole: on the unstable real axis, at
-# no round number, for a zero just there would make it singular.
+# Shift of the inverted pencil, relative to the fastest pole. A shift on the unstable real axis that
+# is not a round number is unlikely to coincide with a zero.
 _ASIDE = 0.7320508
 
 
 def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> Modes:
-    """Poles of a model and zeros from one input to one output, in continuous time.
+    """Poles, and zeros from one input to one output, in continuous time.
 
-    Zeros are the s for which [[A - s I, b], [c, d]] is singular.
+    Zeros are the s for which [[A - s I, b], [c, d]] is singular. `to_continuous` converts a sampled
+    model. The result has standard deviations by the delta method if the model has a covariance.
+    Zeros far above the poles are omitted, and for a sampled model those above the Nyquist
+    frequency: the data do not determine them.
 
-    `model`: A sampled one is converted by `to_continuous`.
     `input, output`: Columns, from 0.
 
-    Returns: Standard deviations by the delta method, if the model has a covariance. Zeros that are
-    far above the poles, and for a sampled model those beyond the Nyquist frequency, are left out:
-    the data say nothing about them.
-
-    Raises `InvalidInput`: no such input or output; `NotIdentifiable`: as `to_continuous`.
+    Raises `InvalidInput` if the input or output does not exist, and `NotIdentifiable` like
+    `to_continuous`.
     """
     for name, index, count in (
         ("input", input, model.B.shape[1]),
@@ -41,25 +40,25 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
     ):
         if not 0 <= index < count:
             raise InvalidInput(f"expected {name} from 0 to {count - 1}, got {index}")
-    found = to_continuous(model) if isinstance(model, StateSpace) else model
-    poles = _poles(found)
-    zeros = _zeros(found, input, output)
+    continuous = to_continuous(model) if isinstance(model, StateSpace) else model
+    poles = _poles(continuous)
+    zeros = _zeros(continuous, input, output)
     highest = FAR * float(np.abs(poles).max())
     if isinstance(model, StateSpace):
         highest = min(highest, np.pi / model.sample_time)
     poles, zeros = _upper_half(poles), _upper_half(zeros[np.abs(zeros) < highest])
-    known = np.concatenate([poles, zeros])
+    values_s = np.concatenate([poles, zeros])
 
     def shapes(near: ContinuousStateSpace) -> FloatArray:
         of_zeros = nearest(zeros, _zeros(near, input, output))
         values = np.concatenate([nearest(poles, _poles(near)), of_zeros], axis=-1)
         return np.concatenate([_frequency_hz(values), _damping(values)], axis=-1)
 
-    values, std = np.concatenate([_frequency_hz(known), _damping(known)]), None
-    if found.covariance is not None:
-        _, covariance = propagate(found, shapes, stacked=True)
+    values, std = np.concatenate([_frequency_hz(values_s), _damping(values_s)]), None
+    if continuous.covariance is not None:
+        _, covariance = propagate(continuous, shapes, stacked=True)
         std = np.sqrt(np.maximum(np.diagonal(np.asarray(covariance)), 0.0))
-    count = len(known)
+    count = len(values_s)
     each = tuple(
         Mode(
             value=complex(value),
@@ -68,7 +67,7 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
             frequency_std_hz=None if std is None else float(std[i]),
             damping_std=None if std is None else float(std[count + i]),
         )
-        for i, value in enumerate(known)
+        for i, value in enumerate(values_s)
     )
     of_poles, of_zeros = each[: len(poles)], each[len(poles) :]
     return Modes(of_poles, of_zeros, _least_damped(of_poles), _least_damped(of_zeros))
@@ -79,10 +78,10 @@ def _poles(model: ContinuousStateSpace) -> ComplexArray:
 
 
 def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray:
-    """Zeros of one channel; those at infinity are infinite."""
+    """Zeros from one input to one output; zeros at infinity are infinite."""
     n = model.A.shape[-1]
     b, c = model.B[..., :, [input]], model.C[..., [output], :]
-    # Rows and columns of like size: units of the channels must not decide what is infinite.
+    # Scale rows and columns, so that the channel units do not affect which zeros are infinite.
     fastest = np.abs(np.linalg.eigvals(model.A)).max(axis=-1)[..., None, None]
     size = np.maximum(fastest, np.finfo(float).tiny)
     b_size, c_size = (np.linalg.norm(x, axis=(-2, -1), keepdims=True) for x in (b, c))
@@ -91,28 +90,26 @@ def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray
     M = np.block([[model.A / size, b / b_size], [c / c_size, d]])
     N = np.zeros((n + 1, n + 1))
     N[:n, :n] = np.eye(n)
-    # (M - s N) v = 0 is (M - a N)^-1 N v = v / (s - a): zeros at infinity become zero
+    # (M - s N) v = 0 is equivalent to (M - a N)^-1 N v = v / (s - a); infinite zeros become zero
     right = np.broadcast_to(N, M.shape)
-    inverse = np.linalg.eigvals(np.linalg.solve(M - _ASIDE * N, right)).astype(np.complex128)
-    finite = np.abs(inverse) > 1e-12
-    found = size[..., 0] * (_ASIDE + 1.0 / np.where(finite, inverse, 1.0))
-    return np.where(finite, found, np.inf)
+    inverses = np.linalg.eigvals(np.linalg.solve(M - _ASIDE * N, right)).astype(np.complex128)
+    finite = np.abs(inverses) > 1e-12
+    zeros = size[..., 0] * (_ASIDE + 1.0 / np.where(finite, inverses, 1.0))
+    return np.where(finite, zeros, np.inf)
 
 
 def poles_and_zeros(
     model: ContinuousStateSpace, input: int, output: int
 ) -> tuple[ComplexArray, ComplexArray]:
-    """Poles, and zeros from one input to one output, of a model or of a stack of them.
+    """Poles, and zeros from one input to one output, of a model or a stack of models.
 
-    `input, output`: Columns, from 0.
-
-    Returns: `zeros`: Those at infinity are infinite.
+    `input, output`: Columns, from 0. Zeros at infinity are infinite.
     """
     return _poles(model), _zeros(model, input, output)
 
 
 def _upper_half(values: ComplexArray) -> ComplexArray:
-    """One of each conjugate pair, by frequency; an imaginary part of rounding size is none."""
+    """One value of each conjugate pair, sorted by modulus; rounded imaginary parts are removed."""
     real = np.abs(values.imag) <= 1e-12 * np.abs(values)
     values = np.where(real, values.real, values)
     values = values[values.imag >= 0.0]
@@ -120,13 +117,13 @@ def _upper_half(values: ComplexArray) -> ComplexArray:
 
 
 def nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
-    """For each value, the one that is nearest to it of others, or of each row of others.
+    """For each value, the nearest of `others`, or of each row of `others`.
 
     `values` (n_values,).
     """
     distances = np.abs(values[:, None] - others[..., None, :])
-    place = np.argmin(distances, axis=-1)
-    return np.asarray(np.take_along_axis(others, place, axis=-1), dtype=np.complex128)
+    indices = np.argmin(distances, axis=-1)
+    return np.asarray(np.take_along_axis(others, indices, axis=-1), dtype=np.complex128)
 
 
 def _frequency_hz(values: ComplexArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""How many states: what data that were held out say, and what Schwarz's criterion says."""
+"""Selection of the model order by held-out data and the Bayesian information criterion (BIC)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from strainwave.statespace._stack import Data, records_of, stack
 from strainwave.statespace.pem import PemOptions, pem
 from strainwave.statespace.residuals import on_data, whiteness
 
-# The last share of every record is held out.
+# Fraction of each record that is held out, at its end.
 HELD_OUT = 0.25
 
-# Held-out samples a record needs to say anything about an order: initial state apart.
+# Minimum number of held-out samples per state: the fit of the initial state also uses them.
 LEAST_HELD_OUT = 10
 
 # What a model leaves of the held-out outputs, against the least any leaves, that does not matter:
@@ -27,11 +27,11 @@ POINTS = 0.1
 
 
 ORDERS = (2, 3, 4, 5, 6)
-"""Those tried unless others are asked for: a joint has three states, and filters add a few."""
+"""Default orders: a joint has three states, and filters add a few."""
 
 
 FitOrders = Callable[[Sequence[InputOutput]], Callable[[int], StateSpace]]
-"""Records to a function from an order to the model of that order: work on the data is shared."""
+"""Function from records to an order-to-model function; the models share work on the data."""
 
 
 def select_order(
@@ -42,52 +42,65 @@ def select_order(
 ) -> OrderSelection:
     """Compare models of several orders and choose one.
 
-    Each order is fitted to the first three quarters of every record and predicts the last quarter,
-    or simulates it if K is not estimated. The orders that leave at most a twentieth more of the
-    held-out outputs unexplained than the best order are candidates, and are fitted to all of the
-    data. The candidate of least BIC is chosen if its residuals are white, which BIC presumes;
-    otherwise the lowest candidate.
+    Each order is fitted to the first 75 % of every record and predicts the last 25 %, or simulates
+    it if K is not estimated. Candidates are the orders whose unexplained part of the held-out
+    outputs is at most 5 % larger than the smallest one. The candidates are fitted to all data. The
+    candidate with the smallest BIC is chosen if its residuals are white, as BIC assumes; otherwise
+    the lowest candidate is chosen.
 
-    `fit` replaces `pem` with the given options. The result has one model per candidate, held-out
-    fits of every order (NaN if the records are too short to hold anything out), and in `rule` the
-    reason for the choice. Raises `InvalidInput` like `pem`, and for no order or one below 1.
+    `fit` replaces `pem` with the given options. The result has one model per candidate, the
+    held-out fits of all orders (NaN if the records are too short), and in `rule` the reason for the
+    choice. Raises `InvalidInput` like `pem`, and for an empty set of orders or an order below 1.
     """
-    wanted = tuple(sorted(set(orders)))
-    if not wanted or wanted[0] < 1:
+    sorted_orders = tuple(sorted(set(orders)))
+    if not sorted_orders or sorted_orders[0] < 1:
         raise InvalidInput(f"expected orders of at least 1, got {tuple(orders)}")
     stack(data)
     fit = fit or (lambda records: partial(pem, records, options=options))
-    kept, held_out = _parts(data, wanted[-1])
+    kept, held_out = _parts(data, sorted_orders[-1])
     fits: list[tuple[float, ...]] = [(float("nan"),) * records_of(data)[0].outputs.shape[1]]
-    fits *= len(wanted)
-    is_sound = np.ones(len(wanted), dtype=bool)
-    of_all = fit(records_of(data))
+    fits *= len(sorted_orders)
+    is_sound = np.ones(len(sorted_orders), dtype=bool)
+    model_on_all = fit(records_of(data))
     if held_out:
-        of_first = fit(kept)
-        first = [of_first(order) for order in wanted]
-        fits = [_held_out_fit(model, held_out) for model in first]
-        is_sound = _sound(first)
-    left = np.array([100.0 - np.mean(each) for each in fits])
-    if np.isfinite(left[is_sound]).any():
-        close = is_sound & (left <= (1.0 + SHARE) * np.min(left[is_sound]) + POINTS)
-        among, rest = "as good as any on held-out data", "all others are worse on held-out data"
+        model_on_kept = fit(kept)
+        kept_models = [model_on_kept(order) for order in sorted_orders]
+        fits = [_held_out_fit(model, held_out) for model in kept_models]
+        is_sound = _sound(kept_models)
+    unexplained_percent = np.array([100.0 - np.mean(each) for each in fits])
+    if np.isfinite(unexplained_percent[is_sound]).any():
+        is_candidate = is_sound & (
+            unexplained_percent <= (1.0 + SHARE) * np.min(unexplained_percent[is_sound]) + POINTS
+        )
+        candidate_reason, single_reason = (
+            "as good as any on held-out data",
+            "all others are worse on held-out data",
+        )
     else:
-        close, among, rest = is_sound, "no data long enough to hold out", "no other converged"
-    models = [of_all(order) for order, is_close in zip(wanted, close, strict=True) if is_close]
+        is_candidate, candidate_reason, single_reason = (
+            is_sound,
+            "no data long enough to hold out",
+            "no other converged",
+        )
+    models = [
+        model_on_all(order)
+        for order, is_close in zip(sorted_orders, is_candidate, strict=True)
+        if is_close
+    ]
     is_usable = _sound(models)
     candidates = [model for model, usable in zip(models, is_usable, strict=True) if usable]
-    chosen, rule = _choose(candidates, data, among, rest)
+    chosen, rule = _choose(candidates, data, candidate_reason, single_reason)
     return OrderSelection(tuple(models), tuple(fits), chosen, rule)
 
 
 def _sound(models: Sequence[StateSpace]) -> BoolArray:
-    """(n_models,) whether each fit converged; all of them where none did."""
-    sound = np.array([model.status in ("converged", "estimated") for model in models])
-    return sound if sound.any() else np.ones(len(models), dtype=bool)
+    """Which fits converged (n_models,); all True if none converged."""
+    converged = np.array([model.status in ("converged", "estimated") for model in models])
+    return converged if converged.any() else np.ones(len(models), dtype=bool)
 
 
 def _parts(data: Data, highest: int) -> tuple[list[InputOutput], list[InputOutput]]:
-    """The first part of every record, and the last of those that are long enough."""
+    """Kept part of every record, and held-out part of the records that are long enough."""
     kept, held_out = [], []
     for record in records_of(data):
         samples = len(record.inputs)
@@ -109,7 +122,7 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
 
 
 def _choose(candidates: Sequence[StateSpace], data: Data, among: str, rest: str) -> tuple[int, str]:
-    """The order and the reason."""
+    """Chosen order and the reason."""
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
         return candidates[0].order, f"order {names}: {rest}"

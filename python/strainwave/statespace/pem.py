@@ -1,9 +1,9 @@
-"""Prediction-error minimisation: the model whose one-step predictions miss by least.
+"""Prediction-error method: minimise the one-step prediction error of a state-space model.
 
-The determinant of the innovations' covariance is minimised over all entries of A, B, C, D, K and
-the initial states, in local coordinates that leave out changes of the state's basis; the work is
-done by the compiled core. With K estimated the answer is consistent in closed loop too, provided
-the loop has a delay; with K = 0 (output error) only in open loop.
+The cost is the log determinant of the innovations' covariance. The compiled core minimises it over
+all entries of A, B, C, D, K and the initial states, in local coordinates that exclude changes of
+the state coordinates. With K estimated, the estimate is consistent in closed loop if the loop has a
+delay. With K = 0 (output error), it is consistent in open loop only.
 """
 
 from __future__ import annotations
@@ -30,21 +30,23 @@ from strainwave.statespace.subspace import (
     realise,
 )
 
-# times what Schwarz's criterion allows: with that more cost at the plant's poles K is not zero
+# K = 0 is not tried if its cost at the plant's poles exceeds the bound of the Bayesian information
+# criterion by this factor.
 _SURELY = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class PemOptions:
-    """How `pem` estimates."""
+    """Options of `pem`."""
 
     disturbance: Literal["innovations", "none"] = "innovations"  # "none": K = 0, output error
-    feedthrough: tuple[bool, ...] | None = None  # one an input; None: those of hold "first"
+    # one flag per input; None: True for first-order hold
+    feedthrough: tuple[bool, ...] | None = None
     initial_state: Literal["estimate", "zero"] = "estimate"
-    covariance: Literal["auto", "white", "sandwich"] = "auto"  # auto: by a test of whiteness
+    covariance: Literal["auto", "white", "sandwich"] = "auto"  # "auto": by a whiteness test
     max_iterations: int = 100
-    # Largest gain in log-likelihood still worth a step: parameters are then within
-    # sqrt(2e-4) = 0.014 standard deviations of the optimum.
+    # Convergence tolerance on the predicted increase of the log-likelihood. At 1e-4, the parameters
+    # are within sqrt(2e-4) = 0.014 standard deviations of the optimum.
     tolerance: float = 1e-4
 
 
@@ -55,21 +57,20 @@ def pem(
     start: StateSpace | None = None,
     options: PemOptions | None = None,
 ) -> StateSpace:
-    """Estimate a state-space model by prediction-error minimisation.
+    """Estimate a state-space model by the prediction-error method.
 
-    `data`: Several records, or windows of one, are fitted at once, each from its own initial state.
-    `order`: None: that of `start`. Where it is not known, `select_order` compares several.
-    `start`: None: the better of two subspace estimates. One of another rate is brought to the
-        data's.
+    `data`: All records are fitted together; each has its own initial state.
+    `order`: None: the order of `start`. Use `select_order` to compare orders.
+    `start`: None: the better of two subspace estimates. A start with another sampling period is
+        converted.
 
-    Returns: `status` says how the search ended: "converged"; "iteration-limit" and "stalled" carry
-    a warning with advice; "not-determined" means that the data leave a direction open. A model
-    whose simulation misses an output by more than that output moves carries a warning, however well
-    it predicts one step ahead.
+    `status` is "converged"; "iteration-limit" or "stalled", both with a warning; or
+    "not-determined" if the data do not determine all parameters. A warning also reports an output
+    whose simulation error exceeds its variation.
 
-    Raises `InvalidInput`: shapes, entries that are not finite, an order below one, neither order
-    nor start, a start that does not fit the data; `NumericalFailure`: no start has a stable
-    predictor.
+    Raises `InvalidInput` for wrong shapes, entries that are not finite, an order below 1, neither
+    order nor start, or a start that does not match the data. Raises `NumericalFailure` if no
+    starting value has a stable predictor.
     """
     options = options or PemOptions()
     _check(order, start, options)
@@ -79,9 +80,9 @@ def pem(
     evaluator = Evaluator(stacked, candidates[0].order)
     fits = []
     for candidate in sorted(candidates, key=lambda each: evaluator.cost(each.pack())):
-        found = _fit(evaluator, candidate, through, options)
-        fits += [] if found is None else [found]
-        if found is not None and found.status == "converged":
+        fit = _fit(evaluator, candidate, through, options)
+        fits += [] if fit is None else [fit]
+        if fit is not None and fit.status == "converged":
             break
     if not fits:
         raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
@@ -95,37 +96,36 @@ def pem(
 def _without_gain(
     evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit | None:
-    """The fit with K = 0 where the data ask for no more.
+    """Fit with K = 0 if the data do not require a gain, otherwise None.
 
-    Where the disturbances are white K is zero and the predictor as slow as the plant. An estimate
-    of K is then all noise, far from normal on so short a record as the plant's own memory, and its
-    scatter is in every other entry.
+    If the disturbances are white, K is zero and the predictor is as slow as the plant. In a short
+    record, an estimate of K then only adds variance to all other entries.
     """
     plain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
     if best.covariance is None or not is_stable(plain.A):
         return None
-    # Schwarz's criterion, as for the order: the ratio of likelihoods has no chi-square tail here
-    most = best.cost + 0.5 * plain.K.size * np.log(evaluator.data.n_samples)
+    # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square here.
+    limit = best.cost + 0.5 * plain.K.size * np.log(evaluator.data.n_samples)
     start = evaluator.linear(plain, feedthrough, gain=False, solutions=1)
-    if evaluator.cost(start.pack()) > best.cost + _SURELY * (most - best.cost):
+    if evaluator.cost(start.pack()) > best.cost + _SURELY * (limit - best.cost):
         return None
-    found = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
-    if found is None or found.status != "converged" or found.covariance is None:
+    fit = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
+    if fit is None or fit.status != "converged" or fit.covariance is None:
         return None
-    return found if found.cost < most else None
+    return fit if fit.cost < limit else None
 
 
 def _restricted(
     evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit:
-    """The fit with the gain of restricted likelihood, and the covariance there."""
+    """Fit with the gain of the restricted likelihood, and its covariance."""
     moved = restricted(evaluator, best.matrices, best.covariance)
     if moved is best.matrices:
         return best
-    there = _fit(evaluator, moved, feedthrough, replace(options, max_iterations=0))
-    if there is None or there.covariance is None:
+    refit = _fit(evaluator, moved, feedthrough, replace(options, max_iterations=0))
+    if refit is None or refit.covariance is None:
         return best
-    return replace(best, matrices=there.matrices, covariance=there.covariance, cost=there.cost)
+    return replace(best, matrices=refit.matrices, covariance=refit.covariance, cost=refit.cost)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,20 +146,24 @@ def _starts(
     feedthrough: tuple[bool, ...],
     options: PemOptions,
 ) -> list[Matrices]:
-    """Starts whose predictors are stable."""
+    """Starting values with stable predictors."""
     if start is None:
-        ways: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
+        methods: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
         horizon, factors = choose_horizon(data, order or HIGHEST_ORDER), Factors(data)
-        found = [realise(factors, order, way, horizon, feedthrough).matrices for way in ways]
+        realisations = [
+            realise(factors, order, method, horizon, feedthrough).matrices for method in methods
+        ]
     else:
-        found = [_from_model(start, data)]
-    evaluator = Evaluator(data, found[0].order)
-    stable = [replace(each, A=reflected(each.A), K=np.zeros_like(each.K)) for each in found]
+        realisations = [_from_model(start, data)]
+    evaluator = Evaluator(data, realisations[0].order)
+    stable = [replace(each, A=reflected(each.A), K=np.zeros_like(each.K)) for each in realisations]
     starts = [evaluator.linear(each, feedthrough, gain=False, solutions=1) for each in stable]
     if options.disturbance == "innovations":
-        # Sensor noise alone means K = 0, and the predictor is then as slow as the arm: a gain from
-        # a subspace step lies far from it on a curved path. Both starts are weighed.
-        starts += [evaluator.linear(each, feedthrough, gain=True, solutions=1) for each in found]
+        # With sensor noise only, K = 0 and the predictor is as slow as the arm. A gain from the
+        # subspace method is then far from the optimum, so both starting values are compared.
+        starts += [
+            evaluator.linear(each, feedthrough, gain=True, solutions=1) for each in realisations
+        ]
     return starts
 
 
@@ -171,8 +175,8 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
             f"got {shape[0]} and {shape[1]}"
         )
     states = np.zeros((len(data.lengths), start.order))
-    own = _at_rate(start, data.sample_time, states)
-    scaled = rescale(own, data)
+    converted = _at_rate(start, data.sample_time, states)
+    scaled = rescale(converted, data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + FLOOR * np.eye(len(noise))
     K = stabilising_gain(scaled.A, scaled.C, scaled.K, noise)
@@ -180,7 +184,10 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
 
 
 def _at_rate(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
-    """A start's matrices at another rate; B and D, which hang on the holds, are estimated anew."""
+    """Matrices of a start, converted to another sampling period.
+
+    B and D depend on the hold, so the fit re-estimates them.
+    """
     A, K, ratio = start.A, start.K, sample_time / start.sample_time
     if abs(ratio - 1.0) > 1e-9:
         values, vectors = np.linalg.eig(A)
@@ -198,10 +205,13 @@ def _at_rate(start: StateSpace, sample_time: float, states: FloatArray) -> Matri
 def _fit(
     evaluator: Evaluator, start: Matrices, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit | None:
-    """None from a start whose predictor, or innovations, are not sound."""
+    """Fit from one starting value.
+
+    None if the predictor is unstable or the innovations are not finite.
+    """
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
-    # Coordinates are the fit's own affair: the better conditioned, the fewer its steps.
+    # Balanced coordinates improve the conditioning and reduce the number of iterations.
     start = balanced(start)
     stop_if_asked()
     try:
@@ -214,7 +224,7 @@ def _fit(
             max_iterations=options.max_iterations,
             tolerance=options.tolerance,
         )
-    except ValueError:  # an unstable predictor, or innovations that are not finite
+    except ValueError:  # unstable predictor or innovations that are not finite
         return None
     return _Fit(
         matrices=evaluator.unpack(fit.values),
@@ -250,9 +260,9 @@ def _model(
 
 
 def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
-    found = []
+    warnings = []
     if fit.status == "iteration-limit":
-        found.append(
+        warnings.append(
             Diagnostic(
                 "pem-iteration-limit",
                 "state-space model",
@@ -261,7 +271,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
             )
         )
     if fit.status == "stalled":
-        found.append(
+        warnings.append(
             Diagnostic(
                 "pem-stalled",
                 "state-space model",
@@ -272,7 +282,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
             )
         )
     if fit.covariance is None:
-        found.append(
+        warnings.append(
             Diagnostic(
                 "pem-not-determined",
                 "state-space model",
@@ -280,20 +290,21 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
                 "the order, or excite every input",
             )
         )
-    return tuple(found)
+    return tuple(warnings)
 
 
 def _unlike_simulation(model: StateSpace) -> tuple[Diagnostic, ...]:
-    """A warning where the inputs alone explain less of an output than its mean would.
+    """Warning for outputs whose simulated fit is negative.
 
-    One-step predictions may still be good: the last sample says most of the next one.
+    One-step predictions can still be accurate, because the last measured sample determines most of
+    the next one.
     """
     names = model.output_names or tuple(f"output {k + 1}" for k in range(len(model.C)))
     pairs = zip(names, model.fit_percent, strict=True)
-    missed = [(name, fit) for name, fit in pairs if fit < 0.0]
-    if not missed:
+    negative = [(name, fit) for name, fit in pairs if fit < 0.0]
+    if not negative:
         return ()
-    fits = ", ".join(f"{name} {fit:.0f} %" for name, fit in missed)
+    fits = ", ".join(f"{name} {fit:.0f} %" for name, fit in negative)
     text = f"simulated from the inputs alone it is worse than a constant ({fits}), though it "
     text += "predicts one step ahead: its response to the inputs is not to be trusted. Take off "
     text += "drifts, change the order, or estimate an output-error model"
@@ -303,7 +314,7 @@ def _unlike_simulation(model: StateSpace) -> tuple[Diagnostic, ...]:
 def _covariance(
     evaluator: Evaluator, fit: _Fit, options: PemOptions, n_parameters: int
 ) -> tuple[FloatArray, Literal["white", "sandwich"]]:
-    """Covariance of A, B, C, D, K in the user's units, and how it was found."""
+    """Covariance of A, B, C, D, K in the units of the data, and its kind."""
     data = evaluator.data
     n, m, p = evaluator.order, data.n_inputs, data.n_outputs
     assert fit.covariance is not None
@@ -318,20 +329,23 @@ def _covariance(
         full = _sandwich(evaluator, fit.matrices, full)
     full = full * data.n_samples / max(data.n_samples - n_parameters / p, 1.0)
     size = n_entries(n, m, p)
-    ones = np.ones((1, n))
+    unit_row = np.ones((1, n))
     u, y = data.input_scale[None, :], data.output_scale[:, None]
     scale = np.concatenate(
-        [np.ravel(part) for part in (np.ones((n, n)), ones.T / u, y * ones, y / u, ones.T / y.T)]
+        [
+            np.ravel(part)
+            for part in (np.ones((n, n)), unit_row.T / u, y * unit_row, y / u, unit_row.T / y.T)
+        ]
     )
     return full[:size, :size] * np.outer(scale, scale), kind
 
 
 def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> FloatArray:
-    """H^-1 [sum over lags of E s[t] s[t+lag]'] H^-1 with the scores s = e' W psi.
+    """Sandwich covariance H^-1 [sum over lags of E s[t] s[t+lag]'] H^-1 with scores s = e' W psi.
 
-    The middle is estimated with Bartlett's weights (Newey and West, Econometrica 55, 1987), which
-    are sums over a sliding window: it stays positive semidefinite and costs the same at any length.
-    The window is twice as long as the innovations remember.
+    Bartlett weights estimate the middle matrix (Newey and West, Econometrica 55, 1987), computed as
+    sums over a sliding window. The matrix is positive semidefinite, and the work does not depend on
+    the window. The window is twice the correlation length of the innovations.
     """
     data = evaluator.data
     residuals = evaluator.residuals(matrices)
@@ -341,30 +355,30 @@ def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> Fl
     size, entries = len(bread), scores.shape[1] - evaluator.order
     middle = np.zeros((size, size))
     for index, rows in enumerate(data.rows()):
-        own = entries + index * evaluator.order + np.arange(evaluator.order)
-        place = np.concatenate([np.arange(entries), own])
+        state_entries = entries + index * evaluator.order + np.arange(evaluator.order)
+        indices = np.concatenate([np.arange(entries), state_entries])
         padded = np.zeros((rows.stop - rows.start + 2 * window - 1, scores.shape[1]))
         padded[window : window + rows.stop - rows.start] = scores[rows]
         sums = np.cumsum(padded, axis=0)
-        slid = sums[window:] - sums[:-window]
-        middle[np.ix_(place, place)] += slid.T @ slid / window
+        window_sums = sums[window:] - sums[:-window]
+        middle[np.ix_(indices, indices)] += window_sums.T @ window_sums / window
     return bread @ middle @ bread
 
 
 def _memory(residuals: FloatArray, data: Stack) -> int:
-    """Window of the sandwich: twice the last lag at which a residual is clearly correlated."""
+    """Window of `_sandwich`: twice the last lag with a significant residual autocorrelation."""
     longest = max(2, min(max(data.lengths) // 10, 1000))
-    last = 1
+    last_lag = 1
     for rows in data.rows():
-        part = residuals[rows]
-        n = len(part)
+        record_residuals = residuals[rows]
+        n = len(record_residuals)
         if n <= longest:
             continue
-        spectrum = np.fft.rfft(part - part.mean(axis=0), 2 * n, axis=0)
+        spectrum = np.fft.rfft(record_residuals - record_residuals.mean(axis=0), 2 * n, axis=0)
         correlation = np.fft.irfft(np.abs(spectrum) ** 2, axis=0)[:longest]
-        clear = np.abs(correlation) > 4.0 / np.sqrt(n) * correlation[:1]
-        last = max(last, int(np.flatnonzero(clear.any(axis=1)).max(initial=1)))
-    return min(2 * last, longest)
+        is_significant = np.abs(correlation) > 4.0 / np.sqrt(n) * correlation[:1]
+        last_lag = max(last_lag, int(np.flatnonzero(is_significant.any(axis=1)).max(initial=1)))
+    return min(2 * last_lag, longest)
 
 
 def _check(order: int | None, start: StateSpace | None, options: PemOptions) -> None:
@@ -377,11 +391,11 @@ def _check(order: int | None, start: StateSpace | None, options: PemOptions) -> 
         raise InvalidInput(f"expected an order of at least 1, got {order}")
     if order is not None and start is not None and start.order != order:
         raise InvalidInput(f"expected a start of order {order}, got {start.order}")
-    closed = [
+    choices = [
         ("disturbance", options.disturbance, ("innovations", "none")),
         ("initial_state", options.initial_state, ("estimate", "zero")),
         ("covariance", options.covariance, ("auto", "white", "sandwich")),
     ]
-    for name, got, expected in closed:
+    for name, got, expected in choices:
         if got not in expected:
             raise InvalidInput(f"expected {name} {' or '.join(expected)}, got {got!r}")

@@ -1,4 +1,4 @@
-"""From the covariance of a model's entries to that of anything computed from them."""
+"""Propagation of a model's covariance to derived quantities."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from strainwave.domain import ContinuousStateSpace, FloatArray, StateSpace
 
 Model = TypeVar("Model", StateSpace, ContinuousStateSpace)
 
-# Share of a standard deviation by which entries are moved: the error of a central difference is
-# its square, and the step stays far above rounding for any data with noise.
+# Step of the central differences, in standard deviations. Their relative error is about the square
+# of the step, and the step is far above rounding for data with noise.
 STEP = 0.01
 
-# Variance of a direction, against the largest in entries of unit variance, that is rounding.
+# Relative eigenvalue of the correlation matrix below which a direction is rounding error.
 NEGLIGIBLE = 1e-13
 
 
 def propagate(
     model: Model, function: Callable[[Model], FloatArray], *, stacked: bool = False
 ) -> tuple[FloatArray, FloatArray | None]:
-    """What a function makes of a model, with its covariance by the delta method.
+    """Value of a function of a model, and its covariance by the delta method.
 
-    P_f = J P J', J the derivative of f. The columns of J P^(1/2) are central differences along the
-    principal directions of the estimate's scatter, so that changes of coordinates, which the
-    covariance does not hold, are never tried.
+    P_f = J P J', where J is the derivative of f. Central differences along the principal directions
+    of P give J P^(1/2). The covariance has no component along changes of state coordinates, so
+    these are not evaluated.
 
-    `function` (n_values,): It must be smooth near the model, and the same in any coordinates of the
-        state.
-    `stacked`: The function takes many models at once, as one whose matrices have their number in
-        front, and gives (n_models, n_values).
+    `function`: Smooth near the model and invariant to changes of state coordinates; returns
+        (n_values,).
+    `stacked`: The function accepts a stack of models, whose matrices have a leading axis of length
+        n_models, and returns (n_models, n_values).
 
-    Returns: `values` (n_values,); `covariance` (n_values, n_values)
+    Returns values (n_values,) and their covariance (n_values, n_values), or None if the model has
+    no covariance.
     """
 
     def each(near: Model) -> FloatArray:
@@ -45,26 +46,29 @@ def propagate(
     if model.covariance is None:
         return each(model), None
     steps = STEP * _directions(model.covariance).T
-    moves = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
+    changes = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
     if stacked:
-        found = function(_moved(model, moves))
+        values = function(_moved(model, changes))
     else:
-        found = np.stack([each(_moved(model, move)) for move in moves])
-    J = (found[1 : len(steps) + 1] - found[len(steps) + 1 :]).T / (2.0 * STEP)
-    return found[0], J @ J.T
+        values = np.stack([each(_moved(model, change)) for change in changes])
+    J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * STEP)
+    return values[0], J @ J.T
 
 
 def _directions(covariance: FloatArray) -> FloatArray:
-    """S with S S' the covariance; entries have different units, hence its correlations' factor."""
+    """Factor S with S S' = covariance, from the eigenvalues of the correlation matrix.
+
+    The correlation matrix is used because the entries have different units.
+    """
     std = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
-    known = np.flatnonzero(std > 0.0)
-    if not len(known):
+    nonzero = np.flatnonzero(std > 0.0)
+    if not len(nonzero):
         return np.zeros((len(covariance), 0))
-    correlation = covariance[np.ix_(known, known)] / np.outer(std[known], std[known])
+    correlation = covariance[np.ix_(nonzero, nonzero)] / np.outer(std[nonzero], std[nonzero])
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     kept = values > NEGLIGIBLE * values[-1]
     factor = np.zeros((len(covariance), int(kept.sum())))
-    factor[known] = std[known, None] * vectors[:, kept] * np.sqrt(values[kept])
+    factor[nonzero] = std[nonzero, None] * vectors[:, kept] * np.sqrt(values[kept])
     return factor
 
 
@@ -77,11 +81,11 @@ def _n_entries(model: Model) -> int:
 
 
 def _moved(model: Model, change: FloatArray) -> Model:
-    """The model with one change added to its entries, or with many; no covariance."""
+    """Model with one change, or a stack of changes, added to its entries; without covariance."""
     entries, start = {}, 0
     for name in _names(model):
         matrix = getattr(model, name)
-        own = change[..., start : start + matrix.size]
-        entries[name] = matrix + own.reshape(*change.shape[:-1], *matrix.shape)
+        part = change[..., start : start + matrix.size]
+        entries[name] = matrix + part.reshape(*change.shape[:-1], *matrix.shape)
         start += matrix.size
     return replace(model, covariance=None, **entries)

@@ -1,4 +1,4 @@
-"""What a model left unexplained: whether residuals are white and independent of the inputs."""
+"""Residual tests of state-space models: whiteness and independence of the inputs."""
 
 from __future__ import annotations
 
@@ -13,45 +13,42 @@ from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator, fit_percent
 from strainwave.statespace._stack import Data, Stack, stack
 
-# A verdict is wrong this often where nothing is wrong.
+# Significance level of the tests.
 LEVEL = 0.01
 
-# Lags tested: as many as MATLAB's `resid` shows.
+# Number of lags, as in MATLAB's `resid`.
 LAGS = 25
 
 Name = Literal["white", "independent-of-past-inputs", "no-feedback"]
 
 
 def check_model(model: StateSpace, data: Data, *, lags: int = LAGS) -> ModelCheck:
-    """A model on data, best on data it was not fitted to.
+    """Test a model on data, preferably on data that were not used for the fit.
 
-    Initial states are fitted to the data, as they say nothing about the model. The tests take the
-    model as given: on data it was fitted to they are a little too kind.
+    The initial states are fitted to `data`. The tests treat the model as known, so they reject too
+    rarely on the data of the fit.
 
-    `lags`: Correlations tested.
-
-    Returns: Fits, simulated and one step ahead, and three tests, each with its verdict. An
-    output-error model may fail "white" without fault: it has no model of the noise.
-
-    Raises `InvalidInput`: as `pem`.
+    The result has the fits of simulation and one-step prediction, and three tests. An output-error
+    model has no noise model, so its residuals may fail the whiteness test. Raises `InvalidInput`
+    like `pem`.
     """
     stacked = stack(data)
     evaluator, matrices = on_data(model, stacked)
     residuals = evaluator.residuals(matrices)
     lags = max(1, min(lags, max(stacked.lengths) // 4))
-    past, future, cross = _cross_tests(residuals, stacked, lags)
+    past_test, feedback_test, cross_correlation = _cross_tests(residuals, stacked, lags)
     return ModelCheck(
         fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
         prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
-        tests=(whiteness(residuals, stacked, lags=lags), past, future),
+        tests=(whiteness(residuals, stacked, lags=lags), past_test, feedback_test),
         autocorrelation=_normalised(_correlations(residuals, residuals, stacked, lags), residuals),
-        cross_correlation=cross,
+        cross_correlation=cross_correlation,
         confidence_99=2.5758 / float(np.sqrt(stacked.n_samples)),
     )
 
 
 def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
-    """The model in scaled channels, initial states fitted to the data."""
+    """Evaluator and scaled model with initial states fitted to the data."""
     expected, got = (model.B.shape[1], len(model.C)), (data.n_inputs, data.n_outputs)
     if expected != got:
         raise InvalidInput(f"expected (inputs, outputs) {expected} as the model has, got {got}")
@@ -61,9 +58,9 @@ def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
             remedy="resample the data, or fit a model to them",
         )
     states = np.zeros((len(data.lengths), model.order))
-    own = Matrices(model.A, model.B, model.C, model.D, model.K, states)
+    matrices = Matrices(model.A, model.B, model.C, model.D, model.K, states)
     evaluator = Evaluator(data, model.order)
-    return evaluator, evaluator.linear(rescale(own, data), None, gain=True)
+    return evaluator, evaluator.linear(rescale(matrices, data), None, gain=True)
 
 
 def whiteness(
@@ -71,17 +68,18 @@ def whiteness(
 ) -> HypothesisTest:
     """Multivariate portmanteau test (Hosking, JASA 75, 1980).
 
-    N^2 sum over lags of tr(R_l' R_0^-1 R_l R_0^-1) / (N - l) is chi-square of p^2 lags - `fitted`,
-    the parameters chosen to whiten these residuals: K alone, for A is known from the inputs.
+    The statistic N^2 sum over lags of tr(R_l' R_0^-1 R_l R_0^-1) / (N - l) is chi-square with p^2
+    lags - `fitted` degrees of freedom. `fitted` is the number of parameters that whiten the
+    residuals: the entries of K, because the inputs determine A.
     """
     lags = max(1, min(lags, max(data.lengths) // 4))
     samples, p = residuals.shape
     correlations = _correlations(residuals, residuals, data, lags) / samples
-    inverse = np.linalg.pinv(correlations[0])
+    R0_inverse = np.linalg.pinv(correlations[0])
     statistic = 0.0
     for lag in range(1, lags + 1):
         R = correlations[lag]
-        statistic += samples**2 / (samples - lag) * np.trace(R.T @ inverse @ R @ inverse)
+        statistic += samples**2 / (samples - lag) * np.trace(R.T @ R0_inverse @ R @ R0_inverse)
     degrees = max(p * p * lags - fitted, 1)
     return _verdict(
         "white",
@@ -98,8 +96,9 @@ def _cross_tests(
 ) -> tuple[HypothesisTest, HypothesisTest, FloatArray]:
     """Tests of e[k] against u[k - l], l = 0..lags, and against u[k + l], l = 1..lags.
 
-    r_l = sum e[k] u[k - l] / N has covariance sum_j R_e(j) (x) R_u(j + l - l') / N (Ljung, System
-    Identification, 2nd ed., 16.6): the statistic is exact for inputs and residuals of any colour.
+    r_l = sum e[k] u[k - l] / N has the covariance sum_j R_e(j) (x) R_u(j + l - l') / N (Ljung,
+    System Identification, 2nd ed., 16.6). The tests are valid for coloured inputs and residuals.
+    Also returns the normalised cross-correlations of both signs of the lag.
     """
     samples, p = residuals.shape
     m = data.n_inputs
@@ -108,8 +107,8 @@ def _cross_tests(
     forward = _correlations(residuals, data.inputs, data, lags) / samples  # e[k] u[k - l]
     backward = _correlations(data.inputs, residuals, data, lags) / samples  # u[k] e[k - l]
     backward = np.swapaxes(backward, 1, 2)
-    spread = _spread(r_e, r_u, lags, p, m) / samples
-    statistic, degrees = _quadratic(forward.reshape(-1), spread)
+    covariance = _spread(r_e, r_u, lags, p, m) / samples
+    statistic, degrees = _quadratic(forward.reshape(-1), covariance)
     past = _verdict(
         "independent-of-past-inputs",
         statistic,
@@ -118,8 +117,8 @@ def _cross_tests(
         "past inputs still move the residuals: raise the order, check delays and holds",
     )
     block = p * m
-    # Mirrored in time, lags descend; the covariance of lags is Toeplitz, hence transposed.
-    statistic, degrees = _quadratic(backward[:0:-1].reshape(-1), spread[:-block, :-block])
+    # Time reversal puts the lags in descending order; the covariance is block Toeplitz.
+    statistic, degrees = _quadratic(backward[:0:-1].reshape(-1), covariance[:-block, :-block])
     future = _verdict(
         "no-feedback",
         statistic,
@@ -128,34 +127,36 @@ def _cross_tests(
         "inputs depend on past residuals: data from closed loop. Trust a model with K estimated, "
         "not one with K = 0",
     )
-    both = np.concatenate([backward[:0:-1], forward])
+    cross = np.concatenate([backward[:0:-1], forward])
     scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
-    return past, future, both / np.maximum(scale, np.finfo(float).tiny)
+    return past, future, cross / np.maximum(scale, np.finfo(float).tiny)
 
 
 def _spread(r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int) -> FloatArray:
     """Covariance of the correlations times N: blocks sum_j R_e(j) (x) R_u(j + l' - l)."""
     zero_e, zero_u = len(r_e) // 2, len(r_u) // 2
-    reach = np.arange(-2 * lags, 2 * lags + 1)
+    offsets = np.arange(-2 * lags, 2 * lags + 1)
     blocks = {}
     for shift in range(-lags, lags + 1):
-        shifted = r_u[zero_u + np.clip(reach + shift, -3 * lags, 3 * lags)]
-        blocks[shift] = np.einsum("jab,jcd->acbd", r_e[zero_e + reach], shifted).reshape(p * m, -1)
+        shifted = r_u[zero_u + np.clip(offsets + shift, -3 * lags, 3 * lags)]
+        blocks[shift] = np.einsum("jab,jcd->acbd", r_e[zero_e + offsets], shifted).reshape(
+            p * m, -1
+        )
     rows = [[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)]
     return np.block(rows)
 
 
 def _quadratic(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:
-    """V' P^+ v over the directions that the inputs excite, and their number."""
+    """Statistic v' P^+ v over the directions that the inputs excite, and its degrees of freedom."""
     covariance = 0.5 * (covariance + covariance.T)
     values, vectors = np.linalg.eigh(covariance)
-    excited = values > 1e-6 * values[-1]
-    amplitudes = vectors[:, excited].T @ vector
-    return float(np.sum(amplitudes**2 / values[excited])), max(int(excited.sum()), 1)
+    is_excited = values > 1e-6 * values[-1]
+    amplitudes = vectors[:, is_excited].T @ vector
+    return float(np.sum(amplitudes**2 / values[is_excited])), max(int(is_excited.sum()), 1)
 
 
 def _correlations(left: FloatArray, right: FloatArray, data: Stack, lags: int) -> FloatArray:
-    """(lags + 1, ., .): sum over each record of left[k] right[k - l]'."""
+    """Sum over all records of left[k] right[k - l]', of shape (lags + 1, n_left, n_right)."""
     total = np.zeros((lags + 1, left.shape[1], right.shape[1]))
     for rows in data.rows():
         a, b = left[rows], right[rows]
@@ -165,7 +166,7 @@ def _correlations(left: FloatArray, right: FloatArray, data: Stack, lags: int) -
 
 
 def _two_sided(correlations: FloatArray) -> FloatArray:
-    """Lags -L..L from 0..L: R(-l) = R(l)'."""
+    """Correlations at lags -L..L from those at lags 0..L, with R(-l) = R(l)'."""
     return np.concatenate([np.swapaxes(correlations[:0:-1], 1, 2), correlations])
 
 

@@ -1,4 +1,4 @@
-"""Frequency responses of models, with their uncertainty."""
+"""Frequency responses of state-space models with their uncertainty."""
 
 from __future__ import annotations
 
@@ -14,17 +14,16 @@ ComplexArray = NDArray[np.complex128]
 def frequency_response(
     model: StateSpace | ContinuousStateSpace, frequencies_hz: FloatArray
 ) -> FrequencyResponse:
-    """C (z I - A)^-1 B + D, z = exp(j w T) for a sampled model and j w for a continuous-time one.
+    """Frequency response C (z I - A)^-1 B + D of a model.
 
-    A sampled model's response is that from sampled inputs, their hold included.
+    z = exp(j w T) for a sampled model and z = j w for a continuous-time model. The response of a
+    sampled model includes the hold of its inputs. If the model has a covariance, the result has the
+    covariance of real and imaginary parts by the delta method.
 
-    `frequencies_hz` (n_frequencies,): For a sampled model, up to the Nyquist frequency.
+    `frequencies_hz` (n_frequencies,) [Hz]: At most the Nyquist frequency for a sampled model.
 
-    Returns: With the covariance of real and imaginary parts, by the delta method, if the model has
-    one.
-
-    Raises `InvalidInput`: frequencies of the wrong shape, negative, not finite or beyond the
-    Nyquist frequency.
+    Raises `InvalidInput` if the frequencies have a wrong shape, are negative or not finite, or
+    exceed the Nyquist frequency.
     """
     frequencies = np.asarray(frequencies_hz, dtype=np.float64)
     _check(frequencies, model)
@@ -33,24 +32,24 @@ def frequency_response(
         z = np.exp(z * model.sample_time)
     n = model.order
     resolvent = np.linalg.inv(z[:, None, None] * np.eye(n) - model.A)
-    states = resolvent @ model.B  # (n_frequencies, n, m)
-    outputs = model.C @ resolvent  # (n_frequencies, p, n)
+    input_to_state = resolvent @ model.B  # (n_frequencies, n, m)
+    state_to_output = model.C @ resolvent  # (n_frequencies, p, n)
     covariance = None
     if model.covariance is not None:
-        covariance = _covariance(states, outputs, model.covariance)
-    return FrequencyResponse(frequencies, model.C @ states + model.D, covariance)
+        covariance = _covariance(input_to_state, state_to_output, model.covariance)
+    return FrequencyResponse(frequencies, model.C @ input_to_state + model.D, covariance)
 
 
 def _covariance(states: ComplexArray, outputs: ComplexArray, covariance: FloatArray) -> FloatArray:
-    """Of real and imaginary part: (n_frequencies, p, m, 2, 2).
+    """Covariance of real and imaginary parts: (n_frequencies, p, m, 2, 2).
 
     dG = outputs (dA states + dB) + dC states + dD, entry by entry.
     """
     count, n, m = states.shape
     p = outputs.shape[1]
-    J = np.zeros((count, p, m, len(covariance)), dtype=np.complex128)  # columns of K stay zero
-    through = np.einsum("foj,fki->foijk", outputs, states)
-    J[..., : n * n] = through.reshape(count, p, m, n * n)
+    J = np.zeros((count, p, m, len(covariance)), dtype=np.complex128)  # the columns of K stay zero
+    of_A = np.einsum("foj,fki->foijk", outputs, states)
+    J[..., : n * n] = of_A.reshape(count, p, m, n * n)
     start_c = n * (n + m)
     for i in range(m):
         J[:, :, i, n * n + i : start_c : m] = outputs

@@ -1,14 +1,14 @@
-"""A state-space model straight from data: no start, no iterations, no local minima.
+"""Subspace identification of state-space models, without starting value or iteration.
 
-Three ways to the states. "moesp" takes A and C from the space in which the past moves future
-outputs once future inputs are projected out (Verhaegen and Dewilde, Int. J. Control 56, 1992) and
-the states from the oblique projection of N4SID (Van Overschee and De Moor, Automatica 30, 1994).
-"n4sid" takes that projection's own singular vectors as states and regresses everything on them.
-"predictor" builds the states from a long autoregression, whose innovations are white under feedback
-too (Jansson's SSARX, 2003; Chiuso's PBSID_opt, Automatica 43, 2007): the one to use in closed loop.
+There are three methods. "moesp" takes A and C from the column space of the past-output MOESP method
+(Verhaegen and Dewilde, Int. J. Control 56, 1992), and the states from the oblique projection of
+N4SID (Van Overschee and De Moor, Automatica 30, 1994). "n4sid" takes the states from the singular
+vectors of that projection, and A, B, C, D from a regression on them. "predictor" estimates the
+states from a high-order ARX model, whose innovations are white under feedback too (SSARX: Jansson,
+2003; PBSID_opt: Chiuso, Automatica 43, 2007). Use "predictor" for closed-loop data.
 
-All work on the triangular factor of the data alone. B, D and the initial state are estimated anew
-as the least-squares solution of the whole predictor.
+All methods use the triangular factor of the data only. Linear least squares over the whole
+predictor re-estimates B, D and the initial states.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from strainwave.statespace._stack import Data, Stack, stack
 
 Method = Literal["auto", "moesp", "n4sid", "predictor"]
 
-# Past samples tried at most. Lightly damped joints ring for longer, but what a longer past would
-# add to the start is less than the prediction-error step finds anyway.
+# Longest horizon. Lightly damped joints ring longer, but a longer horizon improves the starting
+# value less than the prediction-error method does.
 LONGEST_HORIZON = 40
 
-# Orders among which the singular values choose.
+# Highest order that the singular values can select.
 HIGHEST_ORDER = 10
 
 
@@ -46,7 +46,7 @@ _DIVERGES = Diagnostic(
 
 @dataclass(frozen=True, slots=True)
 class Realisation:
-    """A model of scaled channels from one factorisation."""
+    """Model of scaled channels, with the singular values and the horizon of the method."""
 
     matrices: Matrices
     singular_values: FloatArray
@@ -63,20 +63,20 @@ def subspace(
 ) -> StateSpace:
     """Estimate a state-space model by a subspace method.
 
-    `data`: Records are never joined: no row of the Hankel matrix spans two of them.
-    `order`: None: the largest ratio between successive singular values decides.
-    `method`: "auto" runs MOESP and the predictor and keeps the one that predicts better.
-    `horizon`: Past samples of a row, and future ones. None: as many as Akaike's criterion gives an
-        autoregression of the data.
-    `feedthrough`: Whether the input acts on the outputs at once. None: inputs of hold "first" do,
-        for their slope towards the next sample is not known yet.
+    `data`: No row of the Hankel matrix spans two records.
+    `order`: None: the order with the largest ratio of successive singular values.
+    `method`: "auto" computes "moesp" and "predictor" and returns the one that predicts better.
+    `horizon`: Number of past samples, and of future samples, in a row. None: the order of an ARX
+        model by Akaike's criterion.
+    `feedthrough`: Whether each input acts on the outputs without delay. None: True for inputs with
+        first-order hold, because their slope depends on the next sample.
 
-    Returns: `status` is "estimated", or "not-determined" where the model does not predict the data
-    at all; then a warning says so.
+    `status` is "estimated", or "not-determined" with a warning if the predictor diverges on the
+    data.
 
-    Raises `InvalidInput`: shapes, entries that are not finite, an order or horizon below one, a
-    horizon too short for the order; `NotIdentifiable`: too few samples for the order or the
-    horizon.
+    Raises `InvalidInput` for wrong shapes, entries that are not finite, an order or horizon below
+    1, or a horizon too short for the order. Raises `NotIdentifiable` if there are too few samples
+    for the order or the horizon.
     """
     _check(order, horizon, method)
     stacked = stack(data)
@@ -84,10 +84,9 @@ def subspace(
 
 
 def subspace_orders(data: Data) -> Callable[[int], StateSpace]:
-    """A function from an order to `subspace(data, order, method="predictor")`.
+    """Function from an order to `subspace(data, order, method="predictor")`.
 
-    The data are factorised only once. MOESP's models would rarely change which order is best, and
-    take as long again.
+    The data are factorised once. MOESP would double the time and rarely changes the selected order.
     """
     factors = Factors(stack(data))
     return lambda order: _estimate(factors, order, "predictor", None, None)
@@ -113,14 +112,14 @@ def _estimate(
 
 
 class Factors:
-    """The triangular factors of one stack of data, and their singular vectors, by horizon."""
+    """Cached triangular factors and singular value decompositions of one data set, by horizon."""
 
     def __init__(self, data: Stack) -> None:
         self.data = data
         self._known: dict[tuple[str, int], Any] = {}
 
     def regression(self, past: int) -> FloatArray:
-        """R of [u[k], z[k-1], ..., z[k-past], y[k]]."""
+        """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
 
         def factor() -> FloatArray:
             return triangular_factor(self.data, past + 1, _regression_order(self.data, past))[0]
@@ -128,15 +127,15 @@ class Factors:
         return cast("FloatArray", self._once("regression", past, factor))
 
     def predictor(self, past: int) -> Directions:
-        """Of the predictor's products of C (A - K C)^j with the states."""
+        """Singular directions of C (A - K C)^j times the states, from the ARX model."""
         return cast("Directions", self._once("predictor", past, lambda: _predictor(self, past)))
 
     def oblique(self, past: int) -> Directions:
-        """Of future outputs on the past, future inputs projected out."""
+        """Singular directions of the oblique projection of the future outputs on the past."""
         return cast("Directions", self._once("oblique", past, lambda: _oblique(self, past)))
 
     def past_and_future(self, past: int) -> FloatArray:
-        """R of [future inputs, past w, future outputs]."""
+        """Triangular factor of [future inputs, past w, future outputs]."""
         return cast(
             "FloatArray",
             self._once("past-and-future", past, lambda: _past_and_future(self.data, past)),
@@ -150,11 +149,11 @@ class Factors:
 
 @dataclass(frozen=True, slots=True)
 class Directions:
-    """A matrix of which the states are the leading singular directions."""
+    """Matrix whose leading singular directions give the states."""
 
     matrix: FloatArray
     singular_values: FloatArray
-    vectors: FloatArray  # one column a direction
+    vectors: FloatArray  # one column per direction
 
 
 def realise(
@@ -164,15 +163,15 @@ def realise(
     horizon: int | None,
     feedthrough: tuple[bool, ...],
 ) -> Realisation:
-    """The better realisation, by the determinant of its innovations, in balanced coordinates."""
+    """Realisation with the smaller cost, in balanced coordinates."""
     data = factors.data
-    ways = ("moesp", "predictor") if method == "auto" else (method,)
+    methods = ("moesp", "predictor") if method == "auto" else (method,)
     length = horizon or choose_horizon(data, order or HIGHEST_ORDER)
     _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
-    for way in ways:
+    for way in methods:
         realisation = _WAYS[way](factors, order, length, feedthrough)
-        if len(ways) == 1:
+        if len(methods) == 1:
             return realisation
         evaluator = Evaluator(data, realisation.matrices.order)
         matrices = evaluator.linear(realisation.matrices, feedthrough, gain=True)
@@ -184,7 +183,7 @@ def realise(
 
 
 def check_feedthrough(feedthrough: tuple[bool, ...] | None, data: Stack) -> tuple[bool, ...]:
-    """One flag an input."""
+    """One feedthrough flag per input."""
     if feedthrough is None:
         return tuple(hold == "first" for hold in data.hold)
     if len(feedthrough) != data.n_inputs:
@@ -195,30 +194,30 @@ def check_feedthrough(feedthrough: tuple[bool, ...] | None, data: Stack) -> tupl
 
 
 def choose_horizon(data: Stack, order: int) -> int:
-    """Past samples after which more of them no longer predict better (Akaike's criterion).
+    """Order of an ARX model of the data by Akaike's criterion.
 
-    One factor answers for every length: with columns [u[k], z[k-1], z[k-2], ..., y[k]] the rows of
-    R below a column hold the residual of y[k] once all columns before are known.
+    One triangular factor serves all orders. With the columns [u[k], z[k-1], z[k-2], ..., y[k]], the
+    rows of R below a column hold the residual of y[k] after regression on all earlier columns.
     """
     width = data.n_inputs + data.n_outputs
-    longest = max(len_ for len_ in data.lengths)
-    # Each past sample costs `width` regressors; five rows for each, and never more than the record.
-    most = min(LONGEST_HORIZON, data.n_samples // (5 * width), (longest - 1) // 3)
-    least = min(max(order + 1, 2), max(most, 1))
-    if most <= least:
-        return least
-    R, rows = triangular_factor(data, most + 1, _regression_order(data, most))
-    left = R[:, -data.n_outputs :]
-    products = np.einsum("ki,kj->kij", left, left)[::-1].cumsum(axis=0)[::-1]
-    starts = data.n_inputs + width * np.arange(1, most + 1)
+    longest_record = max(len_ for len_ in data.lengths)
+    # Each past sample adds `width` regressors and requires five rows for each of them.
+    max_horizon = min(LONGEST_HORIZON, data.n_samples // (5 * width), (longest_record - 1) // 3)
+    min_horizon = min(max(order + 1, 2), max(max_horizon, 1))
+    if max_horizon <= min_horizon:
+        return min_horizon
+    R, rows = triangular_factor(data, max_horizon + 1, _regression_order(data, max_horizon))
+    output_columns = R[:, -data.n_outputs :]
+    products = np.einsum("ki,kj->kij", output_columns, output_columns)[::-1].cumsum(axis=0)[::-1]
+    starts = data.n_inputs + width * np.arange(1, max_horizon + 1)
     covariance = products[starts] / rows + FLOOR * np.eye(data.n_outputs)
     criterion = rows * np.linalg.slogdet(covariance)[1]
-    criterion += 2.0 * width * data.n_outputs * np.arange(1, most + 1)
-    return max(least, 1 + int(np.argmin(criterion)))
+    criterion += 2.0 * width * data.n_outputs * np.arange(1, max_horizon + 1)
+    return max(min_horizon, 1 + int(np.argmin(criterion)))
 
 
 def _regression_order(data: Stack, past: int) -> FloatArray:
-    """Columns as [u[k], z[k-1], ..., z[k-past], y[k]] from windows [z[k-past], ..., z[k]]."""
+    """Permutation from windows [z[k-past], ..., z[k]] to [u[k], z[k-1], ..., z[k-past], y[k]]."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     now = past * width
     lags = np.arange(past * width).reshape(past, width)[::-1].ravel()
@@ -226,10 +225,10 @@ def _regression_order(data: Stack, past: int) -> FloatArray:
 
 
 def _predictor(factors: Factors, past: int) -> Directions:
-    """Autoregression y[k] = D u[k] + sum M_i z[k-i] + e[k], whose M_i give the states' rows.
+    """Singular directions of the states, from the ARX model y[k] = D u[k] + sum M_i z[k-i] + e[k].
 
-    M_i = C (A - K C)^(i-1) [B - K D, K]. The products of C (A - K C)^j with the states are sums of
-    M_(i+j) z[k-i]; terms beyond the past are negligible once M_past is.
+    M_i = C (A - K C)^(i-1) [B - K D, K]. C (A - K C)^j times the state is the sum of M_(i+j)
+    z[k-i]. Terms beyond the past are neglected.
     """
     m, p = factors.data.n_inputs, factors.data.n_outputs
     width = m + p
@@ -245,16 +244,16 @@ def _predictor(factors: Factors, past: int) -> Directions:
 def _by_predictor(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
-    found = factors.predictor(past)
-    s = found.singular_values
+    directions = factors.predictor(past)
+    s = directions.singular_values
     n = order or _largest_gap(s)
-    to_state = (found.vectors[:, :n].T @ found.matrix) / np.sqrt(s[:n])[:, None]
+    to_state = (directions.vectors[:, :n].T @ directions.matrix) / np.sqrt(s[:n])[:, None]
     return _from_states(factors, to_state, past, s, feedthrough, given=None)
 
 
 def _oblique(factors: Factors, past: int) -> Directions:
     R, known, lead = factors.past_and_future(past), *_places(factors.data, past)
-    L_wy = R[known:lead, lead:]  # future outputs on the past, future inputs projected out
+    L_wy = R[known:lead, lead:]  # future outputs on the past, with the future inputs projected out
     _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
     return Directions(L_wy, s, Vt.T)
 
@@ -264,25 +263,25 @@ def _moesp(
 ) -> Realisation:
     """A and C from the extended observability matrix, states from the oblique projection."""
     p, (known, lead) = factors.data.n_outputs, _places(factors.data, past)
-    R, found = factors.past_and_future(past), factors.oblique(past)
-    s = found.singular_values
+    R, directions = factors.past_and_future(past), factors.oblique(past)
+    s = directions.singular_values
     n = order or _largest_gap(s)
-    observability = found.vectors[:, :n] * np.sqrt(s[:n])
+    observability = directions.vectors[:, :n] * np.sqrt(s[:n])
     C = observability[:p]
     A = np.asarray(np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0])
     # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
-    right = found.matrix @ np.linalg.pinv(observability).T
-    oblique = solve_upper(R[known:lead, known:lead], right)
+    targets = directions.matrix @ np.linalg.pinv(observability).T
+    oblique = solve_upper(R[known:lead, known:lead], targets)
     return _from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
 
 
 def _n4sid(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
-    """States from the oblique projection itself, unweighted; A, B, C, D by regression on them."""
+    """States from the unweighted oblique projection; A, B, C, D by regression on the states."""
     R, (known, lead) = factors.past_and_future(past), _places(factors.data, past)
     onto_past = solve_upper(R[known:lead, known:lead], R[known:lead, lead:])
-    # the projection's rows are w' onto_past; all of w counts, not only what future inputs leave
+    # the projection acts on w itself, not on w after removal of the future inputs
     _, s, Vt = np.linalg.svd(np.linalg.qr(R[:lead, known:lead] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
     observability = Vt[:n].T * np.sqrt(s[:n])
@@ -291,7 +290,7 @@ def _n4sid(
 
 
 def _past_and_future(data: Stack, past: int) -> FloatArray:
-    """R of [future inputs, past w, future outputs]."""
+    """Triangular factor of [future inputs, past w, future outputs]."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     window = np.arange(2 * past * width).reshape(2 * past, width)
     history, future = window[:past], window[past:]
@@ -300,7 +299,7 @@ def _past_and_future(data: Stack, past: int) -> FloatArray:
 
 
 def _places(data: Stack, past: int) -> tuple[int, int]:
-    """Where the past begins and where it ends among the columns of `_past_and_future`."""
+    """First and last column of the past in the matrix of `_past_and_future`."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     return past * m, past * m + past * width
 
@@ -313,7 +312,7 @@ def _from_oblique(
     feedthrough: tuple[bool, ...],
     given: tuple[FloatArray, FloatArray] | None,
 ) -> Realisation:
-    """From the states as combinations of the past, (past * width, n), oldest sample first."""
+    """Realisation from state coefficients (past * width, n) of the past, oldest sample first."""
     n = oblique.shape[1]
     to_state = oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
     return _from_states(factors, to_state, past, singular_values, feedthrough, given)
@@ -327,10 +326,10 @@ def _from_states(
     feedthrough: tuple[bool, ...],
     given: tuple[FloatArray, FloatArray] | None,
 ) -> Realisation:
-    """Regress outputs and next states on states and inputs; the residuals give K.
+    """Regress outputs and next states on states and inputs; K follows from the residuals.
 
-    The factor R of [u[k], z[k-1], ..., z[k-past], y[k]] stands for the data: it has one sample
-    more than the past, so that the state one sample on has its whole past as well.
+    The factor R of [u[k], z[k-1], ..., z[k-past], y[k]] represents the data. It has one sample more
+    than the past, so the next state also has a full past.
     """
     data, R = factors.data, factors.regression(past)
     m, p = data.n_inputs, data.n_outputs
@@ -339,21 +338,21 @@ def _from_states(
     n = len(to_state)
     u, y = R[:, :m], R[:, lead:]
     x = R[:, m:lead] @ to_state.T
-    # One sample on, the newest sample is [u[k], y[k]] and the oldest is forgotten.
-    shifted = np.hstack([u, y, R[:, m : lead - width]])
-    following = shifted @ to_state.T
-    through = np.array(feedthrough)
+    # For the next state, [u[k], y[k]] is the newest sample and the oldest sample drops out.
+    next_past = np.hstack([u, y, R[:, m : lead - width]])
+    next_x = next_past @ to_state.T
+    has_feedthrough = np.array(feedthrough)
     D = np.zeros((p, m))
     if given is None:
-        state = _regression(np.hstack([x, u]), following)
-        output = _regression(np.hstack([x, u[:, through]]), y)
-        A, B, C = state[:, :n], state[:, n:], output[:, :n]
-        D[:, through] = output[:, n:]
+        AB = _regression(np.hstack([x, u]), next_x)
+        CD = _regression(np.hstack([x, u[:, has_feedthrough]]), y)
+        A, B, C = AB[:, :n], AB[:, n:], CD[:, :n]
+        D[:, has_feedthrough] = CD[:, n:]
     else:
         A, C = given
-        B = _regression(u, following - x @ A.T)
-        D[:, through] = _regression(u[:, through], y - x @ C.T)
-    residuals = np.hstack([following - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T])
+        B = _regression(u, next_x - x @ A.T)
+        D[:, has_feedthrough] = _regression(u[:, has_feedthrough], y - x @ C.T)
+    residuals = np.hstack([next_x - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T])
     noise = residuals.T @ residuals / max(data.n_samples, 1)
     noise[n:, n:] += FLOOR * np.eye(p)
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
@@ -364,22 +363,22 @@ def _from_states(
 
 
 def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:
-    """M of least norm with targets = regressors M' but for least squares."""
+    """Minimum-norm least-squares solution M of targets = regressors M'."""
     return np.asarray(np.linalg.lstsq(regressors, targets, rcond=1e-12)[0].T, dtype=np.float64)
 
 
 def _largest_gap(singular_values: FloatArray) -> int:
-    """The order after which the singular values fall by the largest factor."""
+    """Order after which the ratio of successive singular values is largest."""
     s = singular_values[: HIGHEST_ORDER + 1]
     s = np.maximum(s, 1e-14 * s[0])
     return 1 + int(np.argmax(s[:-1] / s[1:])) if len(s) > 1 else 1
 
 
 def _check_length(data: Stack, order: int, horizon: int) -> None:
-    """Whether `horizon` samples show `order` states, and the records have as many and more."""
+    """Check that the horizon suffices for the order and the records for the horizon."""
     p, width = data.n_outputs, data.n_inputs + data.n_outputs
     needed = 1 - (-order // p)
-    # Rows of the longest Hankel matrix, 2 * horizon samples wide.
+    # Rows of a Hankel matrix of 2 * horizon samples per row.
     rows = sum(max(length - 2 * horizon + 1, 0) for length in data.lengths)
     if horizon < needed or rows < horizon * width:
         if data.n_samples > 4 * (needed + 1) * width and horizon < needed:
