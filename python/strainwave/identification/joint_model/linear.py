@@ -1,15 +1,16 @@
-"""Decoupled -> StateSpace: a linear model of one joint, the paper's decoupling identification.
+"""Estimate a state-space model of one decoupled joint, the paper's decoupling identification.
 
-Two inputs, motor torque less Coulomb friction and interaction torque, and two outputs, motor and
-link velocity, as in (11), (12). What prediction-error estimation asks of the data, it gets here:
+The inputs are motor torque minus Coulomb friction, and interaction torque. The outputs are motor
+velocity and link velocity, as in (11), (12). The data are prepared for prediction-error estimation:
 
-- The noise must be innovations of some size at every frequency up to Nyquist. So the rate comes
-  down together with the low-pass in front; a low-pass alone would make the noise predictable.
+- Innovations need noise power at all frequencies up to Nyquist. The sampling rate is therefore
+  reduced together with the low-pass; a low-pass alone would make the noise predictable.
 - Friction and sensor bias drift. A second-order zero-phase high-pass below the anti-resonance
-  keeps that out, and gentle as it is leaves no empty band.
-- Straight lines between so few samples are not the input. Its samples are raised by 1/sinc^2, so
-  that the lines through them have in the band the spectrum that the input had.
-- The link velocity (10) leans on the motor's at low frequencies; both are known, so it is undone.
+  removes them. Its gentle slope leaves power at all frequencies.
+- Linear interpolation between samples attenuates the inputs by sinc^2. The inputs are divided by
+  sinc^2, so that the interpolated inputs have the original spectrum within the band.
+- At low frequencies the fused link velocity (10) contains the motor velocity. The fusion filter is
+  known and is inverted.
 """
 
 from __future__ import annotations
@@ -47,42 +48,47 @@ from strainwave.statespace import (
     subspace_orders,
 )
 
-BELOW = 3.0  # anti-resonance over the band's lower edge
-ABOVE = 3.0  # the band's upper edge over the resonance: with less, d_G hardly shows
-_FIRST_BAND_HZ = (3.0, 60.0)  # where strain-wave gears and links of metres ring; then adapted
-_SLOWEST = 6.0  # periods of the lower edge in the longest stretch, at least
-_OVERSAMPLED = 4.0  # the rate over the band's upper edge: 3.5 to 4.5 do, beyond 5 the
-# low-pass leaves so little noise below Nyquist that the fit sees nothing else
-_FITTED = 0.75  # share of a stretch that is fitted where the rest is to judge
-_ROUNDS = 5  # in which the band may move
-_SAME_BAND = 0.1
-_FAR_OFF = 0.25
-_HIGH_PASS, _LOW_PASS = 2, 6  # powers of the frequency ratios in the gain
-_RAISED = 0.75  # of the new rate, up to which inputs are raised: sinc^2 is then a tenth
-_BELOW_NYQUIST = 0.8  # of the new Nyquist frequency, as in MATLAB's `decimate`
-_SHORTEST = 10.0  # periods of that low-pass in one of the slowest motion, at least
-PHYSICAL_ORDER = 3  # torsion and two velocities: a common turn of both sides is not seen in them
-_ORDERS = (3, 4, 5, 6)  # a joint has three states, and filters add a few
-_INFORMATIVE = 2000  # samples that choose an order: a hundred for each parameter of three states
-_OTHER_BAND = 1.2  # factor by which band edges are moved to see the residuals out
+BELOW = 3.0  # ratio of the anti-resonance to the lower edge of the band
+# ratio of the upper edge of the band to the resonance; a lower one hardly determines d_G
+ABOVE = 3.0
+# initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
+_FIRST_BAND_HZ = (3.0, 60.0)
+_SLOWEST = 6.0  # minimum number of periods of the lower edge in the longest stretch
+# ratio of the sampling rate to the upper edge of the band. 3.5 to 4.5 work; above 5 the low-pass
+# leaves too little noise near Nyquist for the prediction-error method
+_OVERSAMPLED = 4.0
+_FITTED = 0.75  # share of a stretch used to fit; the rest is used to check the model
+_ROUNDS = 5  # maximum number of bands in the search
+_SAME_BAND = 0.1  # relative difference of the edges up to which the search has converged
+_FAR_OFF = 0.25  # relative difference of the edges above which the model is fitted again
+_HIGH_PASS, _LOW_PASS = 2, 6  # orders of the band-pass: powers of the frequency ratios in the gain
+# share of the new sampling rate up to which inputs are divided by sinc^2, which is 0.1 there
+_RAISED = 0.75
+_BELOW_NYQUIST = 0.8  # cut-off over the new Nyquist frequency, as in MATLAB's `decimate`
+_SHORTEST = 10.0  # minimum number of periods of the cut-off in one period of the slowest motion
+PHYSICAL_ORDER = 3  # torsion and two velocities; the common angle is not observable
+_ORDERS = (3, 4, 5, 6)  # three states of the joint and up to three of the filters
+# samples used to select the order: about 100 per parameter of a model with three states
+_INFORMATIVE = 2000
+_OTHER_BAND = 1.2  # factor on the band edges for the estimate of the model error
 
 
 @dataclass(frozen=True, slots=True)
 class LinearFit:
-    """A joint's state-space model with the band and the samples that it is fitted to."""
+    """State-space model of a joint with the band and the samples of the fit."""
 
     records: tuple[Decoupled, ...]
     options: LinearOptions
     band_hz: tuple[float, float]  # of the filter
-    data: tuple[InputOutput, ...]  # filtered, decimated stretches
+    data: tuple[InputOutput, ...]  # filtered and decimated stretches
     model: StateSpace
-    physical: StateSpace | None = None  # of three states in the same band; None: not fitted yet
+    physical: StateSpace | None = None  # three states in the same band; None: not fitted
 
     def of_physical_order(self) -> StateSpace:
-        """The model of three states, which (17) presumes, in the same band.
+        """Model of three states in the same band, as (17) assumes.
 
-        The model itself if its order is set by hand, if it has three states, or if the model of
-        three states does not converge or has no resonance.
+        Returns the model itself if its order is set by hand, if it has three states, or if the
+        model of three states does not converge or has no resonance.
         """
         if self.options.order or self.model.order == PHYSICAL_ORDER:
             return self.model
@@ -100,12 +106,12 @@ def state_space_of(
 ) -> StateSpace:
     """Estimate the state-space model of one joint from one or several of its records.
 
-    The model is one of the filtered signals, so it says nothing below the band. The noise model is
-    estimated along with the plant, so feedback through a servo or the other joint does not bias it.
-    `near` is a model of the same records in another band, from which the search starts.
+    The model describes the filtered signals and is not valid below the band. The noise model is
+    estimated together with the plant, so feedback through a servo or the other joint causes no
+    bias. `near` is a model of the same records in another band, the starting value of the fit.
 
-    Raises `InvalidInput` for records of different joints or rates, `NotIdentifiable` if no stretch
-    without saturation is long enough or no model fits.
+    Raises `InvalidInput` for records of different joints or sampling rates, `NotIdentifiable` if no
+    stretch without saturation is long enough or no model fits.
     """
     return fit_linear(records, options, near).model
 
@@ -115,7 +121,7 @@ def fit_linear(
     options: LinearOptions | None = None,
     near: StateSpace | None = None,
 ) -> LinearFit:
-    """Estimate a state-space model like `state_space_of`, and return its band and samples too."""
+    """Estimate a state-space model like `state_space_of`; return it with its band and samples."""
     chosen = options or LinearOptions()
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
     check_alike(joint)
@@ -125,16 +131,16 @@ def fit_linear(
         return _fit_in(chosen.band_hz, joint, chosen, near)
     band = _at_rate(_search(joint), joint, chosen)
     data = _data(joint, band, chosen)
-    # the model of physical order sets the band, then the data choose the order in that band
+    # the model of three states determines the band; then the order is selected in that band
     physical = _model(joint, data, physical_order(chosen))
     modes = modes_of(replace(physical, covariance=None))
-    # with some inputs or outputs left out the modes may be others than the joint's
+    # with only some inputs or outputs, the modes need not be those of the joint
     is_whole = chosen.inputs == chosen.outputs == "both"
     if is_whole and modes.anti_resonance and modes.resonance:
-        rings = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
-        better = band_for(rings, joint, chosen)
-        if not same_band(band, better, _FAR_OFF):
-            return _fit_in(better, joint, chosen)
+        resonances = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
+        refined_band = band_for(resonances, joint, chosen)
+        if not same_band(band, refined_band, _FAR_OFF):
+            return _fit_in(refined_band, joint, chosen)
     model = _model(joint, data, chosen, physical=physical)
     return LinearFit(joint, chosen, band, data, model, physical)
 
@@ -150,22 +156,14 @@ def _fit_in(
 
 
 def physical_order(options: LinearOptions) -> LinearOptions:
-    """The same options with the order of (11), (12): what the closed forms (17), (18) presume.
-
-    Returns: With the order that was chosen by hand, where one was.
-    """
+    """The options with the order of (11), (12), three states, unless the order is set by hand."""
     return options if options.order else replace(options, order=PHYSICAL_ORDER)
 
 
 def other_bands(
     band_hz: tuple[float, float], records: Sequence[Decoupled]
 ) -> tuple[tuple[float, float], ...]:
-    """A narrower and a wider band: what the model lacks shows in how its answer changes.
-
-    `band_hz` [Hz].
-
-    Returns: [Hz].
-    """
+    """A narrower and a wider band [Hz], to measure the model error by the change of estimates."""
     low, high = band_hz
     return tuple(
         band_around(low * BELOW * by, high / ABOVE / by, records)
@@ -176,7 +174,7 @@ def other_bands(
 def judge(fit: LinearFit) -> ModelCheck:
     """Refit the model to the first three quarters of each stretch and check it on the last quarter.
 
-    The result has fits, and tests of whiteness and independence, on samples that the fit does not
+    The check computes fits and tests of whiteness and independence on samples that the fit does not
     use. Raises `NotIdentifiable` if the model has no resonance, because its band is then arbitrary.
     """
     if not _has_resonances(fit.model):
@@ -189,57 +187,52 @@ def judge(fit: LinearFit) -> ModelCheck:
 
 
 def modes_of(model: StateSpace) -> Modes:
-    """Poles, and zeros from motor torque to motor velocity, of what lies in the band.
-
-    `model`: From `state_space_of`.
-    """
+    """Poles, and zeros from motor torque to motor velocity, of a model from `state_space_of`."""
     return modes(without_alternating(model), 0, 0)
 
 
 def without_alternating(model: StateSpace) -> StateSpace:
-    """A model that has a counterpart in continuous time: poles on the negative real axis left out.
+    """Remove poles on the negative real axis, which have no continuous-time equivalent.
 
-    Such a pole answers every sample with the opposite sign: it shapes the edge of the band, at
-    Nyquist. In the band it is a mere gain, which goes into D.
-
-    Returns: The model itself where there is none; else one with its covariance carried over, if it
-    has one.
+    Such a pole alternates in sign from sample to sample and models the edge of the band, at
+    Nyquist. Within the band it is a constant gain, which is added to D. The covariance is
+    propagated. Returns the model itself if it has no such pole.
     """
     values, vectors = np.linalg.eig(model.A)
-    bad = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
-    if not len(bad) or len(bad) == model.order:
+    alternating = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
+    if not len(alternating) or len(alternating) == model.order:
         return model
-    z, w = float(values[bad[0]].real), np.linalg.inv(vectors)[bad[0]].real
-    others = np.linalg.svd(w[None])[2][1:].T  # w'A = z w', so that what w does not see stays unseen
-    shorter = _without(z, others, model)
+    z, w = float(values[alternating[0]].real), np.linalg.inv(vectors)[alternating[0]].real
+    others = np.linalg.svd(w[None])[2][1:].T  # w'A = z w': `others` is the invariant subspace
+    reduced = _without(z, others, model)
 
     def entries(near: StateSpace) -> FloatArray:
         left = _without(z, others, near)
         return np.concatenate([each.ravel() for each in (left.A, left.B, left.C, left.D, left.K)])
 
     if model.covariance is not None:
-        shorter = replace(shorter, covariance=propagate(model, entries)[1])
-    return without_alternating(shorter)
+        reduced = replace(reduced, covariance=propagate(model, entries)[1])
+    return without_alternating(reduced)
 
 
 def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
-    """The model without its pole nearest to z, in a basis that is `others` seen along that pole.
+    """Remove the pole nearest to z, in the basis `others` projected along that pole's eigenvector.
 
-    That basis moves smoothly with the model, as `propagate` asks.
+    The basis is a smooth function of the model, as `propagate` requires.
     """
     values, vectors = np.linalg.eig(model.A)
-    bad = int(np.argmin(np.abs(values - z)))
-    pole, v, w = values[bad].real, vectors[:, bad].real, np.linalg.inv(vectors)[bad].real
+    index = int(np.argmin(np.abs(values - z)))
+    pole, v, w = values[index].real, vectors[:, index].real, np.linalg.inv(vectors)[index].real
     basis = others - np.outer(v, w @ others)
-    to = np.linalg.inv(np.column_stack([basis, v]))[:-1]
+    projection = np.linalg.inv(np.column_stack([basis, v]))[:-1]
     return replace(
         model,
-        A=to @ model.A @ basis,
-        B=to @ model.B,
+        A=projection @ model.A @ basis,
+        B=projection @ model.B,
         C=model.C @ basis,
         D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - pole),
-        K=to @ model.K,
-        initial_states=model.initial_states @ to.T,
+        K=projection @ model.K,
+        initial_states=model.initial_states @ projection.T,
         covariance=None,
     )
 
@@ -247,12 +240,7 @@ def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
 def band_around(
     anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
 ) -> tuple[float, float]:
-    """The band of the filter for a joint with its resonance there, cut to what the records hold.
-
-    `anti_resonance_hz, resonance_hz` [Hz].
-
-    Returns: [Hz].
-    """
+    """Filter band [Hz] around the resonances, limited to the frequencies in the records."""
     low, high = anti_resonance_hz / BELOW, resonance_hz * ABOVE
     for record in records:
         longest = max((stop - start for start, stop in _stretches(record)), default=1)
@@ -264,11 +252,9 @@ def band_around(
 def band_for(
     rings_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
 ) -> tuple[float, float]:
-    """The band of the filter that the options give, else that around a joint's resonances.
+    """Filter band [Hz] of the options, otherwise the band around a joint's resonances.
 
-    `rings_hz` [Hz]: Anti-resonance and resonance.
-
-    Returns: [Hz].
+    `rings_hz` has the anti-resonance and the resonance [Hz].
     """
     return options.band_hz or _at_rate(band_around(*rings_hz, records), records, options)
 
@@ -276,7 +262,7 @@ def band_for(
 def _at_rate(
     band_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
 ) -> tuple[float, float]:
-    """The band up to where the rate asks for the low-pass, if the rate is given."""
+    """Limit the upper edge of the band to what the decimation of the options allows."""
     if options.decimation is None:
         return band_hz
     high = 1.0 / (_OVERSAMPLED * options.decimation * records[0].sample_time)
@@ -284,50 +270,39 @@ def _at_rate(
 
 
 def same_band(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
-    """Whether both edges of two bands are the same, within a share of theirs.
-
-    `band, other` [Hz].
-    """
+    """Whether both edges of two bands agree to the relative difference `within`."""
     return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
 
 
 def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
-    """Gain of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6)).
-
-    `f` (n_frequencies,) [Hz].
-    `band_hz` [Hz].
-
-    Returns: (n_frequencies,).
-    """
+    """Gain (n_frequencies,) of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6))."""
     low, high = band_hz
     gain = (1.0 + (low / f) ** _HIGH_PASS) * (1.0 + (f / high) ** _LOW_PASS)
     return np.asarray(1.0 / gain)
 
 
 def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
-    """From the outputs to the velocities of motor and link themselves, (10) undone.
+    """Frequency response from the outputs to motor and link velocity, the inverse of (10).
 
-    `f` (n_frequencies,) [Hz].
-
-    Returns: (n_frequencies, 2, 2).
+    Returns (n_frequencies, 2, 2) for `f` (n_frequencies,) [Hz].
     """
-    undo = np.zeros((len(f), 2, 2), dtype=complex)
-    undo[:, 0, 0] = undo[:, 1, 1] = 1.0
+    inverse = np.zeros((len(f), 2, 2), dtype=complex)
+    inverse[:, 0, 0] = inverse[:, 1, 1] = 1.0
     if record.fusion is not None:
         F = _lean(f, record.fusion)
-        undo[:, 1, 1] = 1.0 / (1.0 - F)
-        undo[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
-    return undo
+        inverse[:, 1, 1] = 1.0 / (1.0 - F)
+        inverse[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
+    return inverse
 
 
 def _lean(f: FloatArray, fusion: Fusion) -> ComplexArray:
-    """The low-pass F of (10)."""
+    """Low-pass F of the fusion (10)."""
     x = 2j * np.pi * f * fusion.time_constant
     return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
 
 
 def _stretches(record: Decoupled) -> list[tuple[int, int]]:
-    """First and last but one of the uninterrupted valid samples."""
+    """Start and stop (exclusive) of each run of valid samples."""
     edges = np.flatnonzero(np.diff(np.r_[False, record.valid, False].astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
 
@@ -335,16 +310,16 @@ def _stretches(record: Decoupled) -> list[tuple[int, int]]:
 def _data(
     records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
 ) -> tuple[InputOutput, ...]:
-    """Filtered, decimated stretches."""
+    """Filtered and decimated stretches of all records."""
     pieces = _pieces if options.filter == "band" else _decimated
-    found = [piece for record in records for piece in pieces(record, band_hz, options)]
-    if not found:
+    stretches = [piece for record in records for piece in pieces(record, band_hz, options)]
+    if not stretches:
         raise NotIdentifiable(
             f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
             f"{_SLOWEST:g} periods of {band_hz[0] or band_hz[1] / _SHORTEST:.3g} Hz: record for "
             "longer, or lower the amplitude"
         )
-    return tuple(found)
+    return tuple(stretches)
 
 
 def _pieces(
@@ -357,15 +332,15 @@ def _pieces(
     n_out = 1 if options.outputs == "motor" else 2
 
     def raised(f: FloatArray) -> ComplexArray:
-        lines = np.where(f * step * T < _RAISED, np.sinc(f * step * T) ** 2, 1.0)
-        return np.asarray(band_of(f, band_hz) / lines, dtype=complex)
+        attenuation = np.where(f * step * T < _RAISED, np.sinc(f * step * T) ** 2, 1.0)
+        return np.asarray(band_of(f, band_hz) / attenuation, dtype=complex)
 
     def undone(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band_hz)[:, None, None] * velocities(f, record))
 
     for start, stop in _stretches(record):
         edge = int(1.0 / (low * T))
-        # the high-pass answers over one period; the rest must say something
+        # the high-pass response lasts one period; the remaining samples must suffice for a fit
         if (stop - start) * T * low < _SLOWEST - 1e-6:
             continue
         inputs = by_spectrum(record.inputs[start:stop, :n_in], raised, T, 3.0 / low)
@@ -381,14 +356,14 @@ def _pieces(
 
 
 def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
-    """Cut-off of the low-pass in front of a decimation."""
+    """Cut-off frequency [Hz] of the low-pass before decimation."""
     return _BELOW_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
 
 
 def _decimated(
     record: Decoupled, _: tuple[float, float], options: LinearOptions
 ) -> Iterator[InputOutput]:
-    """Stretches as the source prepares them, less their means: a low-pass, and fewer samples."""
+    """Low-passed, decimated stretches without their means, prepared as in the source."""
     T, step, cutoff = record.sample_time, options.decimation or 1, _decimated_hz(record, options)
     n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
     n_out = 1 if options.outputs == "motor" else 2
@@ -397,11 +372,11 @@ def _decimated(
         if (stop - start) * T * cutoff < _SHORTEST * _SLOWEST:
             continue
         columns = np.hstack([record.inputs[start:stop, :n_in], record.outputs[start:stop, :n_out]])
-        kept = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
-        kept = np.ascontiguousarray(kept - kept.mean(axis=0))
+        samples = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
+        samples = np.ascontiguousarray(samples - samples.mean(axis=0))
         yield InputOutput(
-            inputs=kept[:, :n_in],
-            outputs=kept[:, n_in:],
+            inputs=samples[:, :n_in],
+            outputs=samples[:, n_in:],
             sample_time=step * T,
             hold=cast("tuple[Hold, ...]", ("first",) * n_in),
             input_names=("motor_torque", "interaction_torque")[:n_in],
@@ -410,16 +385,19 @@ def _decimated(
 
 
 def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
-    """A band around the resonances, by subspace estimates, which are quick and need no start."""
+    """Band around the resonances, from fast subspace estimates without starting values."""
     band = band_around(_FIRST_BAND_HZ[0] * BELOW, _FIRST_BAND_HZ[1] / ABOVE, records)
     for _ in range(_ROUNDS):
-        found = modes_of(subspace(_data(records, band, LinearOptions()), 3))
-        if found.anti_resonance is None or found.resonance is None:
+        estimated_modes = modes_of(subspace(_data(records, band, LinearOptions()), 3))
+        if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:
             break
-        before = band
-        low, high = found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+        previous_band = band
+        low, high = (
+            estimated_modes.anti_resonance.frequency_hz,
+            estimated_modes.resonance.frequency_hz,
+        )
         band = band_around(min(low, high), max(low, high), records)
-        if same_band(before, band, _SAME_BAND):
+        if same_band(previous_band, band, _SAME_BAND):
             break
     return band
 
@@ -431,9 +409,9 @@ def _model(
     near: StateSpace | None = None,
     physical: StateSpace | None = None,
 ) -> StateSpace:
-    """Fit the order that the options give, that of `near`, or the best of several.
+    """Fit the order of the options, the order of `near`, or the best of several orders.
 
-    `physical` is the model of three states of the same data, where it is known already.
+    `physical` is the model of three states of the same data, if it is available.
     """
     order = options.order or (near.order if near else None) or _best_order(data, options)
     if physical is not None and physical.order == order:
@@ -457,18 +435,18 @@ def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
-    """By `select_order`, on no more samples than an order needs to show."""
-    left, taken = _INFORMATIVE, []
+    """Select the model order with `select_order` on at most `_INFORMATIVE` samples."""
+    n_remaining, pieces = _INFORMATIVE, []
     for piece in data:
-        if left > 0:
-            taken.append(piece.window(0, min(left, len(piece.inputs))))
-            left -= len(piece.inputs)
-    if options.method == "pem":  # prediction-error fits take a hundred times as long
+        if n_remaining > 0:
+            pieces.append(piece.window(0, min(n_remaining, len(piece.inputs))))
+            n_remaining -= len(piece.inputs)
+    if options.method == "pem":  # prediction-error fits are a hundred times slower
         options = replace(options, method="subspace")
     if options.horizon is None and options.method == "subspace":
-        return select_order(taken, _ORDERS, fit=subspace_orders).chosen
+        return select_order(pieces, _ORDERS, fit=subspace_orders).chosen
     fit = partial(_fit, options=options)
-    return select_order(taken, _ORDERS, fit=lambda some: partial(fit, some)).chosen
+    return select_order(pieces, _ORDERS, fit=lambda some: partial(fit, some)).chosen
 
 
 def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> StateSpace:
@@ -476,16 +454,17 @@ def _fit(data: Sequence[InputOutput], order: int, options: LinearOptions) -> Sta
         if options.horizon is None:
             return pem(data, order)
         return pem(data, order, start=subspace(data, order, horizon=options.horizon))
-    way = "auto" if options.method == "subspace" else options.method
-    return subspace(data, order, method=way, horizon=options.horizon)
+    method = "auto" if options.method == "subspace" else options.method
+    return subspace(data, order, method=method, horizon=options.horizon)
 
 
 def _fit_from(
     data: Sequence[InputOutput], near: StateSpace | None, options: LinearOptions
 ) -> StateSpace | None:
-    """The fit that starts from a model in another band; None if it is not usable.
+    """Fit starting from a model in another band; None if the result is not usable.
 
-    An alternating pole belongs to the edge of the other band, so that model is no start.
+    A model with an alternating pole is not used, because that pole models the edge of the other
+    band.
     """
     if near is None or without_alternating(near) is not near:
         return None
@@ -495,7 +474,7 @@ def _fit_from(
 def _fit_near(
     data: Sequence[InputOutput], near: StateSpace, options: LinearOptions
 ) -> StateSpace | None:
-    """The fit that starts from another model of the same rate; None if it is not usable."""
+    """Fit starting from a model of the same sampling rate; None if the result is not usable."""
     if options.method != "pem":
         return None
     model = pem(data, start=near)

@@ -1,9 +1,10 @@
-"""LinkSignals, RigidModel -> JointModels from the motors' own frequency responses.
+"""Estimate joint models from the frequency responses of the motors, without link sensors.
 
-Without a link sensor the interaction torques cannot be measured. But the motors' motion can, and
-given that, the rest of the arm is a linear system of which the rigid model knows the inertias: the
-anti-resonances are its modes with all motors held. So a joint's gear and the share of its motor
-show in how the motor moves under its torque, whatever the other motors do meanwhile.
+Without a link sensor the interaction torques cannot be measured, but the motion of the motors can.
+For a given motion of the motors, the rest of the arm is a linear system with the inertias of the
+rigid model. Its modes with all motors held are the anti-resonances. The response of each motor to
+its torque therefore determines the gear and the motor's share of the inertia, independent of the
+motion of the other motors.
 """
 
 from __future__ import annotations
@@ -25,43 +26,44 @@ from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = ["models_from_catalogue", "models_from_motors"]
 
-_LINES, _COARSE = 160, 40  # of a piece, for least squares and for the grid
-_IDENTIFIED = 0.3  # relative deviation up to which a value is worth printing
-_SPLIT = ("motor_viscous_friction", "link_viscous_friction")
-_DIFFERENCE = 1e-4  # of a coordinate
+_LINES, _COARSE = 160, 40  # spectral lines of a piece for least squares and for the grid search
+_IDENTIFIED = 0.3  # relative standard deviation up to which a value is reported
+_SPLIT = ("motor_viscous_friction", "link_viscous_friction")  # only their sum is determined
+_DIFFERENCE = 1e-4  # step of a coordinate for central differences
 
 
 def models_from_motors(
     records: Sequence[LinkSignals], model: RigidModel | None, arm: Arm
 ) -> list[tuple[JointModel, ...]]:
-    """Models of all joints from motor torques and velocities alone.
+    """Estimate models of all joints from motor torques and velocities alone.
 
-    Every joint's motor must be driven in some record, wide in frequency as by a PRBS.
+    Each motor must be driven over a wide range of frequencies in some record, for example by a
+    PRBS. Link signals of `records` are not used. `model` may be None for a single joint without
+    gravity.
 
-    `records`: Their link signals are not used.
-    `model`: None will do for a single joint without gravity.
+    Returns sets of models, one model per joint from the base. The first set has the least
+    objective; the others are alternative minima from which a whole-arm fit may start.
 
-    Returns: One model per joint from the base; first the set that explains the motors best, then
-    other minima, from which a search may start as well.
-
-    Raises `NotIdentifiable`: A joint is not driven, or nothing explains the motors' motion.
+    Raises `NotIdentifiable` if a joint is not driven or no arm explains the motion of the motors.
     """
     ratio = arm.gear_ratios
-    seen = [piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows]
+    spectra_pieces = [
+        piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows
+    ]
     for i in range(arm.n_joints):
-        if not any(i in piece.rows for piece in seen):
+        if not any(i in piece.rows for piece in spectra_pieces):
             raise NotIdentifiable(
                 f"no record has the motor of joint {i + 1} slide most of the time when driven,"
                 " so that its gear does not show: record it with a PRBS of larger amplitude"
             )
     family = family_of(model, arm)
     with one_blas_thread():
-        found = minima(family, seen, [thinned(piece, _COARSE) for piece in seen])
+        fits = minima(family, spectra_pieces, [thinned(piece, _COARSE) for piece in spectra_pieces])
         names = [
-            tuple(dict.fromkeys(p.experiment for p in seen if i in p.rows))
+            tuple(dict.fromkeys(p.experiment for p in spectra_pieces if i in p.rows))
             for i in range(arm.n_joints)
         ]
-        return [_models(each, family, arm, seen, names) for each in found]
+        return [_models(fit, family, arm, spectra_pieces, names) for fit in fits]
 
 
 def _models(
@@ -81,25 +83,26 @@ def _models(
     for i, joint in enumerate(joints):
         covariance = _covariance(found, family, i)
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
-        deviation = np.sqrt(np.diag(covariance))
+        standard_deviations = np.sqrt(np.diag(covariance))
         identified = [
-            bool(d <= _IDENTIFIED * v) for d, v in zip(deviation, values.values(), strict=True)
+            bool(std <= _IDENTIFIED * value)
+            for std, value in zip(standard_deviations, values.values(), strict=True)
         ]
-        said = values, covariance, identified, arm.joints[i], i + 1
-        warnings = tuple(warnings_of(*said, ", ".join(experiments[i])))
-        fit = found.fit_percent[i]
+        estimate = values, covariance, identified, arm.joints[i], i + 1
+        warnings = tuple(warnings_of(*estimate, ", ".join(experiments[i])))
+        fit_percent = found.fit_percent[i]
         models.append(
             JointModel(
                 joint=i + 1,
                 experiments=experiments[i],
                 method="motor-response",
-                parameters=tuple(parameters_of(*said)),
+                parameters=tuple(parameters_of(*estimate)),
                 values=values,
                 covariance=covariance,
                 anti_resonance=anti_resonance(joint, covariance),
                 resonance=resonance(joint, covariance),
                 band_hz=band,
-                fit_percent={"motor_velocity": float(fit)},
+                fit_percent={"motor_velocity": float(fit_percent)},
                 status=status_of(warnings),
                 warnings=warnings,
             )
@@ -108,16 +111,17 @@ def _models(
 
 
 def _covariance(found: Found, family: Family, i: int) -> FloatArray:
-    """Of one joint's physical parameters, the rigid model's own deviations left out: (6, 6).
+    """Covariance (6, 6) of one joint's physical parameters, without the errors of the rigid model.
 
-    Of the viscous frictions only the sum is known: their split may be anything.
+    Only the sum of the viscous frictions is determined, so their split has a variance of its full
+    size.
     """
     columns = []
     for step in _DIFFERENCE * np.eye(len(found.point)):
-        ahead, behind = (family.parts(found.point + sign * step) for sign in (1.0, -1.0))
-        columns.append([(ahead[name][i] - behind[name][i]) / (2.0 * _DIFFERENCE) for name in NAMES])
-    slopes = np.array(columns).T
-    covariance = slopes @ found.covariance @ slopes.T
+        above, below = (family.parts(found.point + sign * step) for sign in (1.0, -1.0))
+        columns.append([(above[name][i] - below[name][i]) / (2.0 * _DIFFERENCE) for name in NAMES])
+    J = np.array(columns).T
+    covariance = J @ found.covariance @ J.T
     motor, link = (NAMES.index(name) for name in _SPLIT)
     parts = family.parts(found.point)
     split = np.zeros(len(NAMES))

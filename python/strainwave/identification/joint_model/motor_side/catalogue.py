@@ -1,7 +1,7 @@
-"""Gears to start from where no record shows them: those that such arms have.
+"""Starting values of gears for records that do not determine them.
 
-Strain-wave gears are chosen to match their loads: anti-resonances lie between 8 and 60 Hz, of small
-arms the higher ones, and a motor's inertia is a fifth to two thirds of its joint's.
+Strain-wave gears are selected for their loads: anti-resonances are typically 8 to 60 Hz, higher for
+small arms, and the motor contributes a fifth to two thirds of the joint's inertia.
 """
 
 from __future__ import annotations
@@ -16,43 +16,43 @@ from strainwave.dynamics.two_inertia import NAMES
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
 
-_RINGS_HZ = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
-_SHARES = (0.25, 0.55)
-_DAMPING = 0.05  # ratio of the anti-resonance
+_RINGS_HZ = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)  # anti-resonances
+_SHARES = (0.25, 0.55)  # motor's share of the joint's inertia
+_DAMPING = 0.05  # damping ratio of the anti-resonance
 
 
 def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[JointModel, ...]]:
-    """Models of all joints with ordinary gears, for records to choose from.
+    """Models of all joints with typical gears, as starting values for a whole-arm fit.
 
-    `model`: From which the inertias are.
+    The inertias come from `model`. Returns sets of one model per joint from the base, without
+    estimated parameters.
 
-    Returns: Each with one model per joint from the base, without parameters: nothing of them is
-    known.
-
-    Raises `NotIdentifiable`: the rigid model is missing, or lacks an inertia.
+    Raises `NotIdentifiable` if the rigid model is missing or lacks an inertia.
     """
     if model is None:
         raise NotIdentifiable(
             "without a rigid model and records that excite the gears, the whole-arm fit has no"
             ' start: add an experiment with use = "motion", or one with use = "frequency"'
         )
-    family, found = family_of(model, arm), []
+    family, candidates = family_of(model, arm), []
     shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
-    for own in product(*([_RINGS_HZ] * family.n_joints), *shares):
+    for combination in product(*([_RINGS_HZ] * family.n_joints), *shares):
         n = family.n_joints
-        point = family.point(2.0 * np.pi * np.array(own[:n]), np.array(own[n:]), _DAMPING)
+        point = family.point(
+            2.0 * np.pi * np.array(combination[:n]), np.array(combination[n:]), _DAMPING
+        )
         if family.proper(point):
-            found.append(_models(family, point))
-    if not found:
+            candidates.append(_models(family, point))
+    if not candidates:
         raise NotIdentifiable(
             "the inertias of the rigid model belong to no arm: whatever part of joint 1's is the"
             " motor's, the links' inertia matrix is not positive definite"
         )
-    return found
+    return candidates
 
 
 def _models(family: Family, point: FloatArray) -> tuple[JointModel, ...]:
-    nothing = np.full((len(NAMES), len(NAMES)), np.nan)
+    unknown = np.full((len(NAMES), len(NAMES)), np.nan)
     return tuple(
         JointModel(
             joint=i,
@@ -60,7 +60,7 @@ def _models(family: Family, point: FloatArray) -> tuple[JointModel, ...]:
             method="catalogue",
             parameters=(),
             values=dict(zip(NAMES, joint.vector.tolist(), strict=True)),
-            covariance=nothing,
+            covariance=unknown,
             anti_resonance=None,
             resonance=None,
             band_hz=(0.0, np.inf),

@@ -1,4 +1,4 @@
-"""The gears that explain motor velocities best: a grid over all of them, then least squares."""
+"""Search for the gears that explain the motor velocities: a grid search, then least squares."""
 
 from __future__ import annotations
 
@@ -19,42 +19,43 @@ from strainwave.identification.joint_model.motor_side.arms import (
 from strainwave.identification.joint_model.motor_side.impedance import velocities
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 
-_RINGS = 14  # anti-resonances of a joint that are tried, in the band of the records
-_SHARES = (0.15, 0.35, 0.55, 0.75)  # of a joint's inertia that may be the motor's
-_DAMPING = 0.05  # ratio of every anti-resonance on the grid
-_INERTIAS = 10  # on the whole that are tried of a joint of which nothing is known
-_STARTS = 6  # points of the grid from which least squares go on
-_APART = 0.35  # in a coordinate: minima that are not the same
-_HIGHEST = 2.0 * np.pi * 80.0  # [rad/s] anti-resonance of an ordinary gear under its load
-_OPEN = 4.0  # times the least sum of squares, up to which a point is still in question
-_ROBUST = 0.02  # residual, as a share of the motor's velocity, from which one counts less
-_REACH = np.array([np.log(10.0), np.log(100.0), 4.0])  # of least squares around a start
-_BLOCKS = 10  # bands of a piece whose errors count as independent of one another
-_TILTS = (-0.5, 0.5)  # powers of frequency that weigh lines otherwise, to show the model's error
-_DIFFERENCE = 1e-5  # of a coordinate
-_SETTLED, _EVALUATIONS = 1e-4, 30  # of least squares: what follows starts from it
+_RINGS = 14  # number of anti-resonances per joint on the grid, within the band of the records
+_SHARES = (0.15, 0.35, 0.55, 0.75)  # motor's share of a joint's inertia on the grid
+_DAMPING = 0.05  # damping ratio of the anti-resonances on the grid
+_INERTIAS = 10  # number of total inertias on the grid for a joint without a rigid model
+_STARTS = 6  # number of grid points from which least squares start
+_APART = 0.35  # difference of a coordinate above which two minima are distinct
+_HIGHEST = 2.0 * np.pi * 80.0  # [rad/s] highest anti-resonance of a typical gear with its load
+_OPEN = 4.0  # ratio to the least sum of squares up to which a point is an alternative
+_ROBUST = 0.02  # scale of the robust loss, as a share of the motor velocity
+# bounds of least squares around the starting value: log k, log d_G, log odds of the share
+_REACH = np.array([np.log(10.0), np.log(100.0), 4.0])
+_BLOCKS = 10  # frequency bands of a piece with independent errors
+_TILTS = (-0.5, 0.5)  # powers of frequency that change the weights, to measure the model error
+_DIFFERENCE = 1e-5  # step of a coordinate for central differences
+# tolerance and maximum evaluations of least squares; a later fit refines the result
+_SETTLED, _EVALUATIONS = 1e-4, 30
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One minimum, or another point that explains nearly as much."""
+    """A minimum, or an alternative point with a similar objective."""
 
     point: FloatArray  # (n_coordinates,)
     cost: float
-    covariance: FloatArray  # (n_coordinates, n_coordinates); NaN of all but the best
-    fit_percent: FloatArray  # (n_joints,) of the motors' velocities; NaN where none was compared
+    covariance: FloatArray  # (n_coordinates, n_coordinates); NaN except for the best
+    fit_percent: FloatArray  # (n_joints,) of motor velocities; NaN: not compared
 
 
 _Seen = tuple[Piece, Posture]
-"""A piece of a record, and the arm's posture in it."""
+"""A piece of a record with the posture of the arm."""
 
 
 def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) -> list[Found]:
-    """Where motor velocities are explained best, the best first, and what is still in question.
+    """Minima of the motor velocity error, the best first, then the alternatives.
 
-    `few_lines`: The same with fewer lines, for the grid.
-
-    Raises `NotIdentifiable`: no arm of the family explains anything.
+    `few_lines` are the pieces with fewer lines, for the grid. Raises `NotIdentifiable` if the
+    inertia matrix of no arm of the family is positive definite.
     """
     postures = [posture_of(family.arm, piece.link_angle) for piece in pieces]
     records = list(zip(pieces, postures, strict=True))
@@ -68,43 +69,46 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
         )
     cost = np.full(len(grid), np.inf)
     cost[proper] = sum((_costs(family, grid[proper], each) for each in coarse), 0.0)
-    found: list[tuple[float, FloatArray]] = []
+    distinct_minima: list[tuple[float, FloatArray]] = []
     for start in _valleys(grid, cost, family.n_joints):
-        point, least = _polished(family, start, records)
-        if all(np.max(np.abs(point - other)) > _APART for _, other in found):
-            found.append((least, point))
-    found.sort(key=lambda each: each[0])
-    (least, best), *others = found
+        point, least_cost = _polished(family, start, records)
+        if all(np.max(np.abs(point - other)) > _APART for _, other in distinct_minima):
+            distinct_minima.append((least_cost, point))
+    distinct_minima.sort(key=lambda each: each[0])
+    (least_cost, best), *others = distinct_minima
     points = np.array([best, *(point for _, point in others), *_beside(family, best, few_lines)])
     cost = sum((_costs(family, points, each) for each in records), np.zeros(len(points)))
     unknown = np.full((len(best), len(best)), np.nan)
-    rest = [
-        Found(point, float(own), unknown, _fits(family, point, records))
-        for own, point in zip(cost[1:], points[1:], strict=True)
-        if own < _OPEN * cost[0]
+    alternatives = [
+        Found(point, float(point_cost), unknown, _fits(family, point, records))
+        for point_cost, point in zip(cost[1:], points[1:], strict=True)
+        if point_cost < _OPEN * cost[0]
     ]
-    return [_judged(family, best, least, records), *sorted(rest, key=lambda each: each.cost)]
+    return [
+        _judged(family, best, least_cost, records),
+        *sorted(alternatives, key=lambda each: each.cost),
+    ]
 
 
 def _beside(family: Family, best: FloatArray, records: Sequence[Piece]) -> Iterator[FloatArray]:
-    """The best point with another stiffness of one joint, all over the band.
+    """The best point with other stiffnesses of one joint, over the whole band.
 
-    A motor that carries most of its joint's inertia hardly feels the gear: its anti-resonance may
-    then lie anywhere in a wide band, and the minimum anywhere in that.
+    If the motor contributes most of its joint's inertia, its velocity hardly depends on the gear.
+    The anti-resonance is then uncertain over a wide band.
     """
     lines = np.concatenate([piece.s.imag for piece in records])
-    load = family.parts(best)["link_inertia"]
+    link_inertia = family.parts(best)["link_inertia"]
     for i in range(family.n_joints):
         for ring in np.geomspace(1.2 * lines.min(), min(0.7 * lines.max(), _HIGHEST), _RINGS):
             point = best.copy()
-            point[PER_JOINT * i] = np.log(ring**2 * load[i])
-            point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING * ring * load[i])
+            point[PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
+            point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING * ring * link_inertia[i])
             if abs(point[PER_JOINT * i] - best[PER_JOINT * i]) > _APART:
                 yield point
 
 
 def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
-    """Points (n_points, n_coordinates) over gears, motors' shares and, if unknown, inertias."""
+    """Grid (n_points, n_coordinates) over gears, motor shares and, if unknown, total inertias."""
     lines = np.concatenate([piece.s.imag for piece in records])
     rings = np.geomspace(1.2 * lines.min(), 0.7 * lines.max(), _RINGS)
     shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
@@ -114,14 +118,14 @@ def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
     else:
         totals = [np.array([known]) for known in rigid]
     points = []
-    for own in product(*([rings] * n), *shares, *totals):
-        ring, share, total = (np.array(own[k * n : (k + 1) * n]) for k in range(3))
+    for values in product(*([rings] * n), *shares, *totals):
+        ring, share, total = (np.array(values[k * n : (k + 1) * n]) for k in range(3))
         points.append(family.point(ring, share, _DAMPING, None if rigid is not None else total))
     return np.array(points)
 
 
 def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
-    """Inertias that a joint may have by how much torque its acceleration takes."""
+    """Candidate inertias of a joint, from the ratio of torque to acceleration."""
     ratio = np.concatenate([np.abs(p.torque[:, i] / (p.s * p.velocity[:, i])) for p in records])
     low, high = np.quantile(ratio, (0.1, 0.9)).tolist()
     return np.geomspace(0.5 * low, 2.0 * high, _INERTIAS)
@@ -130,102 +134,102 @@ def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
 def _errors(
     family: Family, points: FloatArray, seen: _Seen
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
-    """Of every motor that a piece shows, shares of its velocity: (..., n_lines), (n_lines,).
+    """Yield the velocity error and the velocity of each motor in a piece, relative to its RMS.
 
-    What the arms of the points leave, and the velocity itself.
+    The shapes are (..., n_lines) for the arms of the points, and (n_lines,).
     """
     piece, posture = seen
     Z = family.linear(points, posture).impedance(piece.s)
     for i in piece.rows:
-        size = np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s))
-        drive, dry = piece.torque[:, i], piece.direction[:, i]
+        norm = np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s))
+        drive, direction = piece.torque[:, i], piece.direction[:, i]
         if family.coulomb is not None:
-            drive = drive - family.coulomb[i] * dry
-        left = piece.velocity[:, i] - velocities(Z, drive, piece.velocity, i)
-        if family.coulomb is None:  # the dry friction that explains most
-            share = dry / Z[..., i, i]
-            along = np.sum((np.conj(share) * left).real, axis=-1, keepdims=True)
-            along = along / np.sum(np.abs(share) ** 2, axis=-1, keepdims=True)
-            left = left - np.minimum(along, 0.0) * share
-        yield left / size, np.abs(piece.velocity[:, i]) / size
+            drive = drive - family.coulomb[i] * direction
+        error = piece.velocity[:, i] - velocities(Z, drive, piece.velocity, i)
+        if family.coulomb is None:  # estimate the Coulomb friction
+            response = direction / Z[..., i, i]
+            friction = np.sum((np.conj(response) * error).real, axis=-1, keepdims=True)
+            friction = friction / np.sum(np.abs(response) ** 2, axis=-1, keepdims=True)
+            error = error - np.minimum(friction, 0.0) * response
+        yield error / norm, np.abs(piece.velocity[:, i]) / norm
 
 
 def _costs(family: Family, points: FloatArray, seen: _Seen) -> FloatArray:
-    """Sums of squares: (n_points,)."""
-    parts = [np.sum(np.abs(left) ** 2, axis=-1) for left, _ in _errors(family, points, seen)]
-    return np.asarray(sum(parts, np.zeros(len(points))))
+    """Sums of squared errors, (n_points,)."""
+    costs = [np.sum(np.abs(error) ** 2, axis=-1) for error, _ in _errors(family, points, seen)]
+    return np.asarray(sum(costs, np.zeros(len(points))))
 
 
 def _valleys(grid: FloatArray, cost: FloatArray, n_joints: int) -> list[FloatArray]:
-    """Of anti-resonances that explain more than those beside them, the best few.
+    """Grid points with the least objective among neighbouring anti-resonances, best first.
 
-    What else varies on the grid is at its best for each; neighbours lead to the same minimum, and
-    where one joint's anti-resonance shows little, they would be all that is tried.
+    The other coordinates are at their best for each set of anti-resonances. Neighbouring points are
+    excluded because they lead to the same minimum.
     """
     shape = (_RINGS,) * n_joints
     by_ring = cost.reshape(_RINGS**n_joints, -1)
-    own = np.argmin(by_ring, axis=1)
+    best_index = np.argmin(by_ring, axis=1)
     least = np.min(by_ring, axis=1).reshape(shape)
-    around = np.pad(least, 1, constant_values=np.inf)
-    lowest = np.isfinite(least)
+    padded = np.pad(least, 1, constant_values=np.inf)
+    is_minimum = np.isfinite(least)
     for step in product((0, 1, 2), repeat=n_joints):
-        lowest &= least <= around[tuple(slice(k, k + _RINGS) for k in step)]
+        is_minimum &= least <= padded[tuple(slice(k, k + _RINGS) for k in step)]
     points = grid.reshape(_RINGS**n_joints, by_ring.shape[1], -1)
-    chosen = np.flatnonzero(lowest)
+    chosen = np.flatnonzero(is_minimum)
     chosen = chosen[np.argsort(least.ravel()[chosen], kind="stable")][:_STARTS]
-    return [points[k, own[k]] for k in chosen]
+    return [points[k, best_index[k]] for k in chosen]
 
 
 def _residual(
     family: Family, point: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
 ) -> FloatArray:
-    """All pieces' errors, real and imaginary, then what the rigid model knows of motors."""
-    found = []
-    for seen in records:
-        piece = seen[0]
+    """Real and imaginary errors of all pieces, then the residuals of known motor inertias."""
+    parts = []
+    for record in records:
+        piece = record[0]
         weight = np.abs(piece.s) ** tilt
         weight = weight / np.sqrt(np.mean(weight**2))
-        for left, _ in _errors(family, point, seen):
-            found += [(left * weight).real, (left * weight).imag]
-    return np.concatenate([*found, _known(family, point)])
+        for error, _ in _errors(family, point, record):
+            parts += [(error * weight).real, (error * weight).imag]
+    return np.concatenate([*parts, _known(family, point)])
 
 
 def _known(family: Family, point: FloatArray) -> FloatArray:
-    """Motor inertias beside those that the rigid model has apart, in units of robust residuals."""
+    """Residuals of motor inertias that the rigid model gives, scaled like the velocity errors."""
     identified = np.flatnonzero(~np.isnan(family.known_share))
     if not identified.size or family.total_inertia is None:
         return np.zeros(0)
     motor = family.parts(point)["motor_inertia"][identified]
-    aim = family.known_share[identified] * family.total_inertia[identified]
-    return np.asarray(_ROBUST * np.log(motor / aim) / family.known_deviation[identified])
+    known_inertia = family.known_share[identified] * family.total_inertia[identified]
+    return np.asarray(_ROBUST * np.log(motor / known_inertia) / family.known_deviation[identified])
 
 
 def _polished(
     family: Family, start: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
 ) -> tuple[FloatArray, float]:
-    """The minimum near a point, and its cost."""
+    """Minimum near a point, and its objective."""
     from scipy.optimize import least_squares
 
-    reach = np.full(len(start), np.log(10.0))
-    reach[: PER_JOINT * family.n_joints] = np.tile(_REACH, family.n_joints)
-    found = least_squares(
+    bound = np.full(len(start), np.log(10.0))
+    bound[: PER_JOINT * family.n_joints] = np.tile(_REACH, family.n_joints)
+    solution = least_squares(
         lambda point: _residual(family, point, records, tilt),
         start,
         jac=lambda point: _slopes(family, point, records, tilt),
-        bounds=(start - reach, start + reach),
+        bounds=(start - bound, start + bound),
         loss="soft_l1",
         f_scale=_ROBUST,
         ftol=_SETTLED,
         xtol=_SETTLED,
         max_nfev=_EVALUATIONS,
     )
-    return np.asarray(found.x), float(found.cost)
+    return np.asarray(solution.x), float(solution.cost)
 
 
 def _slopes(
     family: Family, point: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
 ) -> FloatArray:
-    """Derivatives of the residuals by central differences: (n_rows, n_coordinates)."""
+    """Jacobian (n_rows, n_coordinates) of the residuals by central differences."""
     steps = _DIFFERENCE * np.eye(len(point))
     return np.column_stack(
         [
@@ -237,39 +241,52 @@ def _slopes(
 
 
 def _judged(family: Family, point: FloatArray, cost: float, records: Sequence[_Seen]) -> Found:
-    """With deviations by how the errors scatter from band to band, and by other weights."""
-    residual, slopes = _residual(family, point, records), _slopes(family, point, records)
+    """Add the covariance: scatter of the gradient over frequency bands, and the model error.
+
+    The model error is the change of the estimates with other frequency weights.
+    """
+    residual, J = _residual(family, point, records), _slopes(family, point, records)
     weight = 1.0 / np.sqrt(1.0 + (residual / _ROBUST) ** 2)
-    bread = np.linalg.pinv((slopes * weight[:, None]).T @ slopes, hermitian=True)
-    gradient = slopes * (weight * residual)[:, None]
+    bread = np.linalg.pinv((J * weight[:, None]).T @ J, hermitian=True)
+    gradient = J * (weight * residual)[:, None]
     labels = np.concatenate([*_bands(records), -1 - np.arange(len(_known(family, point)))])
     meat = np.zeros_like(bread)
     for label in np.unique(labels):
-        part = gradient[labels == label].sum(axis=0)
-        meat += np.outer(part, part)
+        block_gradient = gradient[labels == label].sum(axis=0)
+        meat += np.outer(block_gradient, block_gradient)
     covariance = bread @ meat @ bread
-    moves = [_polished(family, point, records, tilt)[0] - point for tilt in _TILTS]
-    covariance = covariance + np.mean([np.outer(move, move) for move in moves], axis=0)
+    changes = [_polished(family, point, records, tilt)[0] - point for tilt in _TILTS]
+    covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
     return Found(point, cost, covariance, _fits(family, point, records))
 
 
 def _bands(records: Sequence[_Seen]) -> Iterator[FloatArray]:
-    """The band that each row of the residual belongs to, counted through all pieces."""
+    """Number of the frequency band of each row of the residual, counted over all pieces."""
     count = 0
     for piece, _ in records:
         n = len(piece.s)
         for _ in piece.rows:
-            own = count + np.arange(n) * _BLOCKS // n
-            yield np.concatenate([own, own]).astype(float)
+            band = count + np.arange(n) * _BLOCKS // n
+            yield np.concatenate([band, band]).astype(float)
             count += _BLOCKS
 
 
 def _fits(family: Family, point: FloatArray, records: Sequence[_Seen]) -> FloatArray:
-    """100 (1 - |error| / |velocity|) of each motor over all its pieces."""
-    left, whole = np.zeros(family.n_joints), np.zeros(family.n_joints)
-    for seen in records:
-        for i, (error, own) in zip(seen[0].rows, _errors(family, point, seen), strict=True):
-            left[i] += np.sum(np.abs(error) ** 2)
-            whole[i] += np.sum(own**2)
+    """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|), (n_joints,)."""
+    squared_error, squared_velocity = np.zeros(family.n_joints), np.zeros(family.n_joints)
+    for record in records:
+        for i, (error, velocity) in zip(
+            record[0].rows, _errors(family, point, record), strict=True
+        ):
+            squared_error[i] += np.sum(np.abs(error) ** 2)
+            squared_velocity[i] += np.sum(velocity**2)
     with np.errstate(invalid="ignore"):
-        return np.asarray(100.0 * (1.0 - np.sqrt(left / np.where(whole > 0.0, whole, np.nan))))
+        return np.asarray(
+            100.0
+            * (
+                1.0
+                - np.sqrt(
+                    squared_error / np.where(squared_velocity > 0.0, squared_velocity, np.nan)
+                )
+            )
+        )

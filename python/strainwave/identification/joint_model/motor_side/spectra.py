@@ -1,4 +1,4 @@
-"""LinkSignals -> spectra of motor torques, velocities and directions, piece by piece."""
+"""Spectra of motor torques, velocities and directions of motion, for pieces of a record."""
 
 from __future__ import annotations
 
@@ -11,69 +11,67 @@ from strainwave.domain import ComplexArray, FloatArray, LinkSignals
 from strainwave.numerics.spectra import window_spectra
 
 LONGEST_PIECE = 4.1
-"""[s] of a record in one spectrum: its lines lie denser than the anti-resonance is wide."""
+"""Maximum duration [s] of a piece: line spacing is below the width of the anti-resonance."""
 
-_MOST_PIECES = 8  # of a record
-_LOWEST = 3.0  # lines that the window makes of a constant, and of what is slower than a piece
-_SHARE = 0.2  # of the sampling frequency, up to which differences are velocities
-_SLIDES = 0.5  # share of a piece in which a motor must slide for its friction to be known
+_MOST_PIECES = 8  # maximum number of pieces of a record
+_LOWEST = 3.0  # first line; the window spreads a constant and slow drift over the lines below
+_SHARE = 0.2  # share of the sampling rate up to which differences approximate velocities
+_SLIDES = 0.5  # minimum share of a piece in which a motor slides, so that its friction is known
 
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Spectra of a stretch of one record, behind a Hann window."""
+    """Spectra of one piece of a record, with a Hann window."""
 
     experiment: str
     s: ComplexArray  # (n_lines,) [rad/s]
     torque: ComplexArray  # (n_lines, n_joints) [N m] of the motors
-    direction: ComplexArray  # (n_lines, n_joints) of sgn(velocity), which Coulomb friction follows
+    direction: ComplexArray  # (n_lines, n_joints) of sgn(velocity), for Coulomb friction
     velocity: ComplexArray  # (n_lines, n_joints) [rad/s] of the motors
     link_angle: FloatArray  # (n_joints,) [rad] mean posture
-    rows: tuple[int, ...]  # joints, from 0, that the stretch shows
+    rows: tuple[int, ...]  # joints, from 0, that are driven and slide
 
 
 def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Iterator[Piece]:
-    """Spectra of one record, in pieces of a few seconds.
+    """Yield spectra of one record, in pieces of a few seconds.
 
-    `ratio` (n_joints,): Gear ratios.
-    `most_lines`: Of a piece; of more those with most torque are taken, band by band on a
-        logarithmic scale.
-
-    Yields: Of the joint that the experiment names, or of all where it names none.
+    `ratio` (n_joints,) has the gear ratios. A piece has at most `most_lines` lines: the line with
+    the largest torque of each band on a logarithmic scale. If the experiment names a joint, only
+    that joint is driven; otherwise all joints are.
     """
     T, n = signals.sample_time, len(signals.time)
     length = min(n, round(LONGEST_PIECE / T))
     count = min(_MOST_PIECES, max(1, n // length))
-    named = signals.experiment.joint
-    excited = range(len(ratio)) if named is None else (named - 1,)
+    named_joint = signals.experiment.joint
+    excited = range(len(ratio)) if named_joint is None else (named_joint - 1,)
     frequency = np.fft.rfftfreq(length, T)
     highest = min(_SHARE / T, signals.bandwidth_hz or np.inf)
     inside = np.flatnonzero((frequency >= _LOWEST * frequency[1]) & (frequency <= highest))
     for first in np.linspace(0, n - length, count).astype(int):
-        at = slice(first, first + length)
-        slides = np.mean(np.abs(signals.direction[at]) > 0.5, axis=0)
+        chunk = slice(first, first + length)
+        sliding_share = np.mean(np.abs(signals.direction[chunk]) > 0.5, axis=0)
         torque, direction, velocity = (
-            _lines(x[at])[inside]
+            _lines(x[chunk])[inside]
             for x in (signals.motor_torque, signals.direction, signals.motor_velocity)
         )
-        whole = Piece(
+        piece = Piece(
             signals.experiment.name,
             np.asarray(2j * np.pi * frequency[inside]),
             torque,
             direction,
             velocity,
-            (ratio * signals.motor_angle[at]).mean(axis=0),
-            tuple(i for i in excited if slides[i] >= _SLIDES),
+            (ratio * signals.motor_angle[chunk]).mean(axis=0),
+            tuple(i for i in excited if sliding_share[i] >= _SLIDES),
         )
-        yield thinned(whole, most_lines)
+        yield thinned(piece, most_lines)
 
 
 def thinned(piece: Piece, most_lines: int) -> Piece:
-    """A piece with fewer lines: of each of so many bands the line with most torque."""
-    size, n = np.abs(piece.torque[:, list(piece.rows)]).sum(axis=1), len(piece.s)
+    """Reduce a piece to `most_lines` bands, with the line of largest torque in each."""
+    torque_sum, n = np.abs(piece.torque[:, list(piece.rows)]).sum(axis=1), len(piece.s)
     edges = np.geomspace(piece.s[0].imag, 1.001 * piece.s[-1].imag, most_lines + 1)
     band = np.searchsorted(edges, piece.s.imag, side="right")
-    order = np.lexsort((-size, band))
+    order = np.lexsort((-torque_sum, band))
     first = np.unique(band[order], return_index=True)[1]
     chosen = np.sort(order[first]) if n > most_lines else np.arange(n)
     return replace(
