@@ -1,4 +1,4 @@
-"""Log -> `Dataset`: which records are fitted, and what of each is compared with a simulated arm."""
+"""Prepare logs as `Dataset` records for the comparison with simulated arms."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from strainwave.signals.recorded_input import (
     recorded_drive,
 )
 
-_STEP = 2.5e-4  # [s] of the integrator: its error stays below a quarter of the sensors' noise
-_REST = 3.0  # encoder counts, or deviations of its noise, within which a joint is at standstill
+_STEP = 2.5e-4  # [s] integrator step; its error is below a quarter of the sensor noise
+_REST = 3.0  # encoder counts, or standard deviations of noise, within which a joint stands still
 STEPS_PER_PERIOD = 8.0
-"""Integrator steps in a period of the cut-off, where the step's error is corrected or tolerated."""
-_SAME_STEP = 1.0 + 1e-9  # factor within which two steps are the same but for rounding
-_TURN = 0.002  # [s] over which accelerations are seen
+"""Integrator steps per period of the cut-off if the step error is corrected or acceptable."""
+_SAME_STEP = 1.0 + 1e-9  # tolerance of step comparisons, for rounding
+_TURN = 0.002  # [s] spacing of the second differences that estimate accelerations
 
 
 def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
-    """The records of the whole-arm fit: all that excite gears and can be gone through again."""
+    """Select the records of the whole-arm fit: those that excite gears and can be simulated."""
     uses = ("frequency", "sweep", "tuning")
     return [
         log for log in logs if log.experiment.use in uses and not missing_motor_signal(arm, log)
@@ -41,14 +41,11 @@ def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
 
 
 def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:
-    """A record ready to be compared with simulated arms.
+    """Prepare a log for the comparison with simulated arms.
 
-    `cutoff_hz` [Hz]: Of the low-pass.
-    `closed_loop`: Servoed joints follow their references under the study's servo, where the log has
-        enough for that; otherwise the recorded voltages drive them.
-
-    Raises `InvalidInput`: the log lacks something that going through it again needs, or is too
-    short.
+    `cutoff_hz` is that of the low-pass. With `closed_loop`, the servo of the study drives servoed
+    joints if the log has the required signals; otherwise the recorded voltages drive all joints.
+    Raises `InvalidInput` if the log lacks motor signals or is too short for the low-pass.
     """
     missing = missing_motor_signal(arm, log)
     if missing:
@@ -56,12 +53,12 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     log = _with_link_angles(log, arm)
     T = log.sample_time
     kernels = low_pass_kernels(cutoff_hz, T)
-    reach = len(kernels.smooth)
-    if len(log) < 4 * reach:
+    n_taps = len(kernels.smooth)
+    if len(log) < 4 * n_taps:
         raise InvalidInput(
             f"lasts {len(log) * T:.3g} s, which a low-pass of {cutoff_hz:.3g} Hz leaves little of",
             where=log.name,
-            remedy=f"record at least {4 * reach * T:.2g} s",
+            remedy=f"record at least {4 * n_taps * T:.2g} s",
         )
     channels = tuple(_channels(log, arm))
     raw = [log.channels[channel.name] for channel in channels]
@@ -69,7 +66,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     counts = tuple(
         _count(arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0 for c in channels
     )
-    middle = 0.5 * (reach - 1) * T
+    half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
         log=log,
         arm=_as_driven(log, arm),
@@ -77,7 +74,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
         drive=_drive(log, arm, closed_loop=closed_loop),
         channels=channels,
         kernels=kernels,
-        time=log.time[0] + middle + kernels.step * T * np.arange(len(rows[0])),
+        time=log.time[0] + half_length + kernels.step * T * np.arange(len(rows[0])),
         measured=np.column_stack(rows),
         noise=noise_behind(channels, raw, kernels, counts),
         counts=counts,
@@ -89,22 +86,20 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
 
 
 def coarsened(record: Dataset, longest_step: float) -> Dataset:
-    """The same record in longer steps, for a search that is still far off.
+    """Lengthen the integrator step of a record for a coarse search.
 
-    `longest_step` [s]: Of the integrator; samples that lie closer are thinned, and voltages become
-        their means.
-
-    Returns: Its rows lie as far apart, about.
+    `longest_step` [s] also limits the sampling rate: closer samples are decimated, and voltages are
+    averaged. The row period stays approximately the same.
     """
     coarse = _thinned(record, max(1, int(longest_step / record.log.sample_time)))
     return replace(coarse, longest_step=max(longest_step, _STEP))
 
 
 def in_long_steps(record: Dataset) -> Dataset:
-    """The same rows of a record whose arm is simulated in the longest steps that the band allows.
+    """Lengthen the integrator step as far as the band allows, with the same rows.
 
-    Samples are thinned by a divisor of the samples per row, and the low-pass of the simulated
-    channels looks ahead by the distance between the centres of its taps before and after.
+    Samples are decimated by a divisor of the samples per row. The low-pass of the simulated
+    channels advances by the difference between the filter centres before and after decimation.
     """
     step, T = record.kernels.step, record.log.sample_time
     longest_step = 1.0 / (STEPS_PER_PERIOD * record.cutoff_hz)
@@ -119,7 +114,7 @@ def in_long_steps(record: Dataset) -> Dataset:
 
 
 def _thinned(record: Dataset, every: int) -> Dataset:
-    """A record of every so many-th sample, driven by the means of its voltages between them."""
+    """Decimate a record by the factor `every`, with averaged voltages."""
     log = record.log
     n = len(log) // every
     channels = {
@@ -144,7 +139,7 @@ def _thinned(record: Dataset, every: int) -> Dataset:
 
 
 def _with_link_angles(log: Log, arm: Arm) -> Log:
-    """With theta_l = n theta_m + deflection of joints whose torsion is what was measured."""
+    """Add link angles theta_l = n theta_m + deflection of joints with measured deflection."""
     channels, masked = dict(log.channels), dict(log.masked)
     for i, joint in enumerate(arm.joints, start=1):
         if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
@@ -155,16 +150,17 @@ def _with_link_angles(log: Log, arm: Arm) -> Log:
 
 
 def _counted(log: Log, channels: Sequence[Channel], kernels: Kernels) -> BoolArray | None:
-    """(n_rows, n_channels) whether no masked sample has a share in a row; None where all count."""
+    """Whether each row (n_rows, n_channels) is free of masked samples; None if all are."""
     masked = [unmeasured(log, (channel.name,)) for channel in channels]
     if not any(bad.any() for bad in masked):
         return None
-    reach, step = len(kernels.smooth), kernels.step
-    before = [np.r_[0, np.cumsum(bad)] for bad in masked]
-    return np.column_stack([(b[reach:] - b[:-reach])[::step] == 0 for b in before])
+    n_taps, step = len(kernels.smooth), kernels.step
+    masked_before = [np.r_[0, np.cumsum(bad)] for bad in masked]
+    return np.column_stack([(b[n_taps:] - b[:-n_taps])[::step] == 0 for b in masked_before])
 
 
 def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
+    """Compared channels of a log: motor angles, then the link sensors of each joint."""
     for i in range(1, arm.n_joints + 1):
         yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
     for i in range(1, arm.n_joints + 1):
@@ -179,38 +175,38 @@ def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
 
 
 def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
-    """The recorded voltages, held from sample to sample, in place of servos and references."""
+    """Inputs of the simulation: recorded voltages, or references and servos in closed loop."""
     if closed_loop and missing_recorded_input(arm, log) is None:
         return recorded_drive(arm, log)
     return driven_by_voltage(arm, log)[1]
 
 
 def _begins_in_motion(log: Log, arm: Arm) -> bool:
-    """Whether any motor is further on, at some early instant, than it could get from standstill.
+    """Whether any motor moves faster at first than it could from standstill.
 
-    From standstill it gets no further than a t^2 / 2, a its largest acceleration in all.
+    From standstill a motor moves at most a t^2 / 2, with a the largest acceleration of the record.
     """
     T = log.sample_time
     span = max(1, round(_TURN / T))
-    first = min(max(2, round(BEGINNING / T)), len(log) // 4)
-    t = T * np.arange(first)
+    n_first = min(max(2, round(BEGINNING / T)), len(log) // 4)
+    t = T * np.arange(n_first)
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
-        error = _REST * max(_count(joint), noise_deviation(angle))
-        bend = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
-        fastest = np.max(np.abs(bend)) / (span * T) ** 2
-        if np.any(np.abs(angle[:first] - angle[0]) > error + 0.5 * fastest * t**2):
+        tolerance = _REST * max(_count(joint), noise_deviation(angle))
+        second_difference = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
+        max_acceleration = np.max(np.abs(second_difference)) / (span * T) ** 2
+        if np.any(np.abs(angle[:n_first] - angle[0]) > tolerance + 0.5 * max_acceleration * t**2):
             return True
     return False
 
 
 def _count(joint: Joint) -> float:
-    """One step of the encoder [rad]."""
+    """Resolution of the motor encoder [rad], zero if unknown."""
     return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
 
 
 def _as_driven(log: Log, arm: Arm) -> Arm:
-    """Encoders without counts; an accelerometer of unknown place is simulated as an IMU."""
+    """The arm for simulation: unquantised encoders, and IMUs for sensors of unknown mounting."""
     joints = tuple(
         replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, arm, i), joint))
         for i, joint in enumerate(arm.joints, start=1)
@@ -219,7 +215,7 @@ def _as_driven(log: Log, arm: Arm) -> Arm:
 
 
 def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
-    """What the axes that may sit anywhere need to be simulated."""
+    """IMU that simulates the axes of unknown mounting; None if there are none."""
     if not axes:
         return None
     if axes[0].kind == "tangential":

@@ -1,4 +1,4 @@
-"""From a start to the minimum: rounds of robust weights, first coarse and then fine."""
+"""Iteratively reweighted least squares: a coarse search, then a fine search."""
 
 from __future__ import annotations
 
@@ -20,113 +20,111 @@ from strainwave.numerics.trust_region import Linearised, minimise
 COARSE_GAIN, COARSE_SHARE = (
     1.0,
     2e-3,
-)  # predicted gain at a rough end, in units of the cost and as a share
-_FINE, _GUESSED = 1e-2, 2e-2  # the same of the fit itself, and by weights that are guessed
-_ROUNDS = 4  # of new weights; the third seldom moves anything
-_ROUGH_ROUNDS = 8  # of the same far from the minimum
-_SETTLED = 0.2  # relative change of the weights
-_SMALLER = 0.7  # of what they were: errors that show a search had ended early
-_NEAR = 1e-8  # damping of a search that is close
+)  # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
+_FINE, _GUESSED = 1e-2, 2e-2  # absolute, of the fine search; relative, with initial weights
+_ROUNDS = 4  # maximum updates of the weights; the third rarely changes the result
+_ROUGH_ROUNDS = 8  # maximum updates of the weights in the coarse search
+_SETTLED = 0.2  # maximum change of log standard deviations at which the weights have converged
+_SMALLER = 0.7  # ratio of new to old standard deviations below which another search follows
+_NEAR = 1e-8  # initial damping near the minimum
 
 
 Progress = Callable[[int, int], None]
-"""Called with the number of an evaluation, and the most there may be."""
+"""Callback with the number of the evaluation and the maximum number of evaluations."""
 _progress: ContextVar[Progress] = ContextVar("_progress", default=lambda _k, _most: None)
 
 
 @contextmanager
 def reported(progress: Progress | None) -> Iterator[None]:
-    """Let searches begun inside say how far they are."""
+    """Report the progress of all searches in this context to `progress`."""
     if progress is None:
         yield
         return
-    before = _progress.set(progress)
+    token = _progress.set(progress)
     try:
         yield
     finally:
-        _progress.reset(before)
+        _progress.reset(token)
 
 
 def coarse_search(objective: Objective, start: FloatArray, options: TuningOptions) -> Fit:
-    """By weights that are guessed, and then by those that each search shows.
+    """Search from `start` (n_unknowns,) with initial weights, then with updated weights.
 
-    A search from far ends early by weights that its own errors made too lenient: new ones follow
-    for as long as the errors become much smaller.
-
-    `start` (n_unknowns,).
+    Large initial errors give small weights, with which a search ends early. The weights are updated
+    as long as the errors decrease markedly.
     """
-    first = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
-    if not first.converged or first.iterations >= options.max_iterations:
-        return replace(first, converged=False)
-    return _reweighted(first, options)
+    fit = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return replace(fit, converged=False)
+    return _reweighted(fit, options)
 
 
 def resumed_coarse_search(
     objective: Objective, z: FloatArray, spent: int, options: TuningOptions
 ) -> Fit:
-    """On from a rough fit whose records or unknowns have become others.
+    """Continue a coarse search from `z` (n_unknowns,) after a change of records or unknowns.
 
-    `z` (n_unknowns,).
-    `spent`: Evaluations so far.
+    `spent` is the number of evaluations so far.
     """
     return _reweighted(search_from(objective, z, spent, options, tolerance=COARSE_GAIN), options)
 
 
 def _reweighted(fit: Fit, options: TuningOptions) -> Fit:
-    """On from a rough fit, by new weights for as long as they become much smaller."""
+    """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.reweighted(fit.z))
     search = partial(search_from, options=options, tolerance=COARSE_GAIN, relative=COARSE_SHARE)
     for _ in range(_ROUGH_ROUNDS):
         fit = search(fit.objective, fit.z, fit.iterations)
-        renewed = fit.objective.reweighted(fit.z)
-        spent = not fit.converged or fit.iterations >= options.max_iterations
-        if spent or not _smaller(fit.objective, renewed):
+        updated = fit.objective.reweighted(fit.z)
+        is_finished = not fit.converged or fit.iterations >= options.max_iterations
+        if is_finished or not _smaller(fit.objective, updated):
             break
-        fit = replace(fit, objective=renewed)
+        fit = replace(fit, objective=updated)
     return fit
 
 
 def fine_search(objective: Objective, z: FloatArray, spent: int, options: TuningOptions) -> Fit:
-    """Least squares and new weights in turn until the weights settle; `polished` ends the search.
+    """Alternate least squares and weight updates until the weights converge.
 
-    `z` is near the minimum. The integrator's step error is corrected twice, where the first search
-    ends and near the minimum.
+    `z` (n_unknowns,) is near the minimum, and `spent` is the number of evaluations so far. The step
+    error of the integrator is corrected after the first search and again near the minimum. Call
+    `polished` to complete the search.
     """
     fit = search_from(objective, z, spent, options, tolerance=_FINE, relative=_GUESSED)
-    if spent >= options.max_iterations:  # what it costs is known, and no more
+    if spent >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=spent, converged=False)
     if fit.converged and fit.iterations < options.max_iterations:
         fit = refined(_corrected(fit), options, tolerance=_FINE)
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
-    return refined(_corrected(fit), options)  # where the step's errors are now those of the end
+    return refined(_corrected(fit), options)  # with the step error at the end of the search
 
 
 def _corrected(fit: Fit) -> Fit:
-    """With the step's errors, and weights, of where the fit is."""
+    """Update the step error correction and the weights at the current iterate."""
     return replace(fit, objective=fit.objective.corrected(fit.z).reweighted(fit.z))
 
 
 def refined(fit: Fit, options: TuningOptions, tolerance: float = COARSE_GAIN) -> Fit:
-    """The last rounds of `fine_search`, from a point so near that weights and step errors hold.
+    """Run the last rounds of `fine_search` from a point near the minimum.
 
-    By the usual tolerance the result is within a standard deviation of the minimum: the choice of
-    the model's parameters needs no more.
+    The step error correction is not updated. With the default tolerance the result is within one
+    standard deviation of the minimum, which is sufficient for the model selection.
     """
     search = partial(search_from, options=options, tolerance=tolerance)
     for _ in range(_ROUNDS):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
         fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR)
-        renewed = fit.objective.reweighted(fit.z)
-        if not fit.converged or _settled(fit.objective, renewed):
+        updated = fit.objective.reweighted(fit.z)
+        if not fit.converged or _settled(fit.objective, updated):
             break
-        fit = replace(fit, objective=renewed)
+        fit = replace(fit, objective=updated)
     return fit
 
 
 def polished(fit: Fit, options: TuningOptions) -> Fit:
-    """The minimum itself, by the weights of a refined fit."""
+    """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.converged or fit.iterations >= options.max_iterations:
         return fit
     return search_from(
@@ -145,14 +143,11 @@ def search_from(
     damping: float = 1e-3,
     most: int | None = None,
 ) -> Fit:
-    """The minimum by given weights.
+    """Minimise the objective with its current weights, from `z` (n_unknowns,).
 
-    `z` (n_unknowns,): To start from.
-    `spent`: Evaluations so far.
-    `tolerance, relative, damping`: See `minimise`.
-    `most`: Evaluations, if fewer than are left.
-
-    Raises `NotIdentifiable`: the arm cannot be simulated there.
+    `spent` is the number of evaluations so far, and `most` limits those of this search. See
+    `minimise` for `tolerance`, `relative` and `damping`. Raises `NotIdentifiable` if the arm cannot
+    be simulated at `z`.
     """
     left = options.max_iterations - spent
     evaluation = count(spent + 1)
@@ -161,7 +156,7 @@ def search_from(
         _progress.get()(next(evaluation), options.max_iterations)
         return objective.linearise(x)
 
-    found = minimise(
+    minimum = minimise(
         linearise,
         z,
         objective.space,
@@ -170,16 +165,20 @@ def search_from(
         damping=damping,
         max_evaluations=max(1, left if most is None else min(left, most)),
     )
-    if found is None:
+    if minimum is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm where it starts")
-    return Fit(objective, found.x, found.at.cost, spent + found.evaluations, found.converged)
+    return Fit(
+        objective, minimum.x, minimum.at.cost, spent + minimum.evaluations, minimum.converged
+    )
 
 
 def _settled(old: Objective, new: Objective) -> bool:
+    """Whether the weights have converged."""
     pairs = zip(old.weights, new.weights, strict=True)
     return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
 
 
 def _smaller(old: Objective, new: Objective) -> bool:
+    """Whether the error of any channel has decreased markedly."""
     pairs = zip(old.weights, new.weights, strict=True)
     return any(np.min(b.deviation / a.deviation) < _SMALLER for a, b in pairs)

@@ -1,4 +1,4 @@
-"""Where a whole-arm fit starts: its records, the parameters that are free, and their values."""
+"""Start of a whole-arm fit: records, unknowns and starting values."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ from strainwave.identification.whole_arm.sensors import (
 from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
 from strainwave.signals.mounting_start import mounting_starts
 
-_LOOKS = 31  # along a stiffness of which nothing is known, over a factor of nine
+_LOOKS = 31  # grid points of an unknown stiffness over its range, a factor of nine
 _UNLIKELY = (
     "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
     " of the channels, gear_ratio and torque_per_volt"
@@ -59,14 +59,14 @@ _UNLIKELY = (
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """All that a fit starts from."""
+    """Records, objective and starting values of a fit."""
 
     logs: list[Log]
     records: tuple[Dataset, ...]
-    coarse: Objective  # the same records in long steps
-    initial: FloatArray  # (n_unknowns,) by the steps before
-    start: FloatArray  # (n_unknowns,) the same, or where it led to while starts were compared
-    rejected: tuple[Diagnostic, ...]  # starts that were impossible
+    coarse: Objective  # of the same records in long integrator steps
+    initial: FloatArray  # (n_unknowns,) from the preceding stages
+    start: FloatArray  # (n_unknowns,) `initial`, or its improvement by the comparison of starts
+    rejected: tuple[Diagnostic, ...]  # for starting values that no arm can have
 
 
 def start_of(
@@ -77,14 +77,14 @@ def start_of(
     chosen: TuningOptions,
     given: Mapping[Key, float] | None,
 ) -> Start:
-    """Records, objective and point that a fit starts from.
+    """Prepare the records and choose the starting values of a fit.
 
-    `logs`: Those of other uses are left out.
-    `candidates`: Sets of joints to start from: the records decide.
-    `given`: (name, joint) -> value, in place of those of the stages before.
+    `logs` that the whole-arm fit does not use are ignored. `candidates` are alternative sets of
+    joint models; the records decide which one starts the fit. `given` maps (name, joint) to values
+    that replace those of the preceding stages.
 
-    Raises `NotIdentifiable`: there is no record to fit, or a start is missing or impossible;
-    `InvalidInput`: A record lacks something that going through it again needs.
+    Raises `NotIdentifiable` if there is no record to fit or no feasible start, and `InvalidInput`
+    if a record lacks data for its simulation.
     """
     used = usable(logs, arm)
     if chosen.as_published:
@@ -94,8 +94,8 @@ def start_of(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
             " angle and the voltage of every motor"
         )
-    every = [joint for joints in candidates for joint in joints]
-    records, long_steps = _records(used, every, arm, chosen)
+    all_joints = [joint for joints in candidates for joint in joints]
+    records, long_steps = _records(used, all_joints, arm, chosen)
 
     placed = mounting_starts(logs, arm, used)
     given = placed | ({} if given is None else dict(given))
@@ -109,13 +109,13 @@ def start_of(
 
     best = best_candidate(candidates, objective_of, chosen)
     joints = best.joints
-    if len(candidates) > 1:  # the band is now known better
+    if len(candidates) > 1:  # the best candidate determines the band
         records, long_steps = _records(used, joints, arm, chosen)
     space = search_by(joints)
-    own = {key for record in records for key in record.sensor_constants()}
-    space = with_sensors(space, [key for key in given if key in own])
-    nothing = {key: nominal(key) for key in space.keys if is_optional(key)}
-    start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nothing | given)
+    sensor_keys = {key for record in records for key in record.sensor_constants()}
+    space = with_sensors(space, [key for key in given if key in sensor_keys])
+    nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
+    start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
     initial = start
     if best.reached is not None:
         start = space.coordinates(space.values(start) | best.reached | given)
@@ -140,7 +140,7 @@ def start_of(
 def _records(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, chosen: TuningOptions
 ) -> tuple[tuple[Dataset, ...], list[Dataset]]:
-    """Records in a band that such joints need, and the same in long steps."""
+    """Prepare the records in the band of the joints' resonances, in short and in long steps."""
     cutoff = chosen.cutoff_hz or _cutoff(used, joints, arm)
     plain = with_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
@@ -150,23 +150,24 @@ def _records(
 
 
 def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
-    """Where the cost is least along the range of a stiffness of which nothing is known.
+    """Scan the range of an unknown stiffness for the minimum of the cost.
 
-    A resonance is a tenth wide, and from further off a search ends beside it.
+    A resonance is about 10 % wide. A search that starts further away ends in a local minimum.
     """
-    own = [k for k, key in enumerate(coarse.space.keys) if key[1] == joint and is_slope(key[0])]
-    low, high = coarse.space.lower[own], coarse.space.upper[own]
-    best, least = start, np.inf
+    slopes = [k for k, key in enumerate(coarse.space.keys) if key[1] == joint and is_slope(key[0])]
+    low, high = coarse.space.lower[slopes], coarse.space.upper[slopes]
+    best, lowest = start, np.inf
     for share in np.linspace(0.0, 1.0, _LOOKS):
         z = start.copy()
-        z[own] = low + share * (high - low)
-        found = coarse.linearise(z)
-        if found is not None and found.cost < least:
-            best, least = z, found.cost
+        z[slopes] = low + share * (high - low)
+        linearised = coarse.linearise(z)
+        if linearised is not None and linearised.cost < lowest:
+            best, lowest = z, linearised.cost
     return best
 
 
 def _check_link_encoders(record: Dataset, arm: Arm) -> None:
+    """Raise `InvalidInput` if an effect moves a link encoder relative to the ground."""
     for channel in record.channels:
         for effect in arm.joints[channel.joint - 1].named_effects:
             if channel.quantity == "link_angle" and effect_named(effect).moves_link_encoder:
@@ -179,11 +180,11 @@ def _check_link_encoders(record: Dataset, arm: Arm) -> None:
 
 
 def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], arm: Arm) -> float:
-    """Some way above the highest resonance, but no higher than the motors show motion."""
-    shown = min(velocity_band(log, arm) for log in used)
+    """Cut-off [Hz] above the highest resonance, within the signal band of the motor velocities."""
+    signal_hz = min(velocity_band(log, arm) for log in used)
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
-    limit = LEAST_BAND / max(log.sample_time for log in used)
-    return min([shown, limit] + ([BAND * max(resonances)] if resonances else []))
+    sampling_limit = LEAST_BAND / max(log.sample_time for log in used)
+    return min([signal_hz, sampling_limit] + ([BAND * max(resonances)] if resonances else []))
 
 
 def _space(
@@ -193,6 +194,7 @@ def _space(
     arm: Arm,
     options: TuningOptions,
 ) -> ParameterSpace:
+    """Unknowns with starting values from the joint models, gear curves included."""
     voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)
     space = space_of(
         model, joints, arm, largest_voltage=voltage.tolist(), floor=options.least_deviation

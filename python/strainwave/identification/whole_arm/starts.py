@@ -1,8 +1,7 @@
-"""Where the whole-arm fit starts: what the steps before found, or what such arms have.
+"""Starting values of the whole-arm fit, from the preceding stages or typical of such arms.
 
-A value of a step before that no arm can have, as negative gear damping, says that something is
-wrong with the data or the study. It does not keep the fit from finding out what: an ordinary value
-takes its place, and a warning says so.
+An estimate that no arm can have, such as negative gear damping, indicates an error in the data or
+the study. A typical value replaces it, with a warning, so that the fit can locate the error.
 """
 
 from __future__ import annotations
@@ -26,47 +25,45 @@ VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
 COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 
-_LEAST_SHARE = 0.05  # of the total viscous friction, where a start would be negative
-_ANTI_RESONANCE_HZ = 15.0  # of arms with strain-wave gears: 10 to 30, small ones up to 60
-_DAMPING = 0.03  # damping ratio of such gears
-_RATIOS = (0.01, 0.5)  # damping ratios to start within: ranges lie about the start
+_LEAST_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
+_ANTI_RESONANCE_HZ = 15.0  # typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
+_DAMPING = 0.03  # typical damping ratio of strain-wave gears
+_RATIOS = (0.01, 0.5)  # range of starting damping ratios, as search ranges are relative to them
 
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Values to start from, and what was impossible among those of the steps before."""
+    """Starting values, and the estimates of preceding stages that no arm can have."""
 
     values: Values
     rejected: Mapping[Key, float]
 
 
 def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) -> Starts:
-    """A start for every parameter but the curves'.
+    """Starting values of all parameters of an arm with linear gears.
 
-    `model`: Dispensable for a single joint without gravity.
-    `joints`: One per joint.
-
-    Raises `NotIdentifiable`: A joint has no model, or the rigid model lacks something that nothing
-    can stand for.
+    `joints` has one model per joint. `model` may be None for a single joint without gravity. Raises
+    `NotIdentifiable` if a joint has no model, or if the rigid model lacks an estimate for which no
+    typical value exists.
     """
     models = _by_joint(joints, arm)
-    found = StageInertias(
+    estimates = StageInertias(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
         link={number: joint.values["link_inertia"] for number, joint in models.items()},
         rigid={(p.name, p.joint): p.value for p in model.parameters} if model else {},
     )
-    start, rejected = kind_of(arm).starting_inertias(arm, found)
+    start, rejected = kind_of(arm).starting_inertias(arm, estimates)
     if arm.gravity is not None:
         for i in range(1, arm.n_joints + 1):
-            start[f"gravity_torque_{i}", None] = found.needed(f"gravity_torque_{i}")
+            start[f"gravity_torque_{i}", None] = estimates.needed(f"gravity_torque_{i}")
     for number in sorted(models):
         values = models[number].values
         stiffness, damping = values["gear_stiffness"], values["gear_damping"]
-        load = value_of(arm.link_inertia(number), start)
+        link_inertia = value_of(arm.link_inertia(number), start)
         if not is_positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
-            stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * load
-        critical = 2.0 * float(np.sqrt(stiffness * load))
+            stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * link_inertia
+        critical = 2.0 * float(np.sqrt(stiffness * link_inertia))
         if not is_positive(damping):
             rejected["gear_damping", number] = damping
             damping = _DAMPING * critical
@@ -79,7 +76,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
 
 
 def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
-    """What a reader must know of starts that were impossible."""
+    """Warn of each estimate that a typical value replaces."""
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
@@ -91,37 +88,37 @@ def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
 def _friction(
     model: RigidModel | None, joint: JointModel, arm: Arm, number: int
 ) -> dict[str, float]:
-    """Of the joint's model, Coulomb friction and its offset of the rigid one where it has them."""
+    """Viscous friction of the joint model; Coulomb friction and offset of the rigid model."""
     values = _mended(joint.values, arm.joints[number - 1].gear_ratio)
-    found = {name: values[name] for name in VISCOUS}
-    found[OFFSET] = _known(model, OFFSET, number) or 0.0
-    coulomb = _known(model, COULOMB, number)  # not every route to a joint's model gives it
-    return found | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
+    friction = {name: values[name] for name in VISCOUS}
+    friction[OFFSET] = _known(model, OFFSET, number) or 0.0
+    coulomb = _known(model, COULOMB, number)  # some joint models have no Coulomb friction
+    return friction | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
 
 
 def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
-    """A negative viscous friction starts at a small share of the total, the other at the rest."""
-    mended = dict(values)
+    """Split the total viscous friction so that neither motor nor link has a negative share."""
+    repaired = dict(values)
     motor, link = (values[name] for name in VISCOUS)
-    least = _LEAST_SHARE * abs(motor + ratio**2 * link)
-    if motor < least:
-        mended[VISCOUS[0]] = least
-        mended[VISCOUS[1]] = max(link + (motor - least) / ratio**2, least / ratio**2)
-    elif ratio**2 * link < least:
-        mended[VISCOUS[1]] = least / ratio**2
-        mended[VISCOUS[0]] = max(motor + ratio**2 * link - least, least)
-    return mended
+    minimum = _LEAST_SHARE * abs(motor + ratio**2 * link)
+    if motor < minimum:
+        repaired[VISCOUS[0]] = minimum
+        repaired[VISCOUS[1]] = max(link + (motor - minimum) / ratio**2, minimum / ratio**2)
+    elif ratio**2 * link < minimum:
+        repaired[VISCOUS[1]] = minimum / ratio**2
+        repaired[VISCOUS[0]] = max(motor + ratio**2 * link - minimum, minimum)
+    return repaired
 
 
 def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
-    found = {joint.joint: joint for joint in joints}
+    models = {joint.joint: joint for joint in joints}
     for number, joint in enumerate(arm.joints, start=1):
-        if not joint.elastic or number not in found:
+        if not joint.elastic or number not in models:
             raise NotIdentifiable(
                 f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"
                 ' has none: record it with use = "frequency"'
             )
-    return found
+    return models
 
 
 def _known(model: RigidModel | None, name: str, joint: int) -> float | None:

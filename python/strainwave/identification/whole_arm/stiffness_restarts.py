@@ -1,4 +1,4 @@
-"""Other starts for stiffness curves that ended with fewer bends than their law has."""
+"""Restarts of stiffness curves that converged with fewer knees than their law has."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from strainwave.identification.whole_arm.solver import fine_search
 
 
 def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
-    """The best of a fit and those from other curves, for each gear whose curve lost a bend."""
+    """Restart the search from other curves for each gear whose curve lost a knee.
+
+    Returns the fit of least cost.
+    """
     for number, joint in enumerate(selection.arm.joints, start=1):
         law = joint.law
         if not law.is_curved or (law.names[0], number) not in fit.objective.space.keys:
@@ -27,43 +30,41 @@ def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
                 return replace(fit, converged=False)
             z = fit.objective.space.coordinates(start)
             try:
-                other = trial(fit, fit.objective, z, selection, TRIAL)
+                restarted = trial(fit, fit.objective, z, selection, TRIAL)
             except NotIdentifiable:
-                continue  # such a curve cannot be simulated
-            fit = better(fit, other)
-            found = fit.objective.space.values(fit.z)
-            if found != values and not any(other_starts(law, found, number, largest)):
-                break  # it has all its bends again
+                continue  # the arm cannot be simulated with this curve
+            fit = better(fit, restarted)
+            new_values = fit.objective.space.values(fit.z)
+            if new_values != values and not any(other_starts(law, new_values, number, largest)):
+                break  # the curve has all its knees
     return fit
 
 
 def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
-    """A fit again from other curves, where one lost a bend that does not show in long steps.
+    """Restart a fine fit from other curves if a curve lost a knee.
 
-    These have evaluations of their own, as many as the fit without them.
+    Long integrator steps may hide the loss in the coarse fit. The restarts have their own budget of
+    evaluations, equal to that of the fit.
     """
-    before = selection.options
+    options = selection.options
     selection.renew(fit)
-    again = with_stiffness_restarts(fit, selection)
-    if again.iterations == fit.iterations:
-        selection.options = before
+    restarted = with_stiffness_restarts(fit, selection)
+    if restarted.iterations == fit.iterations:
+        selection.options = options
         return fit
-    if again.cost < fit.cost:
-        objective = again.objective.reweighted(again.z)
-        return fine_search(objective, again.z, again.iterations, selection.options)
-    return replace(again, converged=fit.converged)
+    if restarted.cost < fit.cost:
+        objective = restarted.objective.reweighted(restarted.z)
+        return fine_search(objective, restarted.z, restarted.iterations, selection.options)
+    return replace(restarted, converged=fit.converged)
 
 
 def other_starts(
     law: GearLaw, values: Values, joint: int, largest_torque: float
 ) -> Iterator[Values]:
-    """The whole arm with other curves of one gear.
+    """Values of the arm with alternative curves of one gear.
 
-    `values`: Of the whole arm, where a search ended.
-    `joint`: From 1.
-    `largest_torque` [N m]: That its gear carries in the records.
-
-    Yields: Nothing if the curve has all its bends.
+    `values` are those at the end of a search, `joint` counts from 1, and `largest_torque` [N m] is
+    that of the gear in the records. Yields nothing if the curve has all its knees.
     """
     for start in law.restarts(law.of_joint(values, joint), largest_torque):
         yield {**values, **{(name, joint): value for name, value in start.items()}}
