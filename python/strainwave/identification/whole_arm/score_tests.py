@@ -1,7 +1,8 @@
-"""What models with one more effect would explain of what a fit left, without fitting them.
+"""Score tests for effects that the model lacks.
 
-A score test: the derivative of every channel by an effect's size, at size nothing, joins the fit's
-own derivatives as one more column. What it takes off the cost in one linear step is the evidence.
+The derivatives of all channels with respect to the sizes of an effect, at size zero, extend the
+Jacobian of the fit. The cost reduction of one linear step is the test statistic, so that no model
+with the effect needs to be fitted.
 """
 
 from __future__ import annotations
@@ -36,26 +37,28 @@ from strainwave.identification.whole_arm.residual_analysis import exceed_noise
 from strainwave.numerics.distributions import chi_square_limit
 
 FALSE_ALARMS = 1e-4
-"""Of a fit whose residuals are noise, the odds that any effect seems to be there."""
+"""Probability that any effect is significant if the residuals are noise."""
 
 MATTERS = 0.04
-"""Share of the cost from which an effect matters, whatever it moves."""
+"""Cost reduction, relative, from which an effect is relevant in any case."""
 
 LEAST = 0.01
-"""Share of the cost below which none does: an error of another kind explains as much."""
+"""Cost reduction, relative, below which no effect is relevant: other errors explain as much."""
 
-_INTERVAL = 1.96  # deviations by which moving another parameter does
+_INTERVAL = (
+    1.96  # shift of another parameter, in standard deviations, that makes an effect relevant
+)
 
 
 @dataclass(frozen=True, slots=True)
 class Tested:
-    """A score test, and where its linear step leads."""
+    """A score test and the parameter values after its linear step."""
 
     test: ScoreTest
-    chance: float  # odds by which noise may pass for an effect, of each that is tested
-    alone: float  # what the effect takes off the cost with no other beside it
-    rigid: float  # and before that, not trusting what the rigid step says for lack of it
-    values: Values  # of the unknowns, sizes and unusual shapes, after that step alone
+    chance: float  # false alarm probability of one test
+    alone: float  # cost reduction by this effect alone
+    rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
+    values: Values  # of unknowns, sizes and non-default shapes, after the step of this effect alone
 
     @property
     def one(self) -> NamedEffect:
@@ -64,24 +67,23 @@ class Tested:
 
     @property
     def promising(self) -> bool:
-        """Whether it is beyond noise and worth a fit, which may explain more than a linear step."""
+        """Whether the effect is significant and explains enough to justify a fit."""
         return bool(self.test.shifts)
 
 
 def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
-    """The effects that no joint's model has yet, the most significant first.
+    """Test the effects that the model lacks, the most significant first.
 
-    Where residuals exceed the sensors' noise, an effect is tested at each of its sets of shapes,
-    and the one that gains most alone is kept; else at the first of them.
-
-    Returns: Each one's gain is beyond that of those before; empty where the arm with effects cannot
-    be simulated.
+    If residuals exceed the sensor noise, each effect is tested at all its sets of shapes, and the
+    set with the largest cost reduction is kept. Otherwise only the first set is tested. Each cost
+    reduction is in addition to those of the preceding significant effects. Returns an empty list if
+    the arm cannot be simulated with the effects.
     """
     candidates = _missing(fit, arm)
     if not candidates:
         return []
     hypotheses = _hypotheses(fit, arm, candidates)
-    for steps in (in_long_steps(fit), fit):  # an effect may be too stiff for long steps
+    for steps in (in_long_steps(fit), fit):  # some effects are too stiff for long steps
         try:
             return list(_chosen(EffectColumns.of(steps, arm, hypotheses), fit))
         except (InvalidInput, NumericalFailure):
@@ -90,93 +92,98 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
 
 
 def in_long_steps(fit: Fit) -> Fit:
-    """The fit, with arms simulated in longer steps: derivatives by effects need no shorter ones."""
+    """The fit with long integrator steps, which are sufficient for derivatives by effects."""
     objective = fit.objective.in_long_steps(fit.z)
     at = objective.linearise(fit.z)
     return fit if at is None else replace(fit, objective=objective, cost=at.cost)
 
 
 def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
-    known = effects_in(fit.objective.space, arm)
-    read = [channel for record in fit.objective.records for channel in record.channels]
-    encoders = {channel.joint for channel in read if channel.quantity == "link_angle"}
+    """Effects that the model lacks and that the channels of the records permit."""
+    present = effects_in(fit.objective.space, arm)
+    channels = [channel for record in fit.objective.records for channel in record.channels]
+    encoders = {channel.joint for channel in channels if channel.quantity == "link_angle"}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
         for effect in all_effects()
         if joint.elastic
-        and (number, effect.name) not in known
+        and (number, effect.name) not in present
         and (number == 1 or not effect.first_joint_only)
         and not (number in encoders and effect.moves_link_encoder)
     ]
 
 
 def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[Hypothesis, Shapes]:
-    """The sets of shapes at which effects are tested: one each where residuals are noise.
+    """Sets of shapes at which the effects are tested.
 
-    Further ones have frequencies within the band in which records are compared. Beside an effect
-    that the model has, every derivative takes a simulation of its own: there, too, one set is
-    tested.
+    Only one set per effect is tested if the residuals are noise. The same holds if the model has
+    an effect already, because each derivative then requires a separate simulation. The frequencies
+    of further sets lie within the band of the low-pass.
     """
     records, values = fit.objective.records, fit.objective.space.values(fit.z)
     band = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
-    once = bool(effects_in(fit.objective.space, arm)) or not exceed_noise(fit.objective, fit.z)
-    found: dict[Hypothesis, Shapes] = {}
+    single_set = bool(effects_in(fit.objective.space, arm)) or not exceed_noise(
+        fit.objective, fit.z
+    )
+    hypotheses: dict[Hypothesis, Shapes] = {}
     for joint, name in candidates:
         effect = effect_named(name)
         first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
-        seen = [one for one in further if not once and _highest(effect, one) < band]
-        for number, shapes in enumerate((first, *seen)):
-            found[Hypothesis(joint, name, number)] = shapes
-    return found
+        in_band = [one for one in further if not single_set and _highest(effect, one) < band]
+        for number, shapes in enumerate((first, *in_band)):
+            hypotheses[Hypothesis(joint, name, number)] = shapes
+    return hypotheses
 
 
 def _highest(effect: Effect, shapes: Shapes) -> float:
     """The highest frequency among shapes [Hz]."""
-    found = (value for name, value in shapes.items() if effect.described(name).units[0] == "Hz")
-    return max(found, default=0.0)
+    frequencies = (
+        value for name, value in shapes.items() if effect.described(name).units[0] == "Hz"
+    )
+    return max(frequencies, default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """What one effect takes off the cost, and by which sizes."""
+    """Linear step of one effect: sizes and cost reduction."""
 
     candidate: Hypothesis
     names: tuple[str, ...]
     gain: float
-    rigid: float  # what mistrust of the rigid step takes off before that
+    rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
     size: FloatArray
     std: FloatArray
-    shift: FloatArray  # of what that says
+    shift: FloatArray  # of the rigid-step estimates
 
     def beyond(self, chance: float) -> float:
-        """What the gain has beyond what as many sizes gain from noise with a chance."""
+        """Cost reduction beyond the chi-square limit at a false alarm probability."""
         return self.gain - chi_square_limit(chance, len(self.size))
 
 
 def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
-    """One after the other, each given those before it as long as they are evident."""
+    """Forward selection: each effect is tested given the significant effects before it."""
     chance = FALSE_ALARMS / len(columns.sizes)
     taken = np.zeros((len(columns.target), 0))
-    alone = _best_shapes([_step(columns, one, taken) for one in columns.sizes])
-    left, steps = list(alone), list(alone.values())
-    while left:
+    alone = _best_shapes([_step(columns, hypothesis, taken) for hypothesis in columns.sizes])
+    remaining, steps = list(alone), list(alone.values())
+    while remaining:
         best = max(steps, key=lambda step: step.beyond(chance))
-        one = best.candidate
-        found = _scored(best, fit, _moved(columns, best, fit), chance)
-        reached = _reached(columns, alone[one], fit)
-        yield Tested(found, chance, alone[one].gain, alone[one].rigid, reached)
-        left.remove(one)
-        if found.evident:
-            taken = np.column_stack([taken, columns.seen(one), columns.shifts(one)])
-            steps = [_step(columns, other, taken) for other in left]
+        hypothesis = best.candidate
+        score_test = _scored(best, fit, _moved(columns, best, fit), chance)
+        reached = _reached(columns, alone[hypothesis], fit)
+        yield Tested(score_test, chance, alone[hypothesis].gain, alone[hypothesis].rigid, reached)
+        remaining.remove(hypothesis)
+        if score_test.evident:
+            taken = np.column_stack([taken, columns.seen(hypothesis), columns.shifts(hypothesis)])
+            steps = [_step(columns, other, taken) for other in remaining]
         else:
             steps = [step for step in steps if step is not best]
 
 
 def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
-    """Of each effect, the step at the shapes that gain most."""
+    """For each effect, the step at the shapes with the largest cost reduction."""
     best: dict[NamedEffect, _Step] = {}
     for step in steps:
         one = step.candidate.one
@@ -186,14 +193,14 @@ def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
 
 
 def _moved(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
-    """The unknowns after the linear step that makes room for an effect."""
-    move = columns.answer(step.candidate, step.size, step.shift)
+    """Values of the unknowns after the linear step of an effect."""
+    change = columns.answer(step.candidate, step.size, step.shift)
     space = fit.objective.space
-    return space.values(space.moved(fit.z, space.trusted(fit.z, move, 1.0)))
+    return space.values(space.moved(fit.z, space.trusted(fit.z, change, 1.0)))
 
 
 def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
-    """Those, and what a fit may start from: sizes, without sign above zero, and unusual shapes."""
+    """Starting values of a fit: unknowns, admissible sizes and non-default shapes."""
     one = step.candidate
     joint, effect = one.joint, effect_named(one.effect)
     usual = columns.shapes[replace(one, number=0)]
@@ -209,10 +216,10 @@ def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
 
 
 def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
-    """A score test in words of the effect's parameters."""
+    """Score test by the parameters of the effect."""
     share = step.gain / max(fit.cost, 1e-300)
     significant = step.beyond(chance) > 0.0
-    moves = tuple(shifts(fit, moved)) if significant and share > LEAST else ()
+    parameter_shifts = tuple(shifts(fit, moved)) if significant and share > LEAST else ()
     return ScoreTest(
         joint=step.candidate.joint,
         effect=step.candidate.effect,
@@ -220,79 +227,80 @@ def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
         stds=dict(zip(step.names, step.std.tolist(), strict=True)),
         gain=step.gain,
         share=share,
-        evident=significant and matters(share, moves),
-        shifts=moves,
+        evident=significant and matters(share, parameter_shifts),
+        shifts=parameter_shifts,
         limit=chi_square_limit(chance, len(step.size)),
     )
 
 
 def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
-    """Whether an effect explains much, or something while a parameter leaves its 95 % interval.
+    """Whether an effect is relevant.
 
-    `share`: Of the cost.
+    It is if its `share` of the cost exceeds `MATTERS`, or if the share exceeds `LEAST` and another
+    parameter leaves its 95 % confidence interval.
     """
     moved = any(abs(move.deviations) > _INTERVAL for move in moves)
     return share > MATTERS or (share > LEAST and moved)
 
 
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
-    """By how much the arm's parameters differ from a fit's, the most significant first.
+    """Shifts of the arm parameters due to an additional effect, the most significant first.
 
-    `values`: (name, joint) -> value, in a model with one more effect.
-
-    Yields: Of inertias, gravity, gears and Coulomb friction: what sensors do is no parameter of the
-    arm, and of viscous friction only sums are known.
+    `values` maps (name, joint) to the values of the model with the effect. Yields shifts of
+    inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
+    and only sums of viscous frictions are identifiable.
     """
     before = fit.objective.space.values(fit.z)
-    std = np.sqrt(np.diag(fit.confidence.combined))
-    found = []
-    for (name, joint), deviation in zip(fit.objective.space.keys, std.tolist(), strict=True):
-        if _is_primary((name, joint)) and deviation > 0.0:
+    stds = np.sqrt(np.diag(fit.confidence.combined))
+    parameter_shifts = []
+    for (name, joint), std in zip(fit.objective.space.keys, stds.tolist(), strict=True):
+        if _is_primary((name, joint)) and std > 0.0:
             shift = values[name, joint] - before[name, joint]
-            found.append(ParameterShift(name, joint, before[name, joint], shift, shift / deviation))
-    yield from sorted(found, key=lambda move: -abs(move.deviations))
+            parameter_shifts.append(
+                ParameterShift(name, joint, before[name, joint], shift, shift / std)
+            )
+    yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 
 
 def _is_primary(key: Key) -> bool:
-    others = (*VISCOUS, OFFSET, SETTLING)
+    """Whether a parameter is an inertia, a gravity torque, of a gear, or Coulomb friction."""
+    excluded = (*VISCOUS, OFFSET, SETTLING)
     of_effects = {name for effect in all_effects() for name in effect.names}
     name = base_name(key[0])
-    return not (name in others or name in of_effects or is_sensor_constant(key))
+    return not (name in excluded or name in of_effects or is_sensor_constant(key))
 
 
 def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
-    """The best sizes of one effect beside those taken already; none below nothing.
+    """Optimal sizes of one effect in addition to the columns `taken`.
 
-    What the rigid step says wrongly for lack of the effect is free.
+    Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing
+    effect are free.
     """
     parts = (columns.shifts(one), columns.seen(one), columns.target)
-    shifts, seen, target = _beside(taken, *parts)
-    own, left = _beside(shifts, seen, target)
+    shifts, columns_of_effect, target = _beside(taken, *parts)
+    projected, remaining = _beside(shifts, columns_of_effect, target)
     names = tuple(name for name, _ in columns.sizes[one])
     effect = effect_named(one.effect)
-    size = least_squares(own, left, np.array([effect.is_signed(name) for name in names]))
-    gain = float(np.sum(left**2) - np.sum((left + own @ size) ** 2))
-    std = np.sqrt(np.diag(np.linalg.pinv(own.T @ own)))
-    shift = np.asarray(np.linalg.lstsq(shifts, -(target + seen @ size))[0])
-    rigid = float(np.sum(target**2) - np.sum(left**2))
+    size = least_squares(projected, remaining, np.array([effect.is_signed(name) for name in names]))
+    gain = float(np.sum(remaining**2) - np.sum((remaining + projected @ size) ** 2))
+    std = np.sqrt(np.diag(np.linalg.pinv(projected.T @ projected)))
+    shift = np.asarray(np.linalg.lstsq(shifts, -(target + columns_of_effect @ size))[0])
+    rigid = float(np.sum(target**2) - np.sum(remaining**2))
     return _Step(one, names, gain, rigid, size, std, shift)
 
 
 def _beside(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
-    """What a basis leaves of columns."""
+    """Project columns on the orthogonal complement of the columns `taken`."""
     basis = np.linalg.qr(taken)[0]
     for columns in others:
         yield columns - basis @ (basis.T @ columns)
 
 
 def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
-    """Sizes that take most off the target; those without sign that come out negative are zero.
+    """Least squares for sizes (n_sizes,) that minimise |target + columns size|.
 
-    `columns` (n_rows, n_sizes).
-    `target` (n_rows,).
-    `signed` (n_sizes,).
-
-    Returns: (n_sizes,).
+    `columns` is (n_rows, n_sizes), `target` (n_rows,) and `signed` (n_sizes,). Sizes without sign
+    that would be negative are zero.
     """
     free, size = np.ones(len(signed), dtype=bool), np.zeros(len(signed))
     while free.any():

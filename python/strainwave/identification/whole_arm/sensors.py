@@ -1,10 +1,9 @@
-"""Constants of link sensors in the whole-arm fit: delays, scales, drifts by evidence only.
+"""Selection of link sensor constants: delays, scale factors, tilts, bandwidths and drifts.
 
-A score test says whether the residuals follow what a sensor's delay, scale or tilt would make of
-its channel. A sensor without any costs nothing, and a clean rig's intervals stay as narrow as they
-are: beside a free delay gear damping would be known less well. A late sensor whose bandwidth the
-study does not have gets that as an unknown beside its delay: up to its own frequency a low-pass is
-little else than a delay. Where a sensor sits, if that is not known, is an unknown from the start.
+The whole-arm fit estimates a constant only if a score test finds it significant. An unnecessary
+delay would widen the confidence interval of the gear damping. A delayed sensor of unknown bandwidth
+gets its bandwidth as a further unknown, because a low-pass is nearly a pure delay below its
+bandwidth. Unknown mountings are estimated from the start.
 """
 
 from __future__ import annotations
@@ -47,30 +46,31 @@ from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
 
-_EVIDENT = 4.0  # deviations at which a constant joins: of eight candidates none by chance
-_MATTERS_COARSELY = 0.1  # and share of the cost far from the minimum, where long steps err as well
-_STANDS_OUT = 1.0  # deviations of the rest of the residuals, that a drift reaches by the end
-_STAYS = 3.0  # and that it must keep, by the more cautious covariance
+_EVIDENT = 4.0  # standard deviations from which a constant joins: no false alarm in 8 candidates
+_MATTERS_COARSELY = 0.1  # minimum cost reduction in long steps, relative: these have step errors
+_STANDS_OUT = 1.0  # minimum drift at the ends of a record, in standard deviations of the residual
+_STAYS = 3.0  # standard deviations below which the fine fit removes a constant
 
-_AT_END = 0.99  # share of its range from which a constant is at its end
-_SIZE = 0.1  # [m, or 1] of the parts of a mounting, at least
-_NEAREST = 1e-3  # [m] from the axis, where a search for a distance may start
-_FAR = 30.0  # of it, as far as they may go
-_WIDE = float(np.log(30.0))  # and a bandwidth
-_FASTEST = 1e4  # [m/s^3, or rad/s^2] of drifts
-_LARGEST_TILT = 0.5  # [rad] of an accelerometer that is called tangential
-_SHORTEST = 3e-5  # [s] of a delay that may be a low-pass: 7.5 kHz
-_SHARE = 0.5  # of a delay that is first taken for a low-pass
-_WORTH_DELAY = 1e-4  # [s] from which a rig is worth a look: half a sample of a usual logger
-_WORTH_SCALE = 0.01  # what data sheets promise
+_AT_END = 0.99  # share of its range from which a constant is at a bound
+_SIZE = 0.1  # [m or 1] minimum scale of the coordinates of a mounting
+_NEAREST = 1e-3  # [m] minimum starting distance from the axis
+_FAR = 30.0  # range of mounting coordinates, in units of their scale
+_WIDE = float(np.log(30.0))  # range of the logarithm of a distance, bandwidth or mount constant
+_FASTEST = 1e4  # [m/s^3 or rad/s^2] range of drifts
+_LARGEST_TILT = 0.5  # [rad] range of the tilt of a tangential accelerometer
+_SHORTEST = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
+_SHARE = 0.5  # share of a delay that the starting bandwidth explains
+_WORTH_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
+_WORTH_SCALE = 0.01  # minimum scale error of a warning: typical tolerance of a data sheet
 
 
 def with_sensors(
     space: ParameterSpace, keys: Sequence[Key], starts: Values | None = None
 ) -> ParameterSpace:
-    """The unknowns of some sensors' constants beside those there are.
+    """Add sensor constants to the unknowns.
 
-    `starts`: Of a mounting and of bandwidths, which have no nominal value.
+    `starts` gives the starting values of constants without a nominal value: those of mountings,
+    bandwidths and mount resonances.
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in START}
@@ -102,74 +102,75 @@ def _unknown(key: Key, starts: Values) -> Unknown:
 
 
 def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """A fit with the bandwidths of late sensors beside their delays, where none is given.
+    """Add the bandwidths of delayed sensors whose bandwidth the study does not give.
 
-    `coarse`: Whether the fit is only near the minimum, and may stay so.
+    The starting values attribute half of each delay to the low-pass. `coarse` selects the search
+    that follows.
     """
     arm, options = selection.arm, selection.options
     space = fit.objective.space
     values, starts = space.values(fit.z), {}
     for delay, bandwidth in _late(fit, arm):
-        late = values[delay]
-        if late > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
-            starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _SHARE * late)
-            values[delay] = (1.0 - _SHARE) * late
+        lag = values[delay]
+        if lag > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
+            starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _SHARE * lag)
+            values[delay] = (1.0 - _SHARE) * lag
     if not starts or fit.iterations >= options.max_iterations:
         return fit
-    wider = with_sensors(space, list(starts), starts)
-    objective, begin = fit.objective.for_unknowns(wider), wider.coordinates(values | starts)
+    extended = with_sensors(space, list(starts), starts)
+    objective, start = fit.objective.for_unknowns(extended), extended.coordinates(values | starts)
     if coarse:
-        return resumed_coarse_search(objective, begin, fit.iterations, options)
-    return _refined_from(fit, objective, begin, options)
+        return resumed_coarse_search(objective, start, fit.iterations, options)
+    return _refined_from(fit, objective, start, options)
 
 
 def _late(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
-    """Sensors whose delay is an unknown and whose bandwidth the study does not have."""
+    """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
     keys, seen = fit.objective.space.keys, set()
     for channel in (c for record in fit.objective.records for c in record.channels):
         delay, bandwidth = (of(channel.sensor, channel.joint) for of in (delay_of, bandwidth_of))
         if delay is None or bandwidth is None or delay not in keys or delay in seen:
             continue
         seen.add(delay)
-        drive = arm.joints[channel.joint - 1]
+        joint_data = arm.joints[channel.joint - 1]
         sensor = channel.sensor
-        given = getattr(drive, f"{sensor}_hz", None)
+        given = getattr(joint_data, f"{sensor}_hz", None)
         if sensor.startswith("imu_"):
-            given = getattr(drive.imu, f"{sensor[len('imu_') :]}_hz", None)
+            given = getattr(joint_data.imu, f"{sensor[len('imu_') :]}_hz", None)
         if given is None:
             yield delay, bandwidth
 
 
 def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
-    """A fit with those sensor constants besides that its residuals speak for.
+    """Add significant sensor constants until none is left.
 
-    `coarse`: Whether the fit is only near the minimum, and may stay so.
+    `coarse` selects the search that follows and raises the required cost reduction.
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
-        sizes = _evident(fit, options, _MATTERS_COARSELY * fit.cost if coarse else 0.0)
-        sizes |= _evident_drifts(fit, options)
-        if not sizes:
+        estimates = _evident(fit, options, _MATTERS_COARSELY * fit.cost if coarse else 0.0)
+        estimates |= _evident_drifts(fit, options)
+        if not estimates:
             break
         values = fit.objective.space.values(fit.z)
-        space = with_sensors(fit.objective.space, list(sizes))
-        begin = space.coordinates(values | sizes)
+        space = with_sensors(fit.objective.space, list(estimates))
+        start = space.coordinates(values | estimates)
         objective = fit.objective.for_unknowns(space)
         if coarse:
-            fit = resumed_coarse_search(objective, begin, fit.iterations, options)
+            fit = resumed_coarse_search(objective, start, fit.iterations, options)
         else:
-            fit = _refined_from(fit, objective, begin, options)
+            fit = _refined_from(fit, objective, start, options)
     return fit
 
 
 def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
-    """The minimum near a point, by other unknowns than the fit's."""
-    near = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
-    return refined(near, options)
+    """Refine from `z` (n_unknowns,) with the changed unknowns of `objective`."""
+    start = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
+    return refined(start, options)
 
 
 def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
-    """Again without the sensor constants that are nothing as far as the records say."""
+    """Remove sensor constants that are not significant, one by one."""
     while idle := _idle(fit):
         values = fit.objective.space.values(fit.z)
         space = fit.objective.space.holding(idle)
@@ -180,32 +181,40 @@ def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
 
 
 def _idle(fit: Fit) -> dict[Key, float]:
-    """The least evident of those constants, at its nominal value; empty if there is none.
+    """Least significant sensor constant and its nominal value; empty if all are significant.
 
-    One at the end of its range is wrong, whatever its deviation by a fit that it spoils.
+    A constant at a bound of its range is ignored, because its standard deviation is invalid there.
     """
     space = fit.objective.space
     optional = [key for key in space.keys if is_optional(key) and not is_of_mount(key)]
     if not optional:
         return {}
-    deviation = np.sqrt(np.diag(fit.confidence.cautious))
-    inside = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
-    rows = zip(space.keys, space.parameters(fit.z), deviation, inside, strict=True)
-    apart = {
+    stds = np.sqrt(np.diag(fit.confidence.cautious))
+    within_range = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
+    rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
+    significance = {
         key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
         if key in optional and (within or is_bandwidth(key))
     }
-    for key in [key for key in apart if _twin(key) in apart and _twin(key) != key]:
-        # a delay and a low-pass that cannot be separated both stay, and say so
-        if apart[key] < _STAYS and apart[_twin(key)] < _STAYS and not _ended(fit, key):
-            del apart[key]
-    least = min(apart, key=lambda key: apart[key], default=None)
-    return {least: nominal(least)} if least is not None and apart[least] < _STAYS else {}
+    for key in [key for key in significance if _twin(key) in significance and _twin(key) != key]:
+        # a delay and a low-pass that cannot be separated both stay; their intervals show it
+        if (
+            significance[key] < _STAYS
+            and significance[_twin(key)] < _STAYS
+            and not _ended(fit, key)
+        ):
+            del significance[key]
+    weakest = min(significance, key=lambda key: significance[key], default=None)
+    return (
+        {weakest: nominal(weakest)}
+        if weakest is not None and significance[weakest] < _STAYS
+        else {}
+    )
 
 
 def _twin(key: Key) -> Key:
-    """A sensor's delay by its bandwidth, and the other way round."""
+    """Bandwidth key for a delay key and vice versa; other keys are unchanged."""
     name, joint = key
     sensor, _, what = name.rpartition("_")
     other = {"delay": "bandwidth", "bandwidth": "delay"}.get(what, what)
@@ -213,15 +222,16 @@ def _twin(key: Key) -> Key:
 
 
 def _ended(fit: Fit, key: Key) -> bool:
-    """Whether a bandwidth is as wide as it may be: there is no low-pass."""
+    """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
     k = fit.objective.space.keys.index(key)
     return is_bandwidth(key) and bool(fit.z[k] > _AT_END * fit.objective.space.upper[k])
 
 
 def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
-    """Sensor constants that a linear step would give a value that is evident, with that value.
+    """Significant sensor constants and their values after one linear step.
 
-    One after the other, each beside those before it, as long as it gains at least so much.
+    Forward selection: each constant must reduce the cost by `least` and significantly, given those
+    before it.
     """
     known = set(fit.objective.space.keys)
     candidates = [
@@ -234,50 +244,50 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
         return {}
     factor = _scores(fit, candidates)
     columns, target = factor[:, :-1], factor[:, -1]
-    taken: list[int] = []
-    left = float(target @ target)
-    while len(taken) < len(candidates):
-        costs = {k: _left(columns[:, [*taken, k]], target) for k in range(len(candidates))}
-        best = min((k for k in costs if k not in taken), key=lambda k: costs[k])
-        if left - costs[best] < max(_EVIDENT**2, least):
+    selected: list[int] = []
+    cost = float(target @ target)
+    while len(selected) < len(candidates):
+        costs = {k: _left(columns[:, [*selected, k]], target) for k in range(len(candidates))}
+        best = min((k for k in costs if k not in selected), key=lambda k: costs[k])
+        if cost - costs[best] < max(_EVIDENT**2, least):
             break
-        taken.append(best)
-        left = costs[best]
-    if not taken:
+        selected.append(best)
+        cost = costs[best]
+    if not selected:
         return {}
-    sizes = np.linalg.lstsq(columns[:, taken], -target)[0]
+    estimates = np.linalg.lstsq(columns[:, selected], -target)[0]
     return {
         candidates[k]: nominal(candidates[k]) + float(size)
-        for k, size in zip(taken, sizes, strict=True)
+        for k, size in zip(selected, estimates, strict=True)
     }
 
 
 def _evident_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
-    """Drifts that stand out of what their channels' residuals are without them, with their rates.
+    """Significant drifts of sensor biases and their rates.
 
-    By the fit's weights errors in a row say the same thing, and a drift is one long row of them:
-    here the deviation of a rate is that of residuals less the drift.
+    The weights of the fit count a drift as correlated errors. The standard deviation of a rate
+    therefore follows from the residuals minus the drift.
     """
-    objective, found = fit.objective, {}
-    each = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
-    for record, weights, rows in each:
+    objective, rates = fit.objective, {}
+    evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
+    for record, weights, rows in evaluated:
         since = record.since_middle
         residuals = rows.residual * weights.deviation
         for channel, residual in zip(record.channels, residuals.T, strict=True):
             key = drift_of(channel.scaled, channel.joint, record.log.name)
-            wanted = channel.shifted and key is not None and not is_held(key, options)
-            if key is None or not wanted or key in objective.space.keys:
+            is_candidate = channel.shifted and key is not None and not is_held(key, options)
+            if key is None or not is_candidate or key in objective.space.keys:
                 continue
             rate = float(-since @ residual / (since @ since))
-            rest = residual + rate * since
-            std = np.std(rest) * np.sqrt(repeats_of(rest) / (since @ since))
-            if abs(rate) > max(_EVIDENT * std, _STANDS_OUT * np.std(rest) / np.max(since)):
-                found[key] = rate
-    return found
+            remaining = residual + rate * since
+            std = np.std(remaining) * np.sqrt(repeats_of(remaining) / (since @ since))
+            if abs(rate) > max(_EVIDENT * std, _STANDS_OUT * np.std(remaining) / np.max(since)):
+                rates[key] = rate
+    return rates
 
 
 def _imitated(key: Key, fit: Fit) -> bool:
-    """Whether a scale is what a tilt makes of two accelerometers."""
+    """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes."""
     name, joint = key
     if not name.startswith("imu_a") or not name.endswith("_scale"):
         return False
@@ -287,6 +297,7 @@ def _imitated(key: Key, fit: Fit) -> bool:
 
 
 def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
+    """R of [sensor constants, residual] after projection on the complement of the unknowns."""
     objective = fit.objective
     values, simulated = objective.space.values(fit.z), objective.simulated(fit.z)
 
@@ -300,41 +311,45 @@ def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
 
 
 def _left(columns: FloatArray, target: FloatArray) -> float:
-    """The least squares cost with some columns."""
+    """Residual sum of squares after regression on the columns."""
     step = np.linalg.lstsq(columns, -target)[0]
     return float(np.sum((target + columns @ step) ** 2))
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """What a reader must know of a rig whose link sensors are late or out of scale."""
-    for found in parameters:
-        key = found.name, found.joint
-        if is_drift(key) and found.value is not None:
-            yield _drifts(found, found.value)
-        if not found.name.endswith(("_delay", "_scale")) or found.value is None:
+    """Warn of link sensors with delays, scale errors or drifts."""
+    for parameter in parameters:
+        key = parameter.name, parameter.joint
+        if is_drift(key) and parameter.value is not None:
+            yield _drifts(parameter, parameter.value)
+        if not parameter.name.endswith(("_delay", "_scale")) or parameter.value is None:
             continue
         if not is_optional(key):
             continue
-        least = _WORTH_DELAY if found.name.endswith("_delay") else _WORTH_SCALE
-        if abs(found.value - nominal(key)) < least:
+        threshold = _WORTH_DELAY if parameter.name.endswith("_delay") else _WORTH_SCALE
+        if abs(parameter.value - nominal(key)) < threshold:
             continue
-        sensor = found.name.rsplit("_", 1)[0].replace("_", " ")
-        half = 1.96 * (found.std or 0.0)
-        if found.name.endswith("_delay"):
-            side = "behind" if found.value > 0.0 else "ahead of"
-            text = f"the {sensor} is {1e3 * abs(found.value):.3g} ± {1e3 * half:.2g} ms {side} the"
+        sensor = parameter.name.rsplit("_", 1)[0].replace("_", " ")
+        half = 1.96 * (parameter.std or 0.0)
+        if parameter.name.endswith("_delay"):
+            side = "behind" if parameter.value > 0.0 else "ahead of"
+            text = (
+                f"the {sensor} is {1e3 * abs(parameter.value):.3g} ± {1e3 * half:.2g} ms {side} the"
+            )
             text += (
                 " motor encoder; estimated and corrected. Likely causes: its bandwidth is missing"
             )
             text += " from the study, latency of its converter or bus, time stamps"
-            yield Diagnostic("sensor-delay", f"joint {found.joint}", text)
+            yield Diagnostic("sensor-delay", f"joint {parameter.joint}", text)
         else:
-            text = f"the {sensor} reads {found.value:.4g} ± {half:.2g} times the motion; estimated"
+            text = (
+                f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion; estimated"
+            )
             text += (
                 " and corrected. Likely causes: its calibration, its distance from the axis in the"
             )
             text += " study, its direction"
-            yield Diagnostic("sensor-scale", f"joint {found.joint}", text)
+            yield Diagnostic("sensor-scale", f"joint {parameter.joint}", text)
 
 
 def _drifts(found: Parameter, rate: float) -> Diagnostic:
