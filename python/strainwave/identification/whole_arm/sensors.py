@@ -192,24 +192,18 @@ def _idle(fit: Fit) -> dict[Key, float]:
     stds = np.sqrt(np.diag(fit.confidence.cautious))
     within_range = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
     rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
-    significance = {
+    distances = {
         key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
         if key in optional and (within or is_bandwidth(key))
     }
-    for key in [key for key in significance if _twin(key) in significance and _twin(key) != key]:
+    for key in [key for key in distances if _twin(key) in distances and _twin(key) != key]:
         # a delay and a low-pass that cannot be separated both stay; their intervals show it
-        if (
-            significance[key] < _STAYS
-            and significance[_twin(key)] < _STAYS
-            and not _ended(fit, key)
-        ):
-            del significance[key]
-    weakest = min(significance, key=lambda key: significance[key], default=None)
+        if distances[key] < _STAYS and distances[_twin(key)] < _STAYS and not _ended(fit, key):
+            del distances[key]
+    weakest = min(distances, key=lambda key: distances[key], default=None)
     return (
-        {weakest: nominal(weakest)}
-        if weakest is not None and significance[weakest] < _STAYS
-        else {}
+        {weakest: nominal(weakest)} if weakest is not None and distances[weakest] < _STAYS else {}
     )
 
 

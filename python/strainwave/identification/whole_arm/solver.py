@@ -50,8 +50,8 @@ def reported(progress: Progress | None) -> Iterator[None]:
 def coarse_search(objective: Objective, start: FloatArray, options: TuningOptions) -> Fit:
     """Search from `start` (n_unknowns,) with initial weights, then with updated weights.
 
-    Large initial errors give small weights, with which a search ends early. The weights are updated
-    as long as the errors decrease markedly.
+    Large initial errors give small weights, and with these a search may end too early. The weights
+    are updated as long as the errors decrease markedly.
     """
     fit = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
     if not fit.converged or fit.iterations >= options.max_iterations:

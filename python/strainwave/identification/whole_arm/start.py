@@ -112,8 +112,8 @@ def start_of(
     if len(candidates) > 1:  # the best candidate determines the band
         records, long_steps = _records(used, joints, arm, chosen)
     space = search_by(joints)
-    sensor_keys = {key for record in records for key in record.sensor_constants()}
-    space = with_sensors(space, [key for key in given if key in sensor_keys])
+    measured_keys = {key for record in records for key in record.sensor_constants()}
+    space = with_sensors(space, [key for key in given if key in measured_keys])
     nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
     start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
     initial = start
