@@ -1,8 +1,8 @@
-"""A record ready to be compared: how it is simulated, and what its channels should read.
+"""A record prepared for the comparison of measured and simulated channels.
 
-The recorded voltages drive the arm, so that no servo has to be known. Angles are compared as
-velocities, which do not drift away as open-loop angles do. Every channel passes through one
-linear-phase low-pass on both sides and is then thinned to what that leaves of it.
+The recorded voltages drive the simulated arm, so that the servo may be unknown. Angles are compared
+as velocities, because open-loop angles drift. The same linear-phase low-pass filters the measured
+and the simulated channels, which are then decimated to rows.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kerne
 from strainwave.numerics.filters import noise_deviation
 
 INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
-"""What is unknown of the beginning of a record that begins in motion, joint by joint."""
+"""Unknown initial states of a record that begins in motion, one of each per joint."""
 
 BEGINNING = 0.02
-"""[s] In which it is looked for whether a record begins at standstill, and how fast it moves."""
+"""Time [s] from the start in which initial velocity and standstill are estimated."""
 
-_SHORTER = 4.0  # times shorter steps, whose error no longer counts
-_SHORT_STEPS = 120.0  # nor that of so many in a period of the cut-off, 600 in one of a resonance
-_WIDER = 1e-3  # share by which a bandwidth is varied for its slope
+_SHORTER = 4.0  # factor of shorter steps with negligible step error
+_SHORT_STEPS = 120.0  # steps per period of the cut-off (600 per resonance period): negligible error
+_WIDER = 1e-3  # relative change of a bandwidth for its numerical derivative
 Key = tuple[str, int | None]
-_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # that have a bandwidth
+_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # sensors with a bandwidth
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,47 +61,46 @@ class Channel:
     name: str
     joint: int  # from 1
     quantity: Quantity
-    rate: bool  # whether it is an angle, compared as a velocity
-    shifted: bool  # whether an unknown constant is added to it
-    axis: Axis | None = None  # of a sensor that may sit anywhere
+    rate: bool  # True for an angle, which is compared as a velocity
+    shifted: bool  # whether it has an unknown bias
+    axis: Axis | None = None  # of a sensor of unknown mounting
 
     @property
     def sensor(self) -> str:
-        """By what its sensor's constants are named."""
+        """Name of the sensor in the keys of its constants."""
         return self.quantity if self.axis is None else self.axis.sensor
 
     @property
     def scaled(self) -> str:
-        """By what its scale is named."""
+        """Name of the sensor or axis in the key of its scale factor."""
         return self.quantity if self.axis is None else self.axis.scaled
 
     @property
     def reads(self) -> tuple[Quantity, ...]:
-        """What has to be simulated for it."""
+        """Simulated quantities that the channel requires."""
         return (self.quantity,) if self.axis is None else self.axis.quantities
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """One record, ready to be compared."""
+    """A record with its simulation inputs and its filtered measured channels."""
 
     log: Log
-    arm: Arm  # as it was driven; without counts, to be smooth in the parameters
+    arm: Arm  # without encoder quantisation, so that the outputs are smooth in the parameters
     cutoff_hz: float
     drive: Drive
     channels: tuple[Channel, ...]
     kernels: Kernels
     time: FloatArray  # (n_rows,) [s]
     measured: FloatArray  # (n_rows, n_channels)
-    noise: FloatArray  # (n_channels,) standard deviation of the sensors' own noise behind it
-    counts: tuple[float, ...]  # of each channel, by which its samples are rounded; zero: unknown
+    noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
+    counts: tuple[float, ...]  # resolution of each channel; zero if unknown
     moving: bool  # whether it begins in motion
     longest_step: float  # [s] of the integrator
-    lacking: FloatArray  # (n_rows, n_channels) what the integrator's step takes from the channels
-    # (n_rows, n_channels) False where it is no measurement; None: all are
+    lacking: FloatArray  # (n_rows, n_channels) correction of the integrator step error
+    # (n_rows, n_channels) False where a row contains masked samples; None if none does
     counted: BoolArray | None = field(default=None, kw_only=True)
-    # (n_rows, n_channels) the part of `lacking` that is the step's error where it was last
-    # corrected; None: it was not
+    # (n_rows, n_channels) step error at the parameters of the last correction; None before any
     step_error: FloatArray | None = field(default=None, kw_only=True)
 
     @property
@@ -112,14 +111,14 @@ class Dataset:
         return tuple((name, i) for name in INITIAL for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
-        """A first guess of the unknown initial states, (n_local,): gears unloaded."""
+        """Starting values (n_local,) of the initial states, with unloaded gears."""
         if not self.moving:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time
-        first = max(2, round(BEGINNING / T))
+        n_first = max(2, round(BEGINNING / T))
         ratios = np.array([joint.gear_ratio for joint in self.arm.joints])
-        angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:first] for i in range(n)])
-        slope, origin = np.polyfit(T * np.arange(first), angle, 1)
+        angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:n_first] for i in range(n)])
+        slope, origin = np.polyfit(T * np.arange(n_first), angle, 1)
         return np.concatenate([slope, ratios * origin, ratios * slope])
 
     def run(
@@ -128,7 +127,7 @@ class Dataset:
         local: FloatArray,
         record: Sequence[Quantity],
     ) -> dict[Quantity, FloatArray]:
-        """What an arm does in this experiment: (n_samples, n_joints) of each quantity."""
+        """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
         inputs = self._inputs(values)
         runs = simulate_arms(
             self._arm_at(values),
@@ -147,58 +146,56 @@ class Dataset:
         local: FloatArray,
         directions: Sequence[tuple[str, int | None]],
     ) -> tuple[FloatArray, FloatArray]:
-        """The channels of an arm, without their unknown constants, and their derivatives.
+        """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
-        Derivatives are those with respect to parameters, sensor constants among them, and then to
-        initial states.
-
-        Returns: (n_rows, n_channels) (n_rows, n_channels, n_directions + n_local).
+        The derivatives (n_rows, n_channels, n_directions + n_local) are those with respect to the
+        `directions`, which are parameters and sensor constants, and then to the initial states.
         """
         inputs = self._inputs(values)
         simulated = [key for key in directions if not is_sensor_constant(key)]
-        given = inputs.directions(simulated)
-        ringing = self._rings(values)
+        core_directions = inputs.directions(simulated)
+        resonates = self._rings(values)
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
             inputs.begun(self._begun(local)),
-            [*given, *self.local],
+            [*core_directions, *self.local],
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
             longest_step=self.longest_step,
-            low_pass=None if ringing else self.low_pass(),
+            low_pass=None if resonates else self.low_pass(),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
-        by_channel = self.seen if ringing else self._by_channel
-        seen, tangent = by_channel(motion, values) + self.lacking, by_channel(slopes, values)
-        tangent = inputs.by_parameters(tangent, given, simulated)
+        to_channels = self.seen if resonates else self._by_channel
+        channels, tangent = to_channels(motion, values) + self.lacking, to_channels(slopes, values)
+        tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
             tangent = tangent * scales[:, None]
         if len(simulated) < len(directions):
-            own = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
-            keys = [directions[k] for k in own]
-            by_sensors = self._sensor_tangent(seen, motion, values, local, keys)
-            whole = np.empty((*seen.shape, tangent.shape[2] + len(own)))
-            whole[..., np.delete(np.arange(whole.shape[2]), own)] = tangent
-            whole[..., own] = by_sensors
-            tangent = whole
-        return seen * scales + self.drifts(values), tangent
+            sensor_places = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
+            keys = [directions[k] for k in sensor_places]
+            by_sensors = self._sensor_tangent(channels, motion, values, local, keys)
+            columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
+            columns[..., np.delete(np.arange(columns.shape[2]), sensor_places)] = tangent
+            columns[..., sensor_places] = by_sensors
+            tangent = columns
+        return channels * scales + self.drifts(values), tangent
 
     def _inputs(self, values: Mapping[tuple[str, int | None], float]) -> RecordInputs:
-        """What the core is given in this record, effects that it does not know among it."""
+        """Inputs of the compiled core, with the effects that are realised through inputs."""
         return inputs_in(self.arm, dict(values), self.log.name, hanging=not self.moving)
 
     def _arm_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
-        """The arm with those bandwidths of sensors that are among the values."""
-        found = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
-        return with_bandwidths(self.arm, found) if found else self.arm
+        """The arm with the sensor bandwidths of `values`."""
+        bandwidths = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
+        return with_bandwidths(self.arm, bandwidths) if bandwidths else self.arm
 
     def observed(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
-        """The measured channels, those of late sensors moved back by their delays.
+        """Measured channels (n_rows, n_channels), advanced by the delays of their sensors.
 
-        (n_rows, n_channels). Before its first and after its last sample a record goes on as it was.
+        The first and the last sample extend the record.
         """
         delays = [
             values.get(key, 0.0) if (key := delay_of(c.sensor, c.joint)) else 0.0
@@ -206,16 +203,16 @@ class Dataset:
         ]
         if not any(delays):
             return self.measured
-        T, found = self.log.sample_time, self.measured.copy()
+        T, channels = self.log.sample_time, self.measured.copy()
         for k, (channel, delay) in enumerate(zip(self.channels, delays, strict=True)):
             if not delay:
                 continue
-            whole = round(delay / T)
+            n_samples = round(delay / T)
             raw = self.log.channels[channel.name]
-            moved = raw[np.clip(np.arange(len(raw)) + whole, 0, len(raw) - 1)]
-            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - whole)
-            found[:, k] = kernels.rows(moved, rate=channel.rate)
-        return found
+            advanced = raw[np.clip(np.arange(len(raw)) + n_samples, 0, len(raw) - 1)]
+            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_samples)
+            channels[:, k] = kernels.rows(advanced, rate=channel.rate)
+        return channels
 
     def sensor_tangent(
         self,
@@ -224,16 +221,12 @@ class Dataset:
         local: FloatArray,
         keys: Sequence[tuple[str, int | None]],
     ) -> FloatArray:
-        """Derivatives of simulated less measured channels by sensor constants.
+        """Derivatives of simulated minus measured channels with respect to sensor constants.
 
-        s x(t) + r (t - t_m) - y(t + D) has the derivatives x by s, t - t_m by r, and -y', for which
-        -s x' stands, by D.
-
-        `seen` (n_rows, n_channels): x, without scales.
-        `local` (n_local,).
-        `keys`: Sensor constants.
-
-        Returns: (n_rows, n_channels, n_keys).
+        s x(t) + r (t - t_m) - y(t + D) has the derivatives x with respect to s, t - t_m with
+        respect to r, and -y' with respect to D, approximated by -s x'. `seen` (n_rows, n_channels)
+        is x, without scale factors; `local` (n_local,) are the initial states; `keys` are sensor
+        constants. Returns (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
         if any(is_mounting(key) or is_of_mount(key) for key in keys):
@@ -249,40 +242,45 @@ class Dataset:
         local: FloatArray,
         keys: Sequence[tuple[str, int | None]],
     ) -> FloatArray:
-        """The same, of samples (n_samples, n_joints) of each quantity where a mount rings.
+        """`sensor_tangent` for a given motion.
 
-        Of rows (n_rows, n_joints) elsewhere.
+        `motion` holds samples (n_samples, n_joints) if any mount resonates, otherwise rows
+        (n_rows, n_joints).
         """
-        found, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
+        tangent, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
         mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
         for k, channel in enumerate(self.channels):
             for at, key in enumerate(keys):
                 if key == scale_of(channel.scaled, channel.joint):
-                    found[:, k, at] = seen[:, k]
+                    tangent[:, k, at] = seen[:, k]
                 elif key == drift_of(channel.scaled, channel.joint, self.log.name):
-                    found[:, k, at] = self.since_middle
+                    tangent[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
-                    found[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
+                    tangent[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
             for key, slope in self._by_mount(channel, motion, values, keys).items():
-                found[:, k, keys.index(key)] = scales[k] * slope
+                tangent[:, k, keys.index(key)] = scales[k] * slope
             if channel.axis is not None and mounting:
-                each = np.stack([motion[name][:, channel.joint - 1] for name in channel.reads], 1)
+                quantities = np.stack(
+                    [motion[name][:, channel.joint - 1] for name in channel.reads], 1
+                )
                 if self._rings(values):
-                    each = self.kernels.rows(self._behind(channel, each, values), rate=False)
+                    quantities = self.kernels.rows(
+                        self._behind(channel, quantities, values), rate=False
+                    )
                 by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
-                found[:, k, mounting] += scales[k] * each @ by
+                tangent[:, k, mounting] += scales[k] * quantities @ by
         bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
         if bandwidths:
             wider = {keys[k]: (1.0 + _WIDER) * values[keys[k]] for k in bandwidths}
             runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
-            wide, own = (self.seen(run, values) for run in runs)
+            wider_rows, nominal = (self.seen(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
                     if keys[at] == bandwidth_of(channel.sensor, channel.joint):
-                        by = (wide[:, k] - own[:, k]) / (_WIDER * values[keys[at]])
-                        found[:, k, at] = scales[k] * by
-        return found
+                        by = (wider_rows[:, k] - nominal[:, k]) / (_WIDER * values[keys[at]])
+                        tangent[:, k, at] = scales[k] * by
+        return tangent
 
     def _by_mount(
         self,
@@ -291,7 +289,7 @@ class Dataset:
         values: Mapping[tuple[str, int | None], float],
         keys: Sequence[tuple[str, int | None]],
     ) -> dict[Key, FloatArray]:
-        """Derivatives of one channel's rows by its mount's constants, without scales."""
+        """Derivatives of a channel's rows by its mount constants, without scale factors."""
         mount, names = self._mount(channel, values), mount_of(channel.sensor, channel.joint)
         if mount is None or names is None or not any(name in keys for name in names):
             return {}
@@ -300,68 +298,68 @@ class Dataset:
         return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
 
     def sensor_constants(self) -> list[tuple[str, int | None]]:
-        """What may be wrong with the link sensors among the channels: scales, tilts, drifts..."""
-        found = list(constants_of((c.sensor, c.joint) for c in self.channels))
+        """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
+        constants = list(constants_of((c.sensor, c.joint) for c in self.channels))
         axes = self._axes()
         for axis in axes:
-            own = [one for one in axes if one.joint == axis.joint]
+            joint_axes = [one for one in axes if one.joint == axis.joint]
             scale = scale_of(axis.scaled, axis.joint)
-            apart = scale_is_apart(axis, own, self.arm)
-            if scale is not None and apart and scale not in found:
-                found.append(scale)
-            if scale in found and not apart:
-                found.remove(scale)
+            is_separate = scale_is_apart(axis, joint_axes, self.arm)
+            if scale is not None and is_separate and scale not in constants:
+                constants.append(scale)
+            if scale in constants and not is_separate:
+                constants.remove(scale)
             if axis.kind == "tangential":
-                found.append((TILT, axis.joint))
+                constants.append((TILT, axis.joint))
         drifts = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels if c.shifted)
-        return [*found, *(key for key in drifts if key is not None)]
+        return [*constants, *(key for key in drifts if key is not None)]
 
     def tables(
         self, values: Mapping[tuple[str, int | None], float], axes: Sequence[Axis]
     ) -> list[FloatArray]:
-        """Of each axis, rows of what it reads a combination of and, last, of what it reads.
+        """For each axis, the simulated quantities that it combines and, last, its reading.
 
-        (n_rows, n_quantities + 1) without means, from an arm that begins at its first guess; no
-        rows of axes that the record lacks.
+        Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
+        initial states of `start`. The table of an axis that the record lacks has no rows.
         """
         rows = self._rows(self.run(values, self.start(), self.quantities()))
         at = {channel.axis: k for k, channel in enumerate(self.channels)}
-        found = []
+        tables = []
         for axis in axes:
             parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
-            whole = np.zeros((0, len(axis.quantities) + 1))
+            table = np.zeros((0, len(axis.quantities) + 1))
             if axis in at:
-                whole = np.column_stack([*parts, self.measured[:, at[axis]]])
-                whole = whole - whole.mean(axis=0)
-            found.append(whole)
-        return found
+                table = np.column_stack([*parts, self.measured[:, at[axis]]])
+                table = table - table.mean(axis=0)
+            tables.append(table)
+        return tables
 
     def _axes(self) -> list[Axis]:
         return [channel.axis for channel in self.channels if channel.axis is not None]
 
     def sensor_scales(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
-        """(n_channels,) one where a sensor has none."""
+        """Scale factors (n_channels,), one where a sensor has none."""
         keys = (scale_of(channel.scaled, channel.joint) for channel in self.channels)
         return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
 
     def drifts(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
-        """What drifting sensors add to the channels: (n_rows, n_channels)."""
+        """Contribution (n_rows, n_channels) of the sensor drifts to the channels."""
         keys = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels)
         rates = [0.0 if key is None else values.get(key, 0.0) for key in keys]
         return np.outer(self.since_middle, rates)
 
     @property
     def since_middle(self) -> FloatArray:
-        """(n_rows,) [s] so that a drift leaves a channel's mean as it is."""
+        """Time (n_rows,) [s] minus its mean, so that a drift does not change the mean."""
         return np.asarray(self.time - np.mean(self.time))
 
     def corrected(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> Dataset:
-        """The same, with the error of its integrator's step made good, as it is for an arm.
+        """Correct the integrator step error and the noise estimate at the given parameters.
 
-        For arms nearby it is nearly the same: a search may go on in long steps. Of the sensors'
-        noise it knows more, too: what is noise is not in the arm's motion, quick as that may be.
+        The step error changes little near these parameters, so a search can continue in long steps.
+        The noise estimate excludes the simulated motion.
         """
         exact, error = self._step_error(values, local)
         noise = np.minimum(self.noise, self._noise_beside(exact, values))
@@ -371,35 +369,36 @@ class Dataset:
     def with_step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> Dataset:
-        """The same, where `lacking` has the step's error at an arm already."""
+        """Store the step error for a record whose `lacking` already contains it."""
         return replace(self, step_error=self._step_error(values, local)[1])
 
     def _step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
-        """A run in shorter steps, and what its channels have beyond those of the own steps."""
+        """Simulation in shorter steps, and its channels minus those in the steps of the record."""
         step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
         short = replace(self, longest_step=step)
-        exact, own = (one.run(values, local, self.quantities()) for one in (short, self))
-        return exact, self.seen(exact, values) - self.seen(own, values)
+        exact, coarse = (one.run(values, local, self.quantities()) for one in (short, self))
+        return exact, self.seen(exact, values) - self.seen(coarse, values)
 
     def _noise_beside(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]
     ) -> FloatArray:
-        """The sensors' noise behind the low-pass, from what an arm's samples leave of the log's.
+        """Filtered sensor noise (n_channels,) from the residuals of the unfiltered samples.
 
-        (n_channels,) An upper bound, as the log's samples alone give one: those of a motion that is
-        quick beside the sampling are no smooth signal.
+        This is an upper bound. It is tighter than that of the samples alone if the motion is fast
+        relative to the sampling rate.
         """
         scales = self.sensor_scales(values)
-        left = [
+        residuals = [
             self.log.channels[c.name]
             - scale * self._behind(c, self._reading(c, runs, values), values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
-        return noise_behind(self.channels, left, self.kernels, self.counts)
+        return noise_behind(self.channels, residuals, self.kernels, self.counts)
 
     def _begun(self, local: FloatArray) -> Drive:
+        """Inputs of the simulation with initial states (n_local,)."""
         if not self.moving:
             return self.drive
         parts = local.reshape(len(INITIAL), -1).tolist()
@@ -409,11 +408,11 @@ class Dataset:
         )
 
     def quantities(self) -> list[Quantity]:
-        """What has to be simulated for the channels."""
+        """Simulated quantities that the channels require."""
         return list(dict.fromkeys(name for channel in self.channels for name in channel.reads))
 
     def low_pass(self) -> LowPass:
-        """What each quantity's samples pass through."""
+        """Low-pass taps of each simulated quantity."""
         taps = {name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.reads}
         return LowPass(taps, self.kernels.step)
 
@@ -422,15 +421,18 @@ class Dataset:
         runs: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float] | None = None,
     ) -> FloatArray:
-        """Rows of each channel from samples (n_samples, n_joints, ...) of each quantity.
+        """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
 
-        Of sensors whose place is unknown the values have the mounting.
+        `values` must contain the mountings of sensors of unknown mounting.
         """
-        known = values or {}
-        if not self._rings(known):
-            return self._by_channel(self._rows(runs), known)
-        read = [self._behind(c, self._reading(c, runs, known), known) for c in self.channels]
-        pairs = zip(read, self.channels, strict=True)
+        known_values = values or {}
+        if not self._rings(known_values):
+            return self._by_channel(self._rows(runs), known_values)
+        readings = [
+            self._behind(c, self._reading(c, runs, known_values), known_values)
+            for c in self.channels
+        ]
+        pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, rate=c.rate) for x, c in pairs], axis=1)
 
     def ringing(
@@ -439,23 +441,22 @@ class Dataset:
         local: FloatArray,
         mounts: Mapping[tuple[Key, Key], Sequence[MountResonance]],
     ) -> FloatArray:
-        """What sensors that sit firmly would read more, each on some mounts, one at a time.
+        """Change of the channels by candidate mount resonances, one at a time.
 
-        `local` (n_local,).
-        `mounts`: Names and joints of the frequency and the damping of a sensor's mount -> mounts.
-
-        Returns: (n_rows, n_channels, n_mounts): Of all sensors, one after the other.
+        `local` (n_local,) are the initial states. `mounts` maps the frequency and damping keys of a
+        sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of the
+        mapping.
         """
         runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
         tested = [(names, mount) for names, own in mounts.items() for mount in own]
-        found = np.zeros((len(self.time), len(self.channels), len(tested)))
+        changes = np.zeros((len(self.time), len(self.channels), len(tested)))
         for k, channel in enumerate(self.channels):
             reading = self._reading(channel, runs, values)
             for at, (names, mount) in enumerate(tested):
                 if names == mount_of(channel.sensor, channel.joint):
-                    more = mount.read(reading, self.log.sample_time) - reading
-                    found[:, k, at] = scales[k] * self.kernels.rows(more, rate=channel.rate)
-        return found
+                    change = mount.read(reading, self.log.sample_time) - reading
+                    changes[:, k, at] = scales[k] * self.kernels.rows(change, rate=channel.rate)
+        return changes
 
     def _mount(
         self, channel: Channel, values: Mapping[tuple[str, int | None], float]
@@ -463,7 +464,7 @@ class Dataset:
         return mount_resonance(channel.sensor, channel.joint, values)
 
     def _rings(self, values: Mapping[tuple[str, int | None], float]) -> bool:
-        """Whether any sensor's mount does: what it reads needs samples, not rows."""
+        """Whether any sensor mount resonates, which requires samples instead of rows."""
         return any(self._mount(channel, values) for channel in self.channels)
 
     def _behind(
@@ -472,7 +473,7 @@ class Dataset:
         samples: FloatArray,
         values: Mapping[tuple[str, int | None], float],
     ) -> FloatArray:
-        """What a channel's sensor reads on its mount of samples (n_samples, ...)."""
+        """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
         mount = self._mount(channel, values)
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
@@ -486,7 +487,7 @@ class Dataset:
         rows: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float],
     ) -> FloatArray:
-        """(n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
+        """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
         return np.stack([self._reading(c, rows, values) for c in self.channels], axis=1)
 
     def _reading(
@@ -495,13 +496,13 @@ class Dataset:
         of: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float],
     ) -> FloatArray:
-        """(n, ...) of one channel from (n, n_joints, ...) of each quantity."""
+        """Reading (n, ...) of one channel from (n, n_joints, ...) of each quantity."""
         at = channel.joint - 1
         if channel.axis is None:
             return of[channel.quantity][:, at]
-        counts = factors(channel.axis, self.arm, values)
-        parts = zip(counts, channel.reads, strict=True)
-        return np.asarray(sum(count * of[name][:, at] for count, name in parts))
+        weights = factors(channel.axis, self.arm, values)
+        parts = zip(weights, channel.reads, strict=True)
+        return np.asarray(sum(weight * of[name][:, at] for weight, name in parts))
 
 
 def noise_behind(
@@ -510,27 +511,22 @@ def noise_behind(
     kernels: Kernels,
     counts: Sequence[float],
 ) -> FloatArray:
-    """Standard deviation behind the low-pass of the noise at the top of the samples' spectra.
+    """Standard deviation (n_channels,) of the filtered noise, from the top of the spectra.
 
-    `samples` (n_samples,): Of each channel.
-    `counts`: By which each channel's samples are rounded: the noise is no less than rounding's.
-
-    Returns: (n_channels,).
+    `samples` holds one array (n_samples,) per channel. `counts` are the resolutions of the
+    channels; the noise is at least that of rounding, count / sqrt(12).
     """
-    own = [noise_deviation(x) for x in samples]
-    norm = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
-    return np.asarray(np.maximum(own, np.array(counts) / np.sqrt(12.0)) * norm)
+    stds = [noise_deviation(x) for x in samples]
+    gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
+    return np.asarray(np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain)
 
 
 def with_bandwidths(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
-    """An arm, as it is simulated, with some sensors' bandwidths.
-
-    `values`: Bandwidths [Hz] among others.
-    """
+    """Set the sensor bandwidths [Hz] of an arm; other `values` are ignored."""
     joints = []
     for i, joint in enumerate(arm.joints, start=1):
-        own = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
-        given = {key: hz for key, hz in own.items() if hz is not None}
+        bandwidths = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
+        given = {key: hz for key, hz in bandwidths.items() if hz is not None}
         tangential = joint.accelerometer_distance is None
         imu = joint.imu
         if imu is not None:

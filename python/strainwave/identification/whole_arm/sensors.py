@@ -183,7 +183,8 @@ def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
 def _idle(fit: Fit) -> dict[Key, float]:
     """Least significant sensor constant and its nominal value; empty if all are significant.
 
-    A constant at a bound of its range is ignored, because its standard deviation is invalid there.
+    A constant at a bound of its range stays, because its standard deviation is invalid there. A
+    bandwidth is tested in any case.
     """
     space = fit.objective.space
     optional = [key for key in space.keys if is_optional(key) and not is_of_mount(key)]
