@@ -207,10 +207,10 @@ class Dataset:
         for k, (channel, delay) in enumerate(zip(self.channels, delays, strict=True)):
             if not delay:
                 continue
-            n_samples = round(delay / T)
+            n_delay = round(delay / T)
             raw = self.log.channels[channel.name]
-            advanced = raw[np.clip(np.arange(len(raw)) + n_samples, 0, len(raw) - 1)]
-            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_samples)
+            advanced = raw[np.clip(np.arange(len(raw)) + n_delay, 0, len(raw) - 1)]
+            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_delay)
             channels[:, k] = kernels.rows(advanced, rate=channel.rate)
         return channels
 

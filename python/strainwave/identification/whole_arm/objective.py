@@ -1,8 +1,9 @@
-"""What records and prior say against parameters: weighted residuals, record by record.
+"""Objective of the whole-arm fit: weighted residuals of all records, and the prior.
 
-Each record has unknowns of its own, the constants of its sensors and where it began, and is solved
-for them on its own: they lead the columns of its least squares problem, and what its triangular
-factor leaves below them is the problem of the parameters alone.
+Each record has its own unknowns, the record parameters: initial states and sensor biases. They are
+eliminated record by record (variable projection). Their columns come first in the least squares
+problem of the record, so the rows of its triangular factor below them are the problem in the shared
+unknowns.
 """
 
 from __future__ import annotations
@@ -24,61 +25,61 @@ from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
 
 LEAST_ERROR = 1e-3
-"""Of a channel's spread: no model is better than that."""
+"""Minimum standard deviation of residuals, as a share of a channel's standard deviation."""
 
 BLOCKS = 10
-"""Stretches of a record whose errors count as independent of one another."""
+"""Blocks per record whose errors are assumed independent."""
 
-_MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
-_FIRST = 0.1  # of a channel's own spread: its errors' deviation before any is known
-_ROBUST = 1.4826  # standard deviation of normal errors over their median magnitude
+_MOVES = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
+_FIRST = 0.1  # initial standard deviation of residuals, as a share of the channel's
+_ROBUST = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
-_ROUNDS = 6  # of robust weights in which a record's own unknowns are solved for
-_STAYS = 1e-3  # deviations by which another round moves nothing that matters
-_BEGUN = 0.1  # gain still predicted of moving a beginning, in units of the cost
+_ROUNDS = 6  # maximum updates of the robust weights in the solution for record parameters
+_STAYS = 1e-3  # change of residuals, in standard deviations, at which these updates end
+_BEGUN = 0.1  # predicted cost reduction at which the search for initial states ends
 ROUGH_BEGINNING = 0.2
-"""The same as a share of the cost, where the beginning need only be known roughly."""
-_BEGINNINGS = 12  # of a record that are tried for one point
+"""Relative cost reduction at which an approximate search for initial states ends."""
+_BEGINNINGS = 12  # maximum evaluations of a search for initial states
 
 LEAST_BEND = 0.5
-"""Of the loss beside its weights: far from a minimum it hardly bends at all."""
+"""Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
 
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
 class Weights:
-    """What a record's errors are measured by, channel by channel."""
+    """Scales of the residuals of a record."""
 
-    deviation: FloatArray  # (n_channels,) of its errors
-    repeats: FloatArray  # (n_channels,) rows in succession that say the same thing
+    deviation: FloatArray  # (n_channels,) standard deviations of the residuals
+    repeats: FloatArray  # (n_channels,) rows per independent residual
 
 
 @dataclass(frozen=True, slots=True)
 class Evaluated:
-    """One record at one point: differences in the channels' units, with derivatives."""
+    """Unweighted residuals of one record at one point, with derivatives."""
 
-    difference: FloatArray  # (n_rows, n_channels) simulated less measured
-    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns) by its own, then by the shared
-    own: FloatArray  # (n_own,) where the record's own unknowns are
+    difference: FloatArray  # (n_rows, n_channels) simulated minus measured
+    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns): record parameters, then shared
+    own: FloatArray  # (n_own,) record parameters
 
     @property
     def n_own(self) -> int:
-        """Unknowns of the record alone."""
+        """Number of record parameters."""
         return len(self.own)
 
     @property
     def local(self) -> FloatArray:
-        """By the record's own unknowns: (n_rows, n_channels, n_own)."""
+        """Derivatives with respect to the record parameters: (n_rows, n_channels, n_own)."""
         return self.columns[..., : self.n_own]
 
     @property
     def shared(self) -> FloatArray:
-        """By the coordinates: (n_rows, n_channels, n_unknowns)."""
+        """Derivatives with respect to the coordinates: (n_rows, n_channels, n_unknowns)."""
         return self.columns[..., self.n_own :]
 
     def beginning(self, weights: Weights) -> Linearised:
-        """The cost with its least squares problem in the record's own unknowns alone."""
+        """Cost and least squares problem in the record parameters only."""
         residual = self.difference / weights.deviation
         root = np.sqrt(_weight(residual, weights))
         table = np.concatenate(
@@ -89,46 +90,50 @@ class Evaluated:
         return Linearised(_loss(residual, weights), factor)
 
     def weighted(self, weights: Weights) -> Rows:
-        """Divided by their deviations, the record's own unknowns at their best."""
-        begun = self.difference / weights.deviation
-        columns = (self.local / weights.deviation[:, None]).reshape(begun.size, -1)
-        residual, weight = begun, _weight(begun, weights)
+        """Weighted rows, with optimal record parameters."""
+        initial_residual = self.difference / weights.deviation
+        columns = (self.local / weights.deviation[:, None]).reshape(initial_residual.size, -1)
+        residual, weight = initial_residual, _weight(initial_residual, weights)
         step = np.zeros(self.n_own)
         apart = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
         for _ in range(_ROUNDS if self.n_own else 0):
-            step = _solved(columns, -begun.ravel(), weight.ravel(), apart=apart)
-            before, residual = residual, begun + (columns @ step).reshape(begun.shape)
+            step = _solved(columns, -initial_residual.ravel(), weight.ravel(), apart=apart)
+            previous, residual = (
+                residual,
+                initial_residual + (columns @ step).reshape(initial_residual.shape),
+            )
             weight = _weight(residual, weights)
-            if np.max(np.abs(residual - before)) < _STAYS:
+            if np.max(np.abs(residual - previous)) < _STAYS:
                 break
         return Rows(residual, np.sqrt(weight), self, weights.deviation, step)
 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """One record's weighted rows."""
+    """Weighted rows of one record with optimal record parameters."""
 
-    residual: FloatArray  # (n_rows, n_channels) in deviations
+    residual: FloatArray  # (n_rows, n_channels) in standard deviations
     root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
     evaluated: Evaluated
     deviation: FloatArray  # (n_channels,)
-    step: FloatArray  # (n_own,) by which the record's own unknowns have moved
+    step: FloatArray  # (n_own,) of the record parameters to their optimum
 
     @property
     def local(self) -> FloatArray:
-        """By the record's own unknowns, in deviations: (n_rows, n_channels, n_own)."""
+        """Scaled derivatives by the record parameters: (n_rows, n_channels, n_own)."""
         return np.asarray(self.evaluated.local / self.deviation[:, None])
 
     @property
     def shared(self) -> FloatArray:
-        """By the coordinates, in deviations: (n_rows, n_channels, n_unknowns)."""
+        """Scaled derivatives by the coordinates: (n_rows, n_channels, n_unknowns)."""
         return np.asarray(self.evaluated.shared / self.deviation[:, None])
 
     def factor(self, least_bend: float) -> FloatArray:
-        """R of [shared residual] in what the record's own unknowns cannot imitate.
+        """R of [shared, residual] after elimination of the record parameters.
 
-        R stands for the loss's slope and for how it bends on the whole: by less than the weights
-        (1 + r^2)^(-1/2) that give its slope, with which steps would be a third too short.
+        R reproduces the gradient of the loss and its mean curvature. The curvature is less than the
+        weights (1 + r^2)^(-1/2) of the gradient, with which steps would be a third too short.
+        `least_bend` is its minimum relative to the weights.
         """
         square = self.root**2
         bend = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
@@ -141,17 +146,17 @@ class Rows:
         return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
-        """The soft L1 loss."""
+        """Soft L1 loss of the record."""
         return _loss(self.residual, weights)
 
     def costs(self, weights: Weights) -> FloatArray:
-        """That of each channel, (n_channels,)."""
+        """Soft L1 loss of each channel, (n_channels,)."""
         return _losses(self.residual, weights)
 
 
 @dataclass
 class _Memory:
-    """Where the records' own unknowns are, and the last point looked at, by the last weights."""
+    """Record parameters, and cached evaluations at the last point with the last weights."""
 
     own: list[FloatArray]
     last: tuple[bytes, list[Evaluated]] | None = None
@@ -159,25 +164,25 @@ class _Memory:
     long: tuple[bytes, tuple[Weights, ...], Objective] | None = None  # `in_long_steps`
 
     def shift(self, k: int, n_begin: int, best: FloatArray) -> None:
-        """Begin the next search for a record's constants where the last one ended."""
+        """Store the sensor biases of a record as the start of the next search."""
         self.own[k] = np.concatenate([self.own[k][:n_begin], best[n_begin:]])
 
 
 @dataclass(frozen=True)
 class Objective:
-    """Weighted differences between simulated and measured channels of all records."""
+    """Weighted residuals of all records as a function of the unknowns."""
 
     space: ParameterSpace
     records: tuple[Dataset, ...]
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
-    guessed: bool = False  # whether the weights know nothing of the errors yet
-    # share of a record's cost that a better beginning may still gain where its search ends
+    guessed: bool = False  # True for initial weights, before any residuals are known
+    # relative cost reduction at which the search for initial states ends
     beginning_tolerance: float = 0.0
 
     @classmethod
     def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
-        """Before anything is known of the errors: a tenth of what each channel shows."""
+        """Create an objective with initial weights: 1/10 of each channel's standard deviation."""
         weights = []
         for record in records:
             spread = _FIRST * np.std(record.measured, axis=0)
@@ -187,29 +192,29 @@ class Objective:
         return cls(space, tuple(records), tuple(weights), _Memory(own), guessed=True)
 
     def linearise(self, z: FloatArray) -> Linearised | None:
-        """The cost with its least squares problem in the unknowns; None where no arm can be."""
-        least = 1.0 if self.guessed else LEAST_BEND
+        """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
+        least_bend = 1.0 if self.guessed else LEAST_BEND
 
         def linearised(k: int, evaluated: Evaluated) -> tuple[Rows, Linearised]:
             rows = evaluated.weighted(self.weights[k])
             self.memory.shift(k, len(self.records[k].local), evaluated.own + rows.step)
-            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least))
+            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least_bend))
 
         try:
-            found = self._at(z, linearised)
+            evaluated_records = self._at(z, linearised)
         except (InvalidInput, NumericalFailure):
             return None
-        self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in found]
-        parts = [part for _, part in found]
+        self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in evaluated_records]
+        parts = [part for _, part in evaluated_records]
         cost = sum(part.cost for part in parts)
         slope, prior = self.space.beforehand(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
-        if not np.isfinite(stacked).all():  # a candidate so stiff that its derivatives overflow
+        if not np.isfinite(stacked).all():  # the derivatives of very stiff candidates overflow
             return None
         return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
 
     def rows(self, z: FloatArray) -> list[Rows]:
-        """Every record's rows, its own unknowns at their best for z."""
+        """Weighted rows of every record at z, with optimal record parameters."""
         at, known = z.tobytes(), self.memory.rows
         if known is not None and known[0] == at and known[1] is self.weights:
             return known[2]
@@ -218,40 +223,40 @@ class Objective:
         return rows
 
     def evaluate(self, z: FloatArray) -> list[Evaluated]:
-        """Every record at z."""
+        """Unweighted residuals and derivatives of every record at z."""
         return self._at(z, lambda _, evaluated: evaluated)
 
     def reweighted(self, z: FloatArray) -> Objective:
-        """With deviations and repetitions as the residuals at z show them."""
+        """Update the weights from the residuals at z."""
         weights = []
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
             errors = rows.residual * old.deviation
-            least = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
-            size = np.maximum(_size(errors), least)
-            weights.append(Weights(size, np.array([repeats_of(column) for column in errors.T])))
+            minimum = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
+            stds = np.maximum(_size(errors), minimum)
+            weights.append(Weights(stds, np.array([repeats_of(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
 
     def for_unknowns(self, space: ParameterSpace) -> Objective:
-        """The same records and weights for other unknowns."""
+        """Replace the shared unknowns."""
         return replace(self, space=space, memory=_Memory(list(self.memory.own)))
 
     def only(self, k: int) -> Objective:
-        """One of the records by itself."""
+        """Restrict the objective to record k."""
         memory = _Memory([self.memory.own[k]])
         return replace(
             self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
         )
 
     def in_motion(self, k: int, own: FloatArray | None = None) -> Objective:
-        """One of the records begun in motion, at a first guess or where its own unknowns are."""
-        record, known = replace(self.records[k], moving=True), list(self.memory.own)
-        constants = known[k][len(self.records[k].local) :]
-        known[k] = np.concatenate([record.start(), constants]) if own is None else own
+        """Add initial states to record k, with record parameters `own` or starting values."""
+        record, record_parameters = replace(self.records[k], moving=True), list(self.memory.own)
+        biases = record_parameters[k][len(self.records[k].local) :]
+        record_parameters[k] = np.concatenate([record.start(), biases]) if own is None else own
         records = (*self.records[:k], record, *self.records[k + 1 :])
-        return replace(self, records=records, memory=_Memory(known))
+        return replace(self, records=records, memory=_Memory(record_parameters))
 
     def corrected(self, z: FloatArray) -> Objective:
-        """With the error of the integrator's step made good as it is at z."""
+        """Correct the integrator step error of all records at z."""
         evaluated, values = self.evaluate(z), self.space.values(z)
 
         def corrected(k: int, record: Dataset) -> Dataset:
@@ -264,17 +269,17 @@ class Objective:
         return replace(self, records=records, memory=memory)
 
     def in_long_steps(self, z: FloatArray) -> Objective:
-        """The same rows, weights and residuals at z, with arms simulated in longer steps.
+        """Lengthen the integrator steps, with the same rows, weights and residuals at z.
 
-        The difference between the steps at z is a constant of each row, so near z only the
-        derivatives have the error of the longer steps. The result is the objective itself where
-        such steps are too long for the arm.
+        The step error at z is subtracted from each row, so near z only the derivatives have the
+        error of the longer steps. Returns the objective itself if the arm cannot be simulated in
+        longer steps.
         """
         known = self.memory.long
         if known is not None and known[0] == z.tobytes() and known[1] is self.weights:
             return known[2]
         rows = self.rows(z)
-        owns = [each.evaluated.own + each.step for each in rows]
+        record_parameters = [each.evaluated.own + each.step for each in rows]
 
         def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluated]:
             long = in_long_steps(record)
@@ -282,7 +287,7 @@ class Objective:
             residual = (rows[k].residual * self.weights[k].deviation)[:n_rows]
             counted = None if record.counted is None else record.counted[:n_rows]
             long = replace(long, lacking=np.zeros_like(residual), counted=counted)
-            there = self._begun(long, z, owns[k])
+            there = self._begun(long, z, record_parameters[k])
             if not np.isfinite(there.columns).all():
                 raise NumericalFailure("the derivatives overflow in long steps")
             long = replace(long, lacking=residual - there.difference)
@@ -293,13 +298,13 @@ class Objective:
         except (InvalidInput, NumericalFailure):
             return self
         records = tuple(record for record, _ in pairs)
-        memory = _Memory(owns, (z.tobytes(), [there for _, there in pairs]))
+        memory = _Memory(record_parameters, (z.tobytes(), [there for _, there in pairs]))
         long = replace(self, records=records, memory=memory)
         self.memory.long = z.tobytes(), self.weights, long
         return long
 
     def with_step_errors(self, z: FloatArray) -> Objective:
-        """The same residuals, ready for `corrected` elsewhere: they are correct at z."""
+        """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
         values = self.space.values(z)
 
         def known(k: int, record: Dataset) -> Dataset:
@@ -308,46 +313,50 @@ class Objective:
         return replace(self, records=tuple(self._each(known)))
 
     def seen_by(self, records: Sequence[Dataset]) -> Objective:
-        """The same weights and beginnings for other rows of the same records."""
+        """Replace the rows of the records; weights and record parameters stay."""
         return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
 
     def blocks(self) -> list[IntArray]:
-        """The stretch that each row of a record belongs to, counted through all records."""
-        found = []
+        """Block number of each row, one array (n_rows,) per record, counted over all records."""
+        blocks = []
         for k, record in enumerate(self.records):
             n = len(record.time)
-            found.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
-        return found
+            blocks.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
+        return blocks
 
     def noise_shares(self, z: FloatArray) -> list[float]:
-        """Of each record, the share of its errors' variance at z that its sensors' noise makes.
+        """Share of sensor noise in the residual variance at z, one value per record.
 
-        A channel that errs by less than that, as one at standstill does, makes up for no other.
+        The share of a channel is at most one, so a channel below its noise, as at standstill, does
+        not compensate another.
         """
-        found = []
-        every = zip(self.records, self.weights, self.rows(z), strict=True)
-        for record, weights, rows in every:
-            size = np.maximum(_size(rows.residual * weights.deviation), record.noise)
+        shares = []
+        evaluated = zip(self.records, self.weights, self.rows(z), strict=True)
+        for record, weights, rows in evaluated:
+            stds = np.maximum(_size(rows.residual * weights.deviation), record.noise)
             repeats = repetitions_of(record)
-            share = np.divide(record.noise, size, out=np.ones_like(size), where=size > 0.0) ** 2
+            share = np.divide(record.noise, stds, out=np.ones_like(stds), where=stds > 0.0) ** 2
             share = np.minimum(1.0, share * repeats / weights.repeats)
-            found.append(float(np.mean(share)))
-        return found
+            shares.append(float(np.mean(share)))
+        return shares
 
     def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
-        """By record and channel, 100 (1 - |difference| / |measured - mean|); NaN if it rests."""
-        found = {}
+        """Fit percentage by record and channel, 100 (1 - |y - yhat| / |y - mean(y)|).
+
+        It is NaN for a channel that hardly exceeds its noise.
+        """
+        percentages = {}
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
             difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
             spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-            still = spread < _MOVES * record.noise * np.sqrt(len(record.time))
-            fits = 100.0 * (1.0 - difference / np.where(still, np.nan, spread))
+            is_at_rest = spread < _MOVES * record.noise * np.sqrt(len(record.time))
+            fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
             names = [channel.name.replace("theta", "omega") for channel in record.channels]
-            found[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
-        return found
+            percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
+        return percentages
 
     def _at(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
-        """Work on every record at z; what was looked at last is remembered."""
+        """Apply `work` to the evaluation of every record at z, which is cached."""
         at, last = z.tobytes(), self.memory.last
         known = last[1] if last is not None and last[0] == at else None
 
@@ -355,25 +364,25 @@ class Objective:
             evaluated = known[k] if known is not None else self._evaluated(k, record, z)
             return evaluated, work(k, evaluated)
 
-        found = self._each(both)
-        self.memory.last = at, [evaluated for evaluated, _ in found]
-        return [made for _, made in found]
+        results = self._each(both)
+        self.memory.last = at, [evaluated for evaluated, _ in results]
+        return [result for _, result in results]
 
     def _evaluated(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
-        """A record at z; if it begins in motion, begun where it fits best."""
+        """Evaluate record k at z, with optimal initial states if it begins in motion."""
         if not record.moving:
             return self._begun(record, z, self.memory.own[k])
-        seen: dict[bytes, Evaluated] = {}
+        results: dict[bytes, Evaluated] = {}
 
         def linearise(own: FloatArray) -> Linearised | None:
             try:
-                seen[own.tobytes()] = self._begun(record, z, own)
+                results[own.tobytes()] = self._begun(record, z, own)
             except (InvalidInput, NumericalFailure):
                 return None
-            return seen[own.tobytes()].beginning(self.weights[k])
+            return results[own.tobytes()].beginning(self.weights[k])
 
         own = self.memory.own[k]
-        found = minimise(
+        minimum = minimise(
             linearise,
             own,
             Flat(),
@@ -381,38 +390,41 @@ class Objective:
             relative=self.beginning_tolerance,
             max_evaluations=_BEGINNINGS,
         )
-        if found is None:
+        if minimum is None:
             raise NumericalFailure(f"{record.log.name} cannot be simulated from where it begins")
-        self.memory.own[k] = found.x
-        return seen[found.x.tobytes()]
+        self.memory.own[k] = minimum.x
+        return results[minimum.x.tobytes()]
 
     def _begun(self, record: Dataset, z: FloatArray, own: FloatArray) -> Evaluated:
+        """Evaluate a record at z with given record parameters (n_own,)."""
         n_begin, n = len(record.local), len(self.space.unknowns)
         values = self.space.values(z)
-        seen, tangent = record.linearised(values, own[:n_begin], self.space.keys)
+        channels, tangent = record.linearised(values, own[:n_begin], self.space.keys)
         shifts = _shifts(record)
-        columns = np.empty((*seen.shape, len(own) + n))
+        columns = np.empty((*channels.shape, len(own) + n))
         columns[..., :n_begin] = tangent[..., n:]
         columns[..., n_begin : len(own)] = shifts
         columns[..., len(own) :] = tangent[..., :n] @ self.space.slope(z)
-        difference = seen + shifts @ own[n_begin:] - record.observed(values)
-        if record.counted is not None:  # rows of zeros say nothing
+        difference = channels + shifts @ own[n_begin:] - record.observed(values)
+        if record.counted is not None:  # zero rows carry no information
             difference = difference * record.counted
             columns *= record.counted[..., None]
         return Evaluated(difference, columns, own.copy())
 
     def simulated(self, z: FloatArray) -> list[FloatArray]:
-        """What every record's sensors would read at z without scales and constants of their own.
+        """Simulated channels (n_rows, n_channels) of every record at z.
 
-        (n_rows, n_channels) each.
+        They exclude scale factors, biases and drifts.
         """
         values = self.space.values(z)
-        found = []
-        for one, record in zip(self.evaluate(z), self.records, strict=True):
-            shift = _shifts(record) @ one.own[len(record.local) :]
-            read = one.difference - shift + record.observed(values) - record.drifts(values)
-            found.append(read / record.sensor_scales(values))
-        return found
+        simulated = []
+        for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
+            shift = _shifts(record) @ evaluated.own[len(record.local) :]
+            channels = (
+                evaluated.difference - shift + record.observed(values) - record.drifts(values)
+            )
+            simulated.append(channels / record.sensor_scales(values))
+        return simulated
 
     def bordered(
         self,
@@ -421,16 +433,14 @@ class Objective:
         more: Callable[[int, Evaluated], FloatArray],
         beforehand: FloatArray | None = None,
     ) -> FloatArray:
-        """R of [unknowns more residual], the records' own unknowns at their best.
+        """R of [unknowns, additional columns, residual], with optimal record parameters.
 
-        `z` (n_unknowns,): Where a search ended.
-        `n_more`: Columns of parameters that are no unknowns.
-        `more`: Of a record's number and its evaluation, those columns: (n_rows, n_channels,
-            n_more).
-        `beforehand` (n_prior, n_more): The same of what the rigid step knows; zero without.
+        `z` (n_unknowns,) is the end of a search. `more` returns the additional columns (n_rows,
+        n_channels, n_more) for a record number and its evaluation. `beforehand` (n_prior, n_more)
+        are their rows in the prior of the rigid step, zero by default.
 
-        Returns: (n_unknowns + n_more + 1,): From row n_unknowns on it is that of [more residual] in
-        what the unknowns cannot imitate.
+        R has n_unknowns + n_more + 1 columns. Its rows from n_unknowns on are the R of [additional
+        columns, residual] after elimination of the unknowns.
         """
         evaluated = self.evaluate(z)
 
@@ -439,22 +449,27 @@ class Objective:
             whole = replace(evaluated[k], columns=columns)
             return whole.weighted(self.weights[k]).factor(LEAST_BEND)
 
-        known, off = self.space.beforehand(z)
-        border = np.zeros((len(known), n_more))
+        prior_columns, prior_residual = self.space.beforehand(z)
+        border = np.zeros((len(prior_columns), n_more))
         if beforehand is not None:
             border[: len(beforehand)] = beforehand
-        stacked = np.concatenate([*self._each(factor), np.column_stack([known, border, off])])
+        stacked = np.concatenate(
+            [*self._each(factor), np.column_stack([prior_columns, border, prior_residual])]
+        )
         return np.asarray(np.linalg.qr(stacked, mode="r"))
 
     def _each(self, work: Callable[[int, Dataset], T]) -> list[T]:
-        """Work on every record, side by side: simulations run without the interpreter's lock."""
+        """Apply `work` to every record in parallel threads; simulations release the GIL."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
 def _solved(
     columns: FloatArray, target: FloatArray, weight: FloatArray, *, apart: bool
 ) -> FloatArray:
-    """Weighted least squares; of columns that no row has two of, each is a weighted mean."""
+    """Weighted least squares.
+
+    With `apart`, no row has two nonzero columns, so that each coefficient is a weighted mean.
+    """
     if not apart:
         root = np.sqrt(weight)
         return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
@@ -463,50 +478,44 @@ def _solved(
 
 
 def _loss(residual: FloatArray, weights: Weights) -> float:
-    """Sum of 2 (sqrt(1 + r^2) - 1), over the repetitions."""
+    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / repetitions."""
     return float(np.sum(_losses(residual, weights)))
 
 
 def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
-    """The same of each channel, (n_channels,)."""
+    """Soft L1 loss of each channel, (n_channels,)."""
     loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
     return np.asarray(loss / weights.repeats)
 
 
 def _weight(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Weights (1 + r^2)^(-1/2) of the soft L1 loss, over the repetitions."""
+    """Weights (1 + r^2)^(-1/2) / repetitions of the soft L1 loss."""
     return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.repeats))
 
 
 def _shifts(record: Dataset) -> FloatArray:
-    """Columns of the unknown constants, alike in every row: (n_channels, n_constants)."""
-    own = [k for k, channel in enumerate(record.channels) if channel.shifted]
-    columns = np.zeros((len(record.channels), len(own)))
-    columns[own, range(len(own))] = 1.0
+    """Columns (n_channels, n_biases) of the sensor biases, equal in every row."""
+    biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
+    columns = np.zeros((len(record.channels), len(biased)))
+    columns[biased, range(len(biased))] = 1.0
     return columns
 
 
 def _size(errors: FloatArray) -> FloatArray:
-    """Standard deviations without a few large errors, of (n_rows, n_channels): (n_channels,)."""
+    """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
     typical = _ROBUST * np.median(np.abs(errors), axis=0)
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
 
 
 def repeats_of(column: FloatArray) -> float:
-    """How many errors in succession say the same thing.
-
-    `column` (n_rows,).
-    """
+    """Rows per independent error of a series (n_rows,), from its autocorrelation."""
     return repetitions(lagged_products(column)[1][: len(column) // 2])
 
 
 def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """The spectrum of a series with as many zeros behind it, and its autocovariances.
+    """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
 
-    `column` (n,).
-
-    Returns: `spectrum` (n + 1,): Without the mean. `autocovariance` (n,): Times n, from lag zero
-    on.
+    Both are without the mean; the autocovariance starts at lag zero.
     """
     n = len(column)
     spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
@@ -514,33 +523,28 @@ def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
 
 
 def lagged(taps: FloatArray, step: int) -> FloatArray:
-    """Autocovariances, row by row, of white noise of deviation one behind a filter.
+    """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
 
-    `taps` (n_taps,).
-    `step`: Samples from row to row.
-
-    Returns: (n_lags,): From lag zero on.
+    `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
+    zero.
     """
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
 
 
 def repetitions_of(record: Dataset) -> FloatArray:
-    """How many rows in succession say the same thing of white noise behind each channel's low-pass.
-
-    Returns: (n_channels,).
-    """
+    """Rows per independent error (n_channels,) of filtered white noise."""
     kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
     return np.array([repetitions(lagged(k, record.kernels.step)) for k in kernels])
 
 
 def repetitions(covariance: FloatArray) -> float:
-    """1 + 2 sum of the autocorrelations up to the first negative one.
+    """Variance inflation factor: 1 + 2 sum of autocorrelations before the first negative one.
 
-    `covariance` (n_lags,): From lag zero on.
+    `covariance` (n_lags,) starts at lag zero.
     """
     if covariance[0] <= 0.0:
         return 1.0
     correlation = covariance / covariance[0]
     negative = np.flatnonzero(correlation < 0.0)
-    until = negative[0] if negative.size else len(correlation)
-    return float(1.0 + 2.0 * np.sum(correlation[1:until]))
+    n_lags = negative[0] if negative.size else len(correlation)
+    return float(1.0 + 2.0 * np.sum(correlation[1:n_lags]))
