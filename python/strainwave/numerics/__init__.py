@@ -1,1 +1,1 @@
-"""Numerical tools that know nothing of arms: filters, linear algebra, least squares, threads."""
+"""General numerical methods: filters, spectra, linear algebra, least squares and threads."""

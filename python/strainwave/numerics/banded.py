@@ -1,4 +1,4 @@
-"""Matrices of which each row has few entries, side by side."""
+"""Matrices with few, contiguous entries per row."""
 
 from __future__ import annotations
 
@@ -11,36 +11,36 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class Banded:
-    """Rows of equal width, each with the column that it begins at; zeros elsewhere."""
+    """Matrix whose rows have the same number of contiguous entries and are zero elsewhere."""
 
-    first: IntArray  # (n_rows,)
-    entries: FloatArray  # (n_rows, width); zeros behind the last column
+    first: IntArray  # (n_rows,) first column of each row
+    entries: FloatArray  # (n_rows, width), zero beyond the last column
     n_columns: int
 
     def __matmul__(self, values: FloatArray) -> FloatArray:
-        """Times a vector, (n_columns,): (n_rows,)."""
-        longer = np.concatenate([values, np.zeros(self.entries.shape[1])])
-        found = np.zeros(len(self.first))
+        """Product (n_rows,) with a vector (n_columns,)."""
+        padded = np.concatenate([values, np.zeros(self.entries.shape[1])])
+        product = np.zeros(len(self.first))
         for k, column in enumerate(self.entries.T):
-            found += column * longer[self.first + k]
-        return found
+            product += column * padded[self.first + k]
+        return product
 
     def rows(self, chosen: IntArray | BoolArray) -> Banded:
-        """Some of the rows."""
+        """Matrix of selected rows."""
         return Banded(self.first[chosen], self.entries[chosen], self.n_columns)
 
     def scaled(self, rows: FloatArray, columns: FloatArray) -> Banded:
-        """Each row and each column times a number of its own."""
-        longer = np.concatenate([columns, np.zeros(self.entries.shape[1])])
+        """Matrix with rows and columns multiplied by the given factors."""
+        padded = np.concatenate([columns, np.zeros(self.entries.shape[1])])
         entries = self.entries * rows[:, None]
         for k in range(entries.shape[1]):
-            entries[:, k] *= longer[self.first + k]
+            entries[:, k] *= padded[self.first + k]
         return Banded(self.first, entries, self.n_columns)
 
     def dense(self) -> FloatArray:
-        """With all zeros: (n_rows, n_columns)."""
+        """Dense matrix (n_rows, n_columns)."""
         width = self.entries.shape[1]
-        full = np.zeros((len(self.first), self.n_columns + width))
-        places = self.first[:, None] + np.arange(width)
-        full[np.arange(len(full))[:, None], places] = self.entries
-        return full[:, : self.n_columns]
+        dense_matrix = np.zeros((len(self.first), self.n_columns + width))
+        columns = self.first[:, None] + np.arange(width)
+        dense_matrix[np.arange(len(dense_matrix))[:, None], columns] = self.entries
+        return dense_matrix[:, : self.n_columns]

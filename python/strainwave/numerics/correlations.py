@@ -1,4 +1,4 @@
-"""Residual analysis: correlations of residuals with themselves and with the inputs."""
+"""Residual analysis: autocorrelation of residuals and cross-correlation with the inputs."""
 
 from __future__ import annotations
 
@@ -7,31 +7,35 @@ import numpy as np
 from strainwave.domain import FloatArray, ResidualCorrelation
 
 MAX_LAGS = 25
-"""Lags on either side, as in MATLAB's `resid`."""
+"""Maximum lag of each sign, as in MATLAB's `resid`."""
 
 
 def correlate_residuals(
     residual: FloatArray, inputs: FloatArray, lag_time: float
 ) -> ResidualCorrelation:
-    """Normalised correlations r(l) = sum e[k] x[k - l] / sqrt(sum e^2 sum x^2), means removed.
+    """Normalised correlations r(l) = sum e[k] x[k - l] / sqrt(sum e^2 sum x^2) without means.
 
-    `residual` has shape (n_samples,), `inputs` (n_samples, n_inputs), with `lag_time` [s] between
-    samples. If residual and input are independent, r has the variance
-    (1/n) sum_j rho_e(j) rho_u(j) at every lag (Bartlett, 1946), whatever their colour.
+    `residual` has shape (n_samples,), `inputs` (n_samples, n_inputs), and samples are `lag_time`
+    [s] apart. If residual and input are independent, the variance of r is (1/n) sum_j rho_e(j)
+    rho_u(j) at every lag, also for coloured signals (Bartlett, 1946).
     """
     n = len(residual)
     lags = max(1, min(MAX_LAGS, n // 4))
-    own = _spectrum(residual)
-    autocovariance = np.fft.irfft(np.abs(own) ** 2, 2 * n)[:n]
-    power = float(autocovariance[0]) or 1.0  # a constant has no correlation: zeros
+    residual_spectrum = _spectrum(residual)
+    autocovariance = np.fft.irfft(np.abs(residual_spectrum) ** 2, 2 * n)[:n]
+    power = float(autocovariance[0]) or 1.0  # the correlation of a constant signal is zero
     cross, std = [], []
     for column in inputs.T:
-        other = _spectrum(column)
-        covariance = np.fft.irfft(np.abs(other) ** 2, 2 * n)[:n]
-        scale = float(covariance[0]) or 1.0
-        products = np.fft.irfft(own * other.conj(), 2 * n) / np.sqrt(power) / np.sqrt(scale)
+        input_spectrum = _spectrum(column)
+        input_autocovariance = np.fft.irfft(np.abs(input_spectrum) ** 2, 2 * n)[:n]
+        input_power = float(input_autocovariance[0]) or 1.0
+        products = (
+            np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)
+            / np.sqrt(power)
+            / np.sqrt(input_power)
+        )
         cross.append(np.concatenate([products[-lags:], products[: lags + 1]]))
-        terms = (autocovariance / power) * (covariance / scale)
+        terms = (autocovariance / power) * (input_autocovariance / input_power)
         std.append(np.sqrt(max(1.0, 1.0 + 2.0 * float(np.sum(terms[1 : n // 2]))) / n))
     return ResidualCorrelation(
         lag_time=lag_time,
@@ -45,16 +49,18 @@ def correlate_residuals(
 def expected_autocorrelation(
     frequency_hz: FloatArray, density: FloatArray, lag_time: float, lags: int, n_samples: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Autocorrelation of noise, and the standard deviation of an estimate: (lags + 1,) each.
+    """Autocorrelation of noise with a given density, and the standard deviation of its estimate.
 
-    The noise has a one-sided `density`, the estimate is from `n_samples`.
-    Var r(l) = (1/n) sum_j [rho_j^2 + rho_(j+l) rho_(j-l) - 4 rho_l rho_j rho_(j-l)
-    + 2 rho_j^2 rho_l^2] (Bartlett, 1946).
+    Both have shape (lags + 1,). `density` is one-sided; the estimate uses `n_samples` samples.
+    Bartlett (1946):
+
+        Var r(l) = (1/n) sum_j [rho_j^2 + rho_(j+l) rho_(j-l) - 4 rho_l rho_j rho_(j-l)
+                                + 2 rho_j^2 rho_l^2]
     """
-    reach = np.arange(-4 * lags, 4 * lags + 1)
-    wave = np.cos(2.0 * np.pi * np.outer(reach * lag_time, frequency_hz))
+    offsets = np.arange(-4 * lags, 4 * lags + 1)
+    cosines = np.cos(2.0 * np.pi * np.outer(offsets * lag_time, frequency_hz))
     weights = density / np.maximum(np.sum(density), np.finfo(float).tiny)
-    rho, zero = wave @ weights, 4 * lags
+    rho, zero = cosines @ weights, 4 * lags
     inner = np.arange(2 * lags, len(rho) - 2 * lags)
     variance = [
         np.sum(
@@ -70,5 +76,5 @@ def expected_autocorrelation(
 
 
 def _spectrum(column: FloatArray) -> np.ndarray:
-    """Spectrum without the mean, padded so that products do not wrap around."""
+    """Spectrum without the mean, zero-padded so that correlations are not circular."""
     return np.asarray(np.fft.rfft(column - column.mean(), 2 * len(column)))

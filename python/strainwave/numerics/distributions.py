@@ -1,6 +1,6 @@
-"""The distributions that a run asks for, in closed form: their degrees are whole numbers.
+"""Chi-square and Student's t distributions in closed form, for integer degrees of freedom.
 
-SciPy has them too, but to import it takes longer than most stages.
+SciPy provides them too, but its import takes longer than most stages.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from functools import lru_cache
 def chi_square_tail(value: float, degrees: int) -> float:
     """Probability that a chi-square variable exceeds a value (Abramowitz and Stegun 26.4.4, 5).
 
-    `degrees`: At least 1.
+    `degrees` is at least 1.
     """
     if not value > 0.0:
         return 1.0 if value <= 0.0 else math.nan
@@ -22,16 +22,15 @@ def chi_square_tail(value: float, degrees: int) -> float:
     first = 0.5 * (degrees % 2)
     powers = (first + j for j in range(degrees // 2))
     terms = (math.exp(a * math.log(half) - half - math.lgamma(a + 1.0)) for a in powers)
-    whole = math.erfc(math.sqrt(half)) if first else 0.0
-    return min(1.0, whole + math.fsum(terms))
+    tail = math.erfc(math.sqrt(half)) if first else 0.0
+    return min(1.0, tail + math.fsum(terms))
 
 
 @lru_cache(maxsize=256)
 def chi_square_limit(probability: float, degrees: int) -> float:
-    """The value that a chi-square variable exceeds with a probability, by bisection.
+    """Value that a chi-square variable exceeds with the given probability, by bisection.
 
-    `probability`: Above zero, below one.
-    `degrees`: At least 1.
+    `probability` is between 0 and 1, `degrees` at least 1.
     """
     low, high = 0.0, float(degrees)
     while chi_square_tail(high, degrees) > probability:
@@ -46,10 +45,9 @@ def chi_square_limit(probability: float, degrees: int) -> float:
 
 
 def student_quantile(probability: float, degrees: int) -> float:
-    """The value below which Student's t lies with a probability, by bisection.
+    """Quantile of Student's t distribution, by bisection.
 
-    `probability`: From one half up, below one.
-    `degrees`: At least 1.
+    `probability` is at least 0.5 and below 1, `degrees` at least 1.
     """
     low, high = 0.0, 0.5 * math.pi
     for _ in range(60):
@@ -62,7 +60,7 @@ def student_quantile(probability: float, degrees: int) -> float:
 
 
 def _within(angle: float, degrees: int) -> float:
-    """P(|t| < sqrt(degrees) tan angle) (Abramowitz and Stegun 26.7.3, 26.7.4)."""
+    """Probability P(|t| < sqrt(degrees) tan angle) (Abramowitz and Stegun 26.7.3, 26.7.4)."""
     odd = degrees % 2
     cosine = math.cos(angle)
     term, total = (cosine if odd else 1.0), 0.0

@@ -1,7 +1,7 @@
-"""Zero-phase filters, differentiation, and how far up a record's spectrum there is signal.
+"""Zero-phase filters, differentiation, sensor lags, and the bandwidth of a recorded signal.
 
-One linear filter applied to both sides of an equation leaves the equation true; a zero-phase one
-leaves it true at the same instants. Everything here acts along the first axis.
+If the same linear filter is applied to both sides of an equation, the equation still holds. A
+zero-phase filter also keeps the time axis. All functions act along the first axis.
 """
 
 from __future__ import annotations
@@ -18,10 +18,12 @@ from strainwave.numerics.spectra import cross_spectral_densities
 
 Between = Literal["smooth", "held", "straight"]
 
-_FLOOR_MARGIN = 4.0  # a Welch estimate of 8 averages stays below 4 times its mean
-_LEAST_SAMPLES = 32
-_SETTLED = 14.0  # periods of its cut-off after which a low-pass has forgotten all but rounding
-_PIECE = 1 << 17  # samples that are transformed at once; caches hold more of them no better
+# Ratio of density to noise floor above which a line is signal. A Welch estimate of 8 averages stays
+# below 4 times its mean.
+_FLOOR_MARGIN = 4.0
+_LEAST_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
+_SETTLED = 14.0  # periods of the cut-off frequency after which a transient is below rounding
+_PIECE = 1 << 17  # samples per transform; longer transforms do not fit the processor cache
 
 
 def low_pass(
@@ -32,19 +34,21 @@ def low_pass(
     decimated: int = 1,
     kept: slice = slice(None),
 ) -> FloatArray:
-    """Forward-backward Butterworth low-pass of order 4: no phase, squared magnitude of one pass.
+    """Zero-phase Butterworth low-pass of order 4, applied forward and backward.
 
-    |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^8), so that H = 1/2 at the cut-off,
-    applied to the spectrum of the signal continued at both ends by its own point reflection.
-    Long signals pass piece by piece, with so much of its neighbours that only rounding differs.
+        |H|^2 = 1 / (1 + (tan(pi f T) / tan(pi cutoff_hz T))^8)
+
+    is the squared magnitude of one pass, so the gain at the cut-off is 1/2. The filter multiplies
+    the spectrum of the signal, extended at both ends by point reflection. Long signals are filtered
+    in overlapping pieces, which changes the result by rounding errors only.
 
     `signal` (n_samples, ...).
-    `cutoff_hz` [Hz]: At or above 0.45 of the sampling rate the signal is returned as it is.
-    `sample_time` [s].
-    `decimated`: The signal is every k-th sample of those; it gets the very gain that they would.
-    `kept`: The samples wanted, from the first wanted one on in equal steps.
+    `cutoff_hz` [Hz]: From 0.45 of the sampling rate on, the signal is returned unchanged.
+    `sample_time` [s]: Sampling period before decimation.
+    `decimated`: The signal holds every k-th sample; the filter has the gain of the original rate.
+    `kept`: Samples to return, as a slice with positive step.
 
-    Returns: (n_kept, ...): The first and last 1/cutoff_hz seconds hold the filter's transients.
+    Returns (n_kept, ...). The first and last 1/cutoff_hz seconds contain transients.
     """
     relative = cutoff_hz * sample_time
     if relative >= 0.45:
@@ -54,31 +58,33 @@ def low_pass(
     piece = max(_PIECE, 8 * margin)
     if n <= 2 * piece:
         return _passed(signal, relative, decimated)[kept]
-    wanted = np.arange(n)[kept]
-    found = np.empty((len(wanted), *signal.shape[1:]))
+    kept_indices = np.arange(n)[kept]
+    filtered = np.empty((len(kept_indices), *signal.shape[1:]))
     for start in range(0, n, piece):
-        low, high = np.searchsorted(wanted, (start, start + piece))
+        low, high = np.searchsorted(kept_indices, (start, start + piece))
         begin = max(0, start - margin)
-        near = signal[begin : start + piece + margin]
-        found[low:high] = _passed(near, relative, decimated)[wanted[low:high] - begin]
-    return found
+        piece_signal = signal[begin : start + piece + margin]
+        filtered[low:high] = _passed(piece_signal, relative, decimated)[
+            kept_indices[low:high] - begin
+        ]
+    return filtered
 
 
 def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
-    """The low-pass of a whole signal; `relative` is its cut-off in sampling rates."""
+    """Low-pass of a complete signal; `relative` is the cut-off divided by the sampling rate."""
     n = len(signal)
     pad = min(n - 1, int(4.0 / (relative * decimated)))
-    longer = _continued(signal, pad)
-    # a straight line passes as it is; without it, the ends meet where the spectrum joins them
-    whole = len(longer)
-    slope = (longer[-1] - longer[0]) / (whole - 1)
-    line = longer[0] + np.multiply.outer(np.arange(whole), slope)
-    size = fast_length(whole)
-    turns = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
-    gain = np.zeros(size // 2 + 1)  # none at Nyquist
-    gain[:-1] = 1.0 / (1.0 + _eighth_power(turns))
-    longer -= line
-    spectrum = np.fft.rfft(longer, size, axis=0)
+    extended = _continued(signal, pad)
+    # the filter does not change a straight line; without the line, both ends are equal
+    n_extended = len(extended)
+    slope = (extended[-1] - extended[0]) / (n_extended - 1)
+    line = extended[0] + np.multiply.outer(np.arange(n_extended), slope)
+    size = fast_length(n_extended)
+    warped = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
+    gain = np.zeros(size // 2 + 1)  # zero at the Nyquist frequency
+    gain[:-1] = 1.0 / (1.0 + _eighth_power(warped))
+    extended -= line
+    spectrum = np.fft.rfft(extended, size, axis=0)
     spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
     passed: FloatArray = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
     passed += line[pad : pad + n]
@@ -86,7 +92,7 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
 
 
 def _continued(signal: FloatArray, pad: int) -> FloatArray:
-    """A signal with its point reflections before and behind, `pad` samples each."""
+    """Signal extended by `pad` samples of its point reflection at both ends."""
     before = 2.0 * signal[:1] - signal[pad:0:-1]
     after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
     return np.concatenate([before, signal, after])
@@ -94,7 +100,7 @@ def _continued(signal: FloatArray, pad: int) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def fast_length(least: int) -> int:
-    """The next even length of small factors only, which the Fourier transform is quick at."""
+    """Smallest even length of at least `least` with prime factors 2, 3 and 5, for a fast FFT."""
     odd: list[int] = [3**i * 5**j for i in range(8) for j in range(4)]
     return min(each << max(1, (-(-least // each) - 1).bit_length()) for each in odd)
 
@@ -102,50 +108,45 @@ def fast_length(least: int) -> int:
 def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     """Central differences of fourth order: x' = (8 (x_1 - x_-1) - (x_2 - x_-2)) / (12 T).
 
-    The relative error at the frequency w is (w T)^4 / 30; two samples at either end are of second
-    order.
+    The relative error at the angular frequency w is (w T)^4 / 30. The two samples at each end use
+    second-order differences.
 
     `signal` (n_samples, ...).
     `sample_time` [s].
-
-    Returns: (n_samples, ...).
     """
-    slope = np.empty_like(signal)
-    ends = min(len(signal), 4)  # of as many samples are the two at an end
-    slope[:2] = np.gradient(signal[:ends], sample_time, axis=0)[:2]
-    slope[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
+    derivative = np.empty_like(signal)
+    ends = min(len(signal), 4)  # samples used for the differences at each end
+    derivative[:2] = np.gradient(signal[:ends], sample_time, axis=0)[:2]
+    derivative[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
     for start in range(2, len(signal) - 2, _PIECE):
         stop = min(start + _PIECE, len(signal) - 2)
         near = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]
         far = signal[start + 2 : stop + 2] - signal[start - 2 : stop - 2]
-        slope[start:stop] = (8.0 * near - far) / (12.0 * sample_time)
-    return slope
+        derivative[start:stop] = (8.0 * near - far) / (12.0 * sample_time)
+    return derivative
 
 
 def noise_deviation(signal: FloatArray) -> float:
-    """Standard deviation of the white noise on a smooth signal, from the top of its spectrum.
+    """Standard deviation of the white noise on a smooth signal (n_samples,).
 
-    A smooth motion leaves the upper part of the band to the noise; sixth differences suppress what
-    is left of the motion there. White noise of variance s^2 has sixth differences of variance
-    924 s^2 (the sum of the squared binomials).
-
-    `signal` (n_samples,).
+    Sixth differences suppress a smooth motion. White noise of variance s^2 has sixth differences of
+    variance 924 s^2 (the sum of the squared binomial coefficients).
     """
     sixth = np.diff(signal, 6)
     return float(np.sqrt(np.mean(sixth**2) / 924.0)) if sixth.size else 0.0
 
 
 def signal_band(angle: FloatArray, sample_time: float) -> float:
-    """Frequency up to which an angle is above its own noise.
+    """Frequency [Hz] up to which an angle exceeds its measurement noise.
 
-    The encoder's noise is white, whether from its counts or from electronics, and the motion's
-    spectrum falls steeply: the band ends where the power density meets the floor that the highest
-    octave shows.
+    The noise of an encoder is white, and the spectrum of the motion falls steeply. The band ends
+    where the power spectral density reaches the median above a quarter of the sampling rate.
 
     `angle` (n_samples,).
     `sample_time` [s].
 
-    Returns: [Hz]: At most a fifth of the sampling rate; a filter above this adds noise, not signal.
+    Returns at most a fifth of the sampling rate: at higher frequencies, a filter passes mainly
+    noise.
     """
     rate = 1.0 / sample_time
     if len(angle) < _LEAST_SAMPLES:
@@ -155,35 +156,35 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
         np.diff(angle)[:, None], sample_time, segment, trend="line"
     )
     power = density[:, 0, 0].real
-    # of the difference's spectrum back to the angle's, without the leakage of its trend
+    # convert the spectrum of the differences to that of the angle; differencing avoids leakage of
+    # trends
     power = power[1:] / (2.0 * np.sin(np.pi * frequency[1:] * sample_time)) ** 2
     frequency = frequency[1:]
     floor = np.median(power[frequency >= 0.25 * rate])
-    above = np.flatnonzero(power > _FLOOR_MARGIN * floor)
-    if not above.size:
+    above_floor = np.flatnonzero(power > _FLOOR_MARGIN * floor)
+    if not above_floor.size:
         return float(frequency[0])
-    # the first gap of some width ends the band: lines of interference above do not extend it
+    # the first wide gap ends the band, so interference lines above it do not extend it
     gap = max(2, len(frequency) // 200)
-    ends = np.flatnonzero(np.diff(above) > gap)
-    last = above[ends[0]] if ends.size else above[-1]
+    ends = np.flatnonzero(np.diff(above_floor) > gap)
+    last = above_floor[ends[0]] if ends.size else above_floor[-1]
     return float(min(frequency[last], 0.2 * rate))
 
 
 def lagged(
     signal: FloatArray, lags: Sequence[Lag], sample_time: float, *, held: bool = False
 ) -> FloatArray:
-    """A signal after sensors' or drives' low-pass filters, one behind the other.
+    """Signal after a cascade of low-pass filters of sensors or drives.
 
-    First order: 1 / (1 + s/w); second order, Butterworth: 1 / (1 + sqrt(2) s/w + (s/w)^2), with
-    w = 2 pi cutoff_hz. The whole cascade is solved exactly between the samples.
+    First order: 1 / (1 + s/w). Second order, Butterworth: 1 / (1 + sqrt(2) s/w + (s/w)^2). w = 2 pi
+    cutoff_hz. The cascade is discretised exactly.
 
     `signal` (n_samples, ...).
-    `lags`: Without any, the signal is returned as it is.
+    `lags`: If empty, the signal is returned unchanged.
     `sample_time` [s].
-    `held`: The signal is constant until the next sample; otherwise it runs straight to it.
+    `held`: Zero-order hold between samples; otherwise linear interpolation.
 
-    Returns: (n_samples, ...): Steady at the first sample: what comes before is taken as equal to
-    it.
+    Returns (n_samples, ...). The initial state is the steady state of the first sample.
     """
     if not lags:
         return signal
@@ -198,15 +199,15 @@ def lagged(
 def _lag_response(
     lags: tuple[Lag, ...], sample_time: float, held: bool, n: int
 ) -> tuple[ComplexArray, int]:
-    """Response of the cascade at the lines of a transform, and that one's length.
+    """Frequency response of the cascade for a zero-padded transform, and the transform length.
 
-    So many zeros stand behind n samples that the answer has died away where the ends meet. A
-    record's channels share it.
+    The padding lets the response decay, so it does not wrap around. The result is cached for the
+    channels of a record.
     """
     numerator, denominator = _discrete(lags, sample_time, held)
-    slowest = float(np.abs(np.roots(denominator)).max())
-    settled = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(slowest, 1e-3))))
-    size = fast_length(n + settled)
+    max_pole_modulus = float(np.abs(np.roots(denominator)).max())
+    n_settling = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(max_pole_modulus, 1e-3))))
+    size = fast_length(n + n_settling)
     z = np.exp(-2j * np.pi * np.fft.rfftfreq(size))
     response = np.polyval(numerator[::-1], z) / np.polyval(denominator[::-1], z)
     return np.asarray(response, dtype=np.complex128), size
@@ -215,22 +216,21 @@ def _lag_response(
 def unaliased(
     signal: FloatArray, lags: Sequence[Lag], sample_time: float, between: Between
 ) -> FloatArray:
-    """A signal after low-pass filters, below the Nyquist frequency only.
+    """Signal after low-pass filters, without aliases of components above the Nyquist frequency.
 
-    What `lagged` gives at the samples holds what lies above the Nyquist frequency too, folded
-    down: a held voltage has a good deal there, an angle nothing. Where one is differentiated and
-    compared with the other, that must not be. Straight lines between the samples of an angle
-    would make it smaller by (w T)^2 / 12. So each line of the spectrum is multiplied by
+    The samples that `lagged` returns contain aliases. A held voltage has significant components
+    above the Nyquist frequency, an angle has none, so aliases would bias a comparison of the two.
+    Linear interpolation of an angle would reduce it by (w T)^2 / 12. This function multiplies the
+    spectrum by
 
         H(jw) R(jw),   R = 1 (smooth), sinc(w T / 2) exp(-jwT/2) (held), sinc(w T / 2)^2 (straight)
 
     `signal` (n_samples, ...).
     `sample_time` [s].
-    `between`: How the signal runs from sample to sample: as its spectrum says, constant, or
-        straight.
+    `between`: Signal between samples: band-limited ("smooth"), constant ("held") or linear
+        ("straight").
 
-    Returns: (n_samples, ...): Steady at the first sample: what comes before is taken as equal to
-    it.
+    Returns (n_samples, ...). The initial state is the steady state of the first sample.
     """
     if not lags and between == "smooth":
         return signal
@@ -239,23 +239,23 @@ def unaliased(
     before, after = np.repeat(signal[:1], pad, axis=0), np.repeat(signal[-1:], pad, axis=0)
     if between == "smooth":
         after = 2.0 * after - signal[-2 : -pad - 2 : -1]
-    longer = np.concatenate([before, signal, after])
-    # of a straight line the answer is the line, later; without it the ends meet
-    whole = len(longer)
-    slope = (longer[-1] - longer[0]) / (whole - 1)
-    line = longer[0] + np.multiply.outer(np.arange(whole), slope)
-    size = fast_length(whole)
-    response, late = _analog(tuple(lags), sample_time, between, size)
-    longer = longer - line
-    spectrum = np.fft.rfft(longer, size, axis=0)
+    extended = np.concatenate([before, signal, after])
+    # the response to a straight line is a delayed line; without the line, both ends are equal
+    n_extended = len(extended)
+    slope = (extended[-1] - extended[0]) / (n_extended - 1)
+    line = extended[0] + np.multiply.outer(np.arange(n_extended), slope)
+    size = fast_length(n_extended)
+    response, delay = _analog(tuple(lags), sample_time, between, size)
+    extended = extended - line
+    spectrum = np.fft.rfft(extended, size, axis=0)
     spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
     passed = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
     passed += line[pad : pad + n]
-    return np.asarray(passed - slope * (late / sample_time))
+    return np.asarray(passed - slope * (delay / sample_time))
 
 
 def _memory(lags: Sequence[Lag]) -> float:
-    """After how long the slowest of low-pass filters has forgotten all but rounding [s]."""
+    """Time [s] after which the transient of the slowest low-pass filter is below rounding."""
     return max((_SETTLED / lag.cutoff_hz for lag in lags), default=0.0)
 
 
@@ -263,30 +263,30 @@ def _memory(lags: Sequence[Lag]) -> float:
 def _analog(
     lags: tuple[Lag, ...], sample_time: float, between: Between, size: int
 ) -> tuple[ComplexArray, float]:
-    """Response at the lines of a transform, and by how much a straight line comes later [s]."""
+    """Frequency response at the frequencies of a transform, and delay of a straight line [s]."""
     f = np.fft.rfftfreq(size, sample_time)
     response = np.ones(len(f), dtype=np.complex128)
-    late = 0.0
+    delay = 0.0
     for lag in lags:
         s = 1j * f / lag.cutoff_hz
-        first = 1.0 if lag.order == 1 else np.sqrt(2.0)
-        response /= 1.0 + first * s + (s**2 if lag.order == 2 else 0.0)
-        late += first / (2.0 * np.pi * lag.cutoff_hz)
+        damping_term = 1.0 if lag.order == 1 else np.sqrt(2.0)
+        response /= 1.0 + damping_term * s + (s**2 if lag.order == 2 else 0.0)
+        delay += damping_term / (2.0 * np.pi * lag.cutoff_hz)
     if between == "held":
         response *= np.sinc(f * sample_time) * np.exp(-1j * np.pi * f * sample_time)
-        late += 0.5 * sample_time
+        delay += 0.5 * sample_time
     elif between == "straight":
         response *= np.sinc(f * sample_time) ** 2
-    return response, late
+    return response, delay
 
 
 def _discrete(
     lags: tuple[Lag, ...], sample_time: float, held: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Numerator and denominator in z, highest power first.
+    """Numerator and denominator of the cascade in z, highest power first.
 
-    One matrix exponential solves x' = A x + B u between two samples (Van Loan, IEEE Trans. AC 23,
-    1978), with u constant or, by one more block, running straight from sample to sample.
+    One matrix exponential integrates x' = A x + B u over a sampling period (Van Loan, IEEE Trans.
+    AC 23, 1978), for constant u or, with one more block, for linear u.
     """
     denominator: FloatArray = np.ones(1)
     for lag in lags:
@@ -294,16 +294,16 @@ def _discrete(
         section = [1.0 / w, 1.0] if lag.order == 1 else [1.0 / w**2, np.sqrt(2.0) / w, 1.0]
         denominator = np.asarray(np.polymul(denominator, section), dtype=np.float64)
     n = len(denominator) - 1
-    whole = np.zeros((n + 2, n + 2))
-    whole[0, :n] = -denominator[1:] / denominator[0]
-    whole[np.arange(1, n), np.arange(n - 1)] = 1.0
-    whole[0, n] = whole[n, n + 1] = 1.0
-    top = exponential(whole)[:n]
-    A, B, C, D = top[:, :n], top[:, n], np.zeros(n), 0.0
+    block = np.zeros((n + 2, n + 2))
+    block[0, :n] = -denominator[1:] / denominator[0]
+    block[np.arange(1, n), np.arange(n - 1)] = 1.0
+    block[0, n] = block[n, n + 1] = 1.0
+    block_exponential = exponential(block)[:n]
+    A, B, C, D = block_exponential[:, :n], block_exponential[:, n], np.zeros(n), 0.0
     C[-1] = 1.0 / denominator[0]
     if not held:
-        D = float(C @ top[:, n + 1])
-        B = B - top[:, n + 1] + A @ top[:, n + 1]
+        D = float(C @ block_exponential[:, n + 1])
+        B = B - block_exponential[:, n + 1] + A @ block_exponential[:, n + 1]
     poles = np.poly(A)
     return np.real(np.poly(A - np.outer(B, C)) + (D - 1.0) * poles), np.real(poles)
 
@@ -311,17 +311,17 @@ def _discrete(
 def band_pass(
     signal: FloatArray, low_hz: float, high_hz: float, sample_time: float, *, integrals: int = 0
 ) -> FloatArray:
-    """Zero-phase band-pass, and with it integrals over time, which are drift without it.
+    """Zero-phase band-pass, combined with integration over time.
 
-    H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) times (2 pi j f)^-integrals, without phase, applied
-    to the spectrum of the signal continued at both ends by its own point reflection.
+    H = 1 / ((1 + (low/f)^8) (1 + (f/high)^8)) (2 pi j f)^-integrals multiplies the spectrum of the
+    signal, extended at both ends by point reflection. Integration without a high-pass would drift.
 
     `signal` (n_samples, ...).
     `low_hz, high_hz` [Hz].
     `sample_time` [s].
-    `integrals`: How often the signal is integrated over time.
+    `integrals`: Number of integrations over time.
 
-    Returns: (n_samples, ...): Within about 1.5 / low_hz seconds of either end it holds transients.
+    Returns (n_samples, ...). The first and last 1.5 / low_hz seconds contain transients.
     """
 
     def response(f: FloatArray) -> ComplexArray:
@@ -340,27 +340,27 @@ def band_passes(
     high_hz: float,
     sample_time: float,
 ) -> FloatArray:
-    """Several signals, integrals and derivatives of them, through one `band_pass`.
+    """Band-pass of several signals, their integrals and their derivatives; see `band_pass`.
 
     `signals` (n_samples, n_signals).
-    `wanted`: What is to come back: how often which signal is integrated; differentiated, if
-        negative.
+    `wanted`: For each result, the column of the signal and the number of integrations; negative
+        numbers are differentiations.
     `low_hz, high_hz` [Hz].
     `sample_time` [s].
 
-    Returns: (n_samples, n_wanted).
+    Returns (n_samples, n_wanted).
     """
     f, spectrum, inner = _spectrum_of(signals, sample_time, 3.0 / low_hz)
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
-    found = np.empty((len(signals), len(wanted)))
+    filtered = np.empty((len(signals), len(wanted)))
     for column, (k, integrals) in enumerate(wanted):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
-        found[:, column] = _back((response * spectrum[:, k])[:, None], inner, len(signals))[:, 0]
-    return found
+        filtered[:, column] = _back((response * spectrum[:, k])[:, None], inner, len(signals))[:, 0]
+    return filtered
 
 
 def _eighth_power(x: FloatArray) -> FloatArray:
-    return np.asarray(np.square(np.square(np.square(x))))  # `**` takes logarithms
+    return np.asarray(np.square(np.square(np.square(x))))  # `**` uses slow logarithms
 
 
 def by_spectrum(
@@ -369,15 +369,16 @@ def by_spectrum(
     sample_time: float,
     reach: float,
 ) -> FloatArray:
-    """A filter given by its frequency response, on the signal continued by point reflection.
+    """Filter with a given frequency response, for a signal extended by point reflection.
 
     `signal` (n_samples, ...).
-    `response`: (n_frequencies,) [Hz], all positive -> (n_frequencies,), the same for every column,
-        or (n_frequencies, n_out, n_in) from columns to columns. The mean does not pass.
+    `response`: Function of frequency (n_frequencies,) [Hz], all positive. It returns
+        (n_frequencies,), the same response for every column, or (n_frequencies, n_out, n_in). The
+        mean of the signal is removed.
     `sample_time` [s].
-    `reach` [s]: How far the signal is continued at either end.
+    `reach` [s]: Length of the extension at each end.
 
-    Returns: (n_samples, ...).
+    Returns (n_samples, ...).
     """
     f, spectrum, inner = _spectrum_of(signal, sample_time, reach)
     gain = response(f)
@@ -391,18 +392,18 @@ def by_spectrum(
 def _spectrum_of(
     signal: FloatArray, sample_time: float, reach: float
 ) -> tuple[FloatArray, ComplexArray, tuple[int, int]]:
-    """Frequencies [Hz], lines without the mean, and (samples before the first, in all)."""
+    """Frequencies [Hz] and spectrum without the mean, and (left padding, transform length)."""
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
-    longer = _continued(signal, pad)
-    size = fast_length(len(longer) + pad)
+    extended = _continued(signal, pad)
+    size = fast_length(len(extended) + pad)
     f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
-    return f, np.asarray(np.fft.rfft(longer, size, axis=0)[1:]), (pad, size)
+    return f, np.asarray(np.fft.rfft(extended, size, axis=0)[1:]), (pad, size)
 
 
 def _back(spectrum: ComplexArray, inner: tuple[int, int], n: int) -> FloatArray:
-    """The n samples of a signal from its lines without the mean."""
+    """Signal of n samples from its spectrum without the mean."""
     pad, size = inner
-    whole = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
-    passed: FloatArray = np.fft.irfft(whole, size, axis=0)[pad : pad + n]
+    full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
+    passed: FloatArray = np.fft.irfft(full_spectrum, size, axis=0)[pad : pad + n]
     return passed

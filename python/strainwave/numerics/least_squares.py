@@ -1,4 +1,4 @@
-"""Least squares with nuisance unknowns: robust weights, identifiability, honest deviations."""
+"""Least squares with nuisance parameters, robust weights, identifiability and block jackknife."""
 
 from __future__ import annotations
 
@@ -12,88 +12,91 @@ from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.numerics.banded import Banded
 
 HUBER = 4.0
-"""Deviations beyond which a residual counts linearly: gross errors only, for the friction of real
-drives has honest tails that a tighter limit would cut off on one side of each reversal."""
+"""Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit
+would cut the heavy tails of friction residuals on one side of each velocity reversal."""
 
 KNOWN = -1
-"""Group of rows that state what is known beforehand, each divided by its own deviation."""
+"""Group of rows with prior knowledge, each divided by its standard deviation."""
 
-_NOISE_MARGIN = 3.0  # a singular value must stand this far above the regressor's own noise
-_SHARE_OF_TORQUE = 0.3  # uncertainty, as a share of all torque, from which nothing is known
-_INFORMATIVE = 0.2  # share of its error that a row must show to speak of the errors' size
-_TAKES_PART = 0.1  # component of a unit vector from which a parameter takes part in it
+_NOISE_MARGIN = 3.0  # smallest ratio of a singular value to the noise of the regressor
+# Largest standard deviation of an identifiable parameter, as a share of the total torque.
+_SHARE_OF_TORQUE = 0.3
+# Smallest share of its error that remains in a residual used for the scale estimate.
+_INFORMATIVE = 0.2
+# Smallest component of a unit vector for which a parameter belongs to a direction.
+_TAKES_PART = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Local:
-    """Nuisance unknowns that only some rows have: those of one record, say."""
+    """Nuisance parameters that occur in some rows only, for example those of one record."""
 
-    rows: IntArray  # (n,) in which they occur; no other `Local` has any of them
+    rows: IntArray  # (n,) rows in which they occur, disjoint from those of other `Local`
     columns: Banded  # (n, n_unknowns)
 
 
 @dataclass(frozen=True, slots=True)
 class Equations:
-    """shared @ x + common @ c + local @ z = target + error.
+    """Linear equations shared @ x + common @ c + local @ z = target + error.
 
-    The nuisance unknowns c and z have zero mean and known deviations.
+    The nuisance parameters c and z have zero mean and known standard deviations.
     """
 
     shared: FloatArray  # (n_rows, n_parameters)
-    noise: FloatArray  # (n_parameters,) rms of the noise in each shared column
-    common: FloatArray  # (n_rows, n_common) of nuisance unknowns that all rows may have
-    common_deviation: FloatArray  # (n_common,)
-    local: tuple[Local, ...]  # z, part by part
-    local_deviation: FloatArray  # (n_local,)
+    noise: FloatArray  # (n_parameters,) rms noise of each column of `shared`
+    common: FloatArray  # (n_rows, n_common) regressors of the nuisance parameters c
+    common_deviation: FloatArray  # (n_common,) standard deviations of c
+    local: tuple[Local, ...]  # regressors of the nuisance parameters z, part by part
+    local_deviation: FloatArray  # (n_local,) standard deviations of z
     target: FloatArray  # (n_rows,)
-    group: IntArray  # (n_rows,) rows of one group have errors of one size; or KNOWN
-    block: IntArray  # (n_rows,) rows of one block may have errors in common
+    group: IntArray  # (n_rows,) rows of a group have errors of one variance; or KNOWN
+    block: IntArray  # (n_rows,) rows of a block may have correlated errors
 
 
 @dataclass(frozen=True, slots=True)
 class Factor:
-    """One weighted solve, and what its singular values say."""
+    """Solution of one weighted least-squares problem, and its singular value decomposition."""
 
     root: FloatArray  # (n_rows,) square roots of the weights
-    value: FloatArray  # (n_parameters,) of least norm in the scaled unknowns where not unique
+    value: FloatArray  # (n_parameters,) minimum norm in the scaled parameters if not unique
     common: FloatArray  # (n_common,)
     local: FloatArray  # (n_local,)
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
-    singular: FloatArray  # (n_parameters,)
-    directions: FloatArray  # (n_parameters, n_parameters) rows, in scaled unknowns
-    seen: BoolArray  # (n_parameters,) which directions stand out of the noise
-    leverage: FloatArray  # (n_rows,) share of each row's error that the fit takes up
+    singular: FloatArray  # (n_parameters,) singular values, in descending order
+    directions: FloatArray  # (n_parameters, n_parameters) rows, in scaled parameters
+    seen: BoolArray  # (n_parameters,) whether a direction exceeds the regressor noise
+    leverage: FloatArray  # (n_rows,) diagonal of the hat matrix
 
     @property
     def deviation(self) -> FloatArray:
-        """Of each unknown if the errors were white: a yardstick for convergence."""
-        spread = self.directions[self.seen] / self.singular[self.seen, None]
-        return np.asarray(np.sqrt(np.sum(spread**2, axis=0)) / self.scale)
+        """Standard deviations of the parameters for white errors of unit variance."""
+        scaled_directions = self.directions[self.seen] / self.singular[self.seen, None]
+        return np.asarray(np.sqrt(np.sum(scaled_directions**2, axis=0)) / self.scale)
 
     @property
     def condition_number(self) -> float:
-        """Of the weighted, column-scaled regressor, nuisance unknowns taken out."""
+        """Condition number of the weighted, column-scaled regressor without nuisance parameters."""
         smallest = float(self.singular[-1])
         return float(self.singular[0]) / smallest if smallest > 0.0 else np.inf
 
 
 def factorise(equations: Equations, root: FloatArray) -> Factor:
-    """Weighted least squares, the nuisance unknowns projected out, by QR and SVD.
+    """Solve weighted least squares with the nuisance parameters projected out, by QR and SVD.
 
-    With the prior's rows below, [Z; I] z + [X; 0] x = [y; 0]. Projecting [X; 0] and [y; 0] off the
-    columns of [Z; I] leaves equations in x alone, solved by QR; nothing in x is squared. The
-    common nuisance unknowns come before x in that QR, each with its prior's row. The SVD of x's
-    part of R shows which directions the data see: those whose singular value exceeds what the
-    regressor's own noise would make of it.
+    With the priors as additional rows, the equations are [Z; I] z + [X; 0] x = [y; 0]. Projecting
+    [X; 0] and [y; 0] onto the orthogonal complement of [Z; I] leaves equations in x alone, solved
+    by QR without forming X'X. The common nuisance parameters precede x in this QR decomposition.
+    The SVD of the block of x in R gives the identifiable directions: their singular values exceed
+    those of the regressor noise.
 
     `root` (n_rows,): Square roots of the weights.
     """
     reduced = _reduced(equations, root, equations.target[:, None])
-    scale, own, right = reduced.scale, reduced.own, reduced.right[:, 0]
-    U, s, Vt = np.linalg.svd(own)
+    scale, R, targets = reduced.scale, reduced.own, reduced.right[:, 0]
+    U, s, Vt = np.linalg.svd(R)
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
     seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
-    x = Vt[seen].T @ ((U[:, seen].T @ right) / s[seen])
+    x = Vt[seen].T @ ((U[:, seen].T @ targets) / s[seen])
     common, local = reduced.nuisance(x)
     return Factor(
         root=root,
@@ -109,49 +112,47 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
 
 
 def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArray:
-    """How far changes of the target move the shared unknowns.
+    """Changes of the parameters for changes of the target.
 
-    `changes` (n_rows, n_changes).
-
-    Returns: (n_parameters, n_changes).
+    `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
     reduced = _reduced(equations, factor.root, changes, leverage=False)
     basis = factor.directions[factor.seen].T
-    # R'R = V s^2 V', so that R^-1 = V s^-2 V' R'
+    # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
     inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ reduced.own.T
     return np.asarray(inverse @ reduced.right / factor.scale[:, None])
 
 
 @dataclass(frozen=True, slots=True)
 class _Reduced:
-    """Equations without their local unknowns, and the triangle that QR makes of them.
+    """Equations after elimination of the local parameters, and their triangular factor.
 
-    Its columns are those of the common nuisance unknowns, the parameters and the targets.
+    The columns belong to the common nuisance parameters, the parameters and the targets.
     """
 
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
     n_common: int
     triangle: FloatArray
-    below: FloatArray  # (n_local, n_columns) what each local unknown takes of a column
+    below: FloatArray  # (n_local, n_columns) regression of each column on the local regressors
     leverage: FloatArray  # (n_rows,)
 
     @property
     def own(self) -> FloatArray:
-        """The parameters' part of the triangle."""
+        """Block of the parameters in the triangular factor."""
         n, stop = self.n_common, self.n_common + len(self.scale)
         return self.triangle[n:stop, n:stop]
 
     @property
     def right(self) -> FloatArray:
-        """The targets beside it."""
+        """Columns of the targets in the rows of the parameters."""
         n, stop = self.n_common, self.n_common + len(self.scale)
         return self.triangle[n:stop, stop:]
 
     def nuisance(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Common and local unknowns that belong to scaled parameters and the one target."""
+        """Common and local nuisance parameters for given scaled parameters x and one target."""
         n = self.n_common
-        above = self.triangle[:n, -1] - self.triangle[:n, n:-1] @ x
-        common = np.asarray(np.linalg.solve(self.triangle[:n, :n], above))
+        targets = self.triangle[:n, -1] - self.triangle[:n, n:-1] @ x
+        common = np.asarray(np.linalg.solve(self.triangle[:n, :n], targets))
         local = self.below[:, -1] - self.below[:, :-1] @ np.concatenate([common, x])
         return common, np.asarray(local)
 
@@ -159,21 +160,23 @@ class _Reduced:
 def _reduced(
     equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
 ) -> _Reduced:
-    """The local unknowns eliminated part by part, then a QR of what is left."""
+    """Eliminate the local parameters part by part, then compute a QR decomposition."""
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
     scale[scale == 0.0] = 1.0
     common = equations.common * root[:, None] * equations.common_deviation
     columns = np.column_stack([common, X / scale, targets * root[:, None]])
-    n_common, n_shown = common.shape[1], common.shape[1] + len(scale)
-    lent = np.zeros(len(root))
-    taken: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
+    n_common, n_regressors = common.shape[1], common.shape[1] + len(scale)
+    local_leverage = np.zeros(len(root))
+    local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
     for part, Z in _weighted_parts(equations, root):
-        found, columns[part.rows], lever = _eliminated(Z, columns[part.rows], leverage=leverage)
-        taken.append(found)
+        coefficients, columns[part.rows], part_leverage = _eliminated(
+            Z, columns[part.rows], leverage=leverage
+        )
+        local_coefficients.append(coefficients)
         if leverage:
-            lent[part.rows] = lever
-    below = np.concatenate(taken)
+            local_leverage[part.rows] = part_leverage
+    below = np.concatenate(local_coefficients)
     priors = np.eye(n_common, columns.shape[1])
     Q, R = np.linalg.qr(np.vstack([columns, -below, priors]))
     return _Reduced(
@@ -181,14 +184,14 @@ def _reduced(
         n_common=n_common,
         triangle=R,
         below=below,
-        leverage=np.sum(Q[: len(root), :n_shown] ** 2, axis=1) + lent,
+        leverage=np.sum(Q[: len(root), :n_regressors] ** 2, axis=1) + local_leverage,
     )
 
 
 def _eliminated(
     Z: Banded, right: FloatArray, *, leverage: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(Z'Z + I)^-1 Z' right, right less Z times that, and the diagonal of Z (Z'Z + I)^-1 Z'."""
+    """(Z'Z + I)^-1 Z' right, the remainder of right, and the diagonal of Z (Z'Z + I)^-1 Z'."""
     if not Z.entries.size:
         return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
     right = np.ascontiguousarray(right)
@@ -196,7 +199,7 @@ def _eliminated(
 
 
 def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
-    """Each part, and its columns per unknown of unit deviation."""
+    """Each local part with its regressors for parameters of unit standard deviation."""
     first = 0
     for part in equations.local:
         n = part.columns.n_columns
@@ -206,7 +209,7 @@ def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Lo
 
 
 def residual_of(equations: Equations, factor: Factor) -> FloatArray:
-    """What the equations leave unexplained: (n_rows,)."""
+    """Residual (n_rows,) of the equations."""
     residual = equations.target - equations.shared @ factor.value
     residual -= equations.common @ factor.common
     first = 0
@@ -218,30 +221,30 @@ def residual_of(equations: Equations, factor: Factor) -> FloatArray:
 
 
 def root_weights(equations: Equations, factor: Factor) -> FloatArray:
-    """Square roots of the next weights: Huber's, within each group's own robust deviation.
+    """Square roots (n_rows,) of Huber's weights with a robust standard deviation for each group.
 
-    w = min(1, HUBER / |r / s|) / s^2,  s = 1.4826 median |r / sqrt(1 - h)|, h the leverage
-
-    Returns: (n_rows,).
+    w = min(1, HUBER / |r / s|) / s^2,   s = 1.4826 median |r / sqrt(1 - h)|,   h the leverage
     """
     residual = residual_of(equations, factor)
-    free = 1.0 - factor.leverage
+    residual_share = 1.0 - factor.leverage
     root = np.ones_like(residual)
     for g in np.unique(equations.group[equations.group != KNOWN]):
         rows = equations.group == g
-        telling = rows & (free > _INFORMATIVE)
-        telling = telling if telling.any() else rows
-        size = np.abs(residual[telling]) / np.sqrt(np.clip(free[telling], _INFORMATIVE, None))
-        # where the model is exact the bulk is rounding: keep the weights finite
+        informative = rows & (residual_share > _INFORMATIVE)
+        informative = informative if informative.any() else rows
+        size = np.abs(residual[informative]) / np.sqrt(
+            np.clip(residual_share[informative], _INFORMATIVE, None)
+        )
+        # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
         deviation = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
-        standard = np.abs(residual[rows]) / deviation
-        root[rows] = np.sqrt(HUBER / np.maximum(standard, HUBER)) / deviation
+        normalised = np.abs(residual[rows]) / deviation
+        root[rows] = np.sqrt(HUBER / np.maximum(normalised, HUBER)) / deviation
     return root
 
 
 def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
-    """Square roots of the weights before any residual is known: one over each group's rms."""
+    """Square roots of the initial weights: the reciprocal rms of the target in each group."""
     root = np.ones_like(target)
     for g in np.unique(group[group != KNOWN]):
         rms = float(np.sqrt(np.mean(target[group == g] ** 2)))
@@ -250,81 +253,82 @@ def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
 
 
 def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatArray]:
-    """Covariance of the shared unknowns by leaving out one block at a time.
+    """Covariance of the parameters by the delete-one-block jackknife.
 
-    V = (m - 1)/m sum_b (x_b - x)(x_b - x)', x_b the estimate without block b, m blocks. It holds
-    for errors of any colour within the blocks, and counts model error as far as that differs from
-    block to block. What the estimate leans towards the nuisance unknowns' priors comes on top.
+        V = (m - 1)/m sum_b (x_b - x)(x_b - x)'
 
-    Returns: (n_parameters, n_parameters): Covariance within the directions that the data see.
-    (n_common,): Variances of the common nuisance unknowns.
+    x_b is the estimate without block b, and m is the number of blocks. The covariance is valid for
+    any correlation of the errors within blocks, and includes model errors that vary between blocks.
+    The variance from the priors of the nuisance parameters is added.
+
+    Returns the covariance (n_parameters, n_parameters) within the identifiable directions, and the
+    variances (n_common,) of the common nuisance parameters.
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
-    back = basis / factor.singular[factor.seen]
-    normal = _Normal.of(equations, factor.root, back)
-    whole = normal.solution()
-    shifts = [normal.without(label) - whole for label in normal.lost]
+    to_parameters = basis / factor.singular[factor.seen]
+    normal = _Normal.of(equations, factor.root, to_parameters)
+    reference = normal.solution()
+    shifts = [normal.without(label) - reference for label in normal.lost]
     m = len(shifts)
-    inner = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + normal.lean()
-    k = back.shape[1]
-    covariance: FloatArray = back @ inner[:k, :k] @ back.T
-    return covariance, np.asarray(np.diag(inner)[k:] * equations.common_deviation**2)
+    inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + normal.lean()
+    k = to_parameters.shape[1]
+    covariance: FloatArray = to_parameters @ inner_covariance[:k, :k] @ to_parameters.T
+    return covariance, np.asarray(np.diag(inner_covariance)[k:] * equations.common_deviation**2)
 
 
 @dataclass(frozen=True, slots=True)
 class _Normal:
-    """Normal equations of w and the common nuisance unknowns, the local ones eliminated."""
+    """Normal equations of w and the common nuisance parameters, without the local parameters."""
 
-    gram: FloatArray  # (k, k + 1) with the right side behind
-    lost: dict[int, FloatArray]  # of each label, what the gram lacks without its rows
-    priors: FloatArray  # (k, k) sum of squares of what the priors' unit errors come with
+    gram: FloatArray  # (k, k + 1), the last column is the right-hand side
+    lost: dict[int, FloatArray]  # contribution of each block to the gram matrix
+    priors: FloatArray  # (k, k) contribution of the errors of the priors
 
     @staticmethod
     def of(equations: Equations, root: FloatArray, back: FloatArray) -> _Normal:
-        """With the shared unknowns `back @ w`."""
+        """Normal equations for the parameters x = `back @ w`."""
         common = equations.common * equations.common_deviation
         columns = [equations.shared @ back, common, equations.target]
-        both = np.column_stack(columns) * root[:, None]
-        n = both.shape[1]
+        rows = np.column_stack(columns) * root[:, None]
+        n = rows.shape[1]
         gram, priors = np.zeros((n, n)), np.zeros((n, n))
-        lone = equations.group != KNOWN
+        has_no_local = equations.group != KNOWN
         lost: dict[int, FloatArray] = {}
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
                 continue
-            found, _, _ = _eliminated(Z, both[part.rows], leverage=False)
-            whole, without = _without_blocks(Z, both[part.rows], equations.block[part.rows])
-            gram += whole
-            priors += found.T @ found
-            for label, left in without.items():
-                lost[label] = lost.get(label, 0.0) + whole - left
-            lone[part.rows] = False
-        for label in np.unique(equations.block[lone]).tolist():
-            own = both[lone & (equations.block == label)]
-            lost[label] = lost.get(label, 0.0) + own.T @ own
-            gram += own.T @ own
-        at = n - 1 - common.shape[1]
-        known = np.vstack([both[equations.group == KNOWN], np.eye(n)[at:-1]])
-        gram += known.T @ known
-        priors += known.T @ known
+            coefficients, _, _ = _eliminated(Z, rows[part.rows], leverage=False)
+            part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
+            gram += part_gram
+            priors += coefficients.T @ coefficients
+            for label, remaining in without.items():
+                lost[label] = lost.get(label, 0.0) + part_gram - remaining
+            has_no_local[part.rows] = False
+        for label in np.unique(equations.block[has_no_local]).tolist():
+            block_rows = rows[has_no_local & (equations.block == label)]
+            lost[label] = lost.get(label, 0.0) + block_rows.T @ block_rows
+            gram += block_rows.T @ block_rows
+        n_own = n - 1 - common.shape[1]
+        prior_rows = np.vstack([rows[equations.group == KNOWN], np.eye(n)[n_own:-1]])
+        gram += prior_rows.T @ prior_rows
+        priors += prior_rows.T @ prior_rows
         return _Normal(gram[:-1], lost, priors[:-1, :-1])
 
     def solution(self) -> FloatArray:
-        """w, then the common nuisance unknowns."""
+        """Estimate of w and the common nuisance parameters."""
         return np.asarray(np.linalg.solve(self.gram[:, :-1], self.gram[:, -1]))
 
     def without(self, label: int) -> FloatArray:
-        """The solution with the rows of one block left out.
+        """Estimate without the rows of one block.
 
-        What only these rows identify is lost without them: a ridge keeps that at its whole-data
-        size instead of dividing by nothing.
+        A small ridge keeps a direction that only these rows determine at a finite value.
         """
         gram = self.gram - self.lost[label][:-1]
         gram[np.diag_indices(len(gram))] += 1e-9
         return np.asarray(np.linalg.solve(gram[:, :-1], gram[:, -1]))
 
     def lean(self) -> FloatArray:
-        """Covariance from what is known beforehand, whose unit errors the estimate follows."""
+        """Covariance due to the errors of the priors, which have unit variance."""
         S = np.linalg.inv(self.gram[:, :-1])
         return np.asarray(S @ self.priors @ S)
 
@@ -332,7 +336,7 @@ class _Normal:
 def _without_blocks(
     Z: Banded, right: FloatArray, block: IntArray
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Right' (I + Z Z')^-1 right of all rows, and without those of each label."""
+    """Matrix right' (I + Z Z')^-1 right for all rows, and without the rows of each label."""
     order = np.argsort(block, kind="stable")
     present, counts = np.unique(block, return_counts=True)
     stops = [0, *np.cumsum(counts).tolist()]
@@ -343,24 +347,23 @@ def _without_blocks(
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:
-    """Which unknowns the data identify.
+    """Which parameters (n_parameters,) the data identify.
 
-    Not those that take part in a direction lost in noise, nor those whose uncertainty, times how
-    much they were exercised, is a good part of all the torque there was.
+    A parameter is not identifiable if it belongs to a direction below the regressor noise, or if
+    its standard deviation, multiplied by the norm of its regressor, exceeds a share of the total
+    torque.
 
     `covariance` (n_parameters, n_parameters).
-
-    Returns: (n_parameters,).
     """
-    blind = np.abs(factor.directions[~factor.seen])
-    visible = (blind < _TAKES_PART).all(axis=0)
+    unidentifiable = np.abs(factor.directions[~factor.seen])
+    is_identifiable = (unidentifiable < _TAKES_PART).all(axis=0)
     torque = np.linalg.norm(factor.root * equations.target)
-    uncertain = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale
-    return np.asarray(visible & (uncertain < _SHARE_OF_TORQUE * torque))
+    torque_std = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale
+    return np.asarray(is_identifiable & (torque_std < _SHARE_OF_TORQUE * torque))
 
 
 def companions(factor: Factor, unknown: int) -> list[int]:
-    """Unknowns with which one is confounded, from the weakest direction it takes part in."""
-    part = np.abs(factor.directions[:, unknown]) > _TAKES_PART
-    weakest = factor.directions[np.flatnonzero(part)[-1]]
+    """Parameters that are correlated with one parameter in the weakest direction it belongs to."""
+    belongs = np.abs(factor.directions[:, unknown]) > _TAKES_PART
+    weakest = factor.directions[np.flatnonzero(belongs)[-1]]
     return [int(k) for k in np.flatnonzero(np.abs(weakest) > _TAKES_PART) if k != unknown]

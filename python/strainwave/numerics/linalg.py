@@ -1,4 +1,4 @@
-"""Functions of small matrices, without SciPy: to import that takes longer than most stages."""
+"""Functions of small matrices without SciPy, whose import takes longer than most stages."""
 
 from __future__ import annotations
 
@@ -6,42 +6,34 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_BLOCK = 400  # rows whose factorisation stays in the processor's cache
-_TERMS = 18  # 0.5^19 / 19! is below rounding
+_BLOCK = 400  # rows of a block whose factorisation fits the processor cache
+_TERMS = 18  # number of Taylor terms: 0.5^19 / 19! is below rounding
 
 
 def exponential(matrix: FloatArray) -> FloatArray:
-    """e^M by its series, scaled down by a power of two and squared up again.
-
-    `matrix` (n, n).
-
-    Returns: (n, n).
-    """
+    """Matrix exponential e^M (n, n) by scaling and squaring of its Taylor series."""
     size = float(np.abs(matrix).sum(axis=0).max())
     halvings = max(0, int(np.ceil(np.log2(size))) + 1) if size > 0.0 else 0
-    small = matrix / 2.0**halvings
-    total = np.eye(len(matrix))
-    for k in range(_TERMS, 0, -1):  # Horner
-        total = np.eye(len(matrix)) + small @ total / k
+    scaled = matrix / 2.0**halvings
+    result = np.eye(len(matrix))
+    for k in range(_TERMS, 0, -1):  # Horner's scheme
+        result = np.eye(len(matrix)) + scaled @ result / k
     for _ in range(halvings):
-        total = total @ total
-    return np.asarray(total)
+        result = result @ result
+    return np.asarray(result)
 
 
 def triangular_factor(table: FloatArray) -> FloatArray:
-    """R of the QR decomposition of a tall table, block by block and then of the blocks' own.
+    """Triangular factor R of the QR decomposition of a tall matrix, block by block.
 
-    Which is backward stable like the whole decomposition (Demmel, Grigori, Hoemmen and Langou,
-    2012), and takes less than half as long where the table does not fit the cache.
-
-    `table` (n_rows, n).
-
-    Returns: (n_rows, n).
+    R has shape (n, n), or fewer rows if the table has fewer. The method is backward stable (Demmel,
+    Grigori, Hoemmen and Langou, 2012), and takes less than half the time of one QR decomposition if
+    the table does not fit the cache.
     """
     n_rows, n = table.shape
     n_blocks = n_rows // max(_BLOCK, 2 * n)
     if n_blocks > 1:
-        whole = n_rows // n_blocks * n_blocks
-        blocks = np.asarray(np.linalg.qr(table[:whole].reshape(n_blocks, -1, n), mode="r"))
-        table = np.concatenate([blocks.reshape(-1, n), table[whole:]])
+        n_blocked_rows = n_rows // n_blocks * n_blocks
+        blocks = np.asarray(np.linalg.qr(table[:n_blocked_rows].reshape(n_blocks, -1, n), mode="r"))
+        table = np.concatenate([blocks.reshape(-1, n), table[n_blocked_rows:]])
     return np.asarray(np.linalg.qr(table, mode="r"))

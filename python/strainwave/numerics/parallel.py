@@ -1,4 +1,4 @@
-"""The computer's cores: one for many small systems, all of them for work that is independent."""
+"""Parallel execution of independent jobs, and settings of a process for the command line."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Result = TypeVar("Result")
 First = TypeVar("First")
 Second = TypeVar("Second")
 
-_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of glibc's malloc.h
-_KEPT = 2**28  # bytes
-_NEW_OBJECTS = 100_000  # from one look of the collector to the next
-_THREAD_TURN = 1e-3  # [s] after which a thread gives way to one that returns from compiled code
+_TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of mallopt in glibc's malloc.h
+_KEPT = 2**28  # bytes below which freed memory is kept and arrays are not mapped separately
+_NEW_OBJECTS = 100_000  # allocations between two runs of the garbage collector
+_THREAD_TURN = 1e-3  # [s] maximum time before a thread releases the interpreter to another thread
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Limit BLAS to one thread: in small products, synchronisation costs more than it saves."""
+    """Limit BLAS to one thread: for small products, synchronisation costs more than it saves."""
     from threadpoolctl import threadpool_limits
 
     limit: AbstractContextManager[object] = threadpool_limits(limits=1, user_api="blas")
@@ -32,14 +32,14 @@ def one_blas_thread() -> AbstractContextManager[object]:
 
 
 def own_process() -> None:
-    """Make ready a process that is all ours, for as long as it lasts; before NumPy is imported.
+    """Configure a process that runs only this package; call it before NumPy is imported.
 
-    OpenBLAS begins no threads: they would wait for work in a loop, on a core that has some. The
-    collector of cycles, of which there are few, looks rarely, and at the end not at all. And the
-    memory that is freed is kept.
+    OpenBLAS starts no threads, because idle BLAS threads busy-wait on the cores. The garbage
+    collector runs rarely, because few reference cycles occur, and not at exit. Freed memory is
+    kept.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # to find none takes a while
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for plugins takes time
     gc.set_threshold(_NEW_OBJECTS)
     sys.setswitchinterval(_THREAD_TURN)
     atexit.register(gc.freeze)
@@ -47,10 +47,10 @@ def own_process() -> None:
 
 
 def _keep_memory() -> None:
-    """Let the process keep what it frees, where its C library is glibc.
+    """Keep freed memory in the process if the C library is glibc.
 
-    Otherwise each array of some size is new to it, and the kernel clears it page by page: an eighth
-    of a run's time.
+    Otherwise the kernel clears the pages of each new large array, which takes an eighth of a run's
+    time.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt
@@ -61,14 +61,14 @@ def _keep_memory() -> None:
 
 
 class Stopped(BaseException):
-    """Work that nobody waits for any more: a job beside it failed, or the user asked for the end.
+    """Signal that a job was cancelled: another job failed, or the user interrupted the work.
 
-    No error, so that nothing which handles errors takes it for one.
+    Not an `Exception`, so handlers of errors do not catch it.
     """
 
 
 class _Group:
-    """Jobs that end together, as part of a job of another group or of none."""
+    """Jobs that are stopped together; a group may belong to a job of another group."""
 
     def __init__(
         self,
@@ -77,7 +77,7 @@ class _Group:
         cancelled: Callable[[], bool] | None = None,
     ) -> None:
         self.parent = parent
-        self.threads = threads  # None: as many as there are cores
+        self.threads = threads  # None: number of cores
         self.cancelled = cancelled
         self.stopped = False
 
@@ -91,7 +91,7 @@ _thread = threading.local()
 
 
 def _group() -> _Group | None:
-    """The group whose job this thread does."""
+    """Group of the job that runs on this thread."""
     group: _Group | None = getattr(_thread, "group", None)
     return group
 
@@ -100,27 +100,27 @@ def _group() -> _Group | None:
 def limited(
     threads: int | None = None, cancelled: Callable[[], bool] | None = None
 ) -> Iterator[None]:
-    """Limit the threads of all `side_by_side` in this block, and let somebody else end it.
+    """Limit the threads of every `side_by_side` in this block, and allow cancellation.
 
-    `threads`: At most so many work at a time, those of jobs within jobs included. None: a thread
-        per core in each `side_by_side`.
-    `cancelled`: Asked at every `stop_if_asked` whether the work is still wanted.
+    `threads`: Maximum number of threads, including those of nested jobs. None: one thread per core
+        in each `side_by_side`.
+    `cancelled`: Called at every `stop_if_asked`; True cancels the work.
 
-    Raises `Stopped`: it is not wanted any more.
+    Raises `Stopped` after cancellation.
     """
-    before = _group()
-    _thread.group = _Group(before, threads, cancelled)
+    outer_group = _group()
+    _thread.group = _Group(outer_group, threads, cancelled)
     try:
         yield
     finally:
-        _thread.group = before
+        _thread.group = outer_group
 
 
 def stop_if_asked() -> None:
-    """End here where nobody waits for this job's result any more; long loops call it every round.
+    """Stop the current job if its result is no longer needed.
 
-    Raises `Stopped`: A job of the same `side_by_side` failed, its caller was interrupted, or the
-    work is cancelled.
+    Long loops call this function in every iteration. Raises `Stopped` if a job of the same
+    `side_by_side` failed, its caller was interrupted, or the work was cancelled.
     """
     group = _group()
     if group is not None and group.is_stopped():
@@ -128,21 +128,23 @@ def stop_if_asked() -> None:
 
 
 def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
-    """Do independent jobs on all cores, or on as many as `limited` allows.
+    """Run independent jobs on all cores, or on as many threads as `limited` allows.
 
-    Threads, because NumPy and the core let go of the interpreter while they work. None of them
-    outlives the call: where a job fails or the caller is interrupted, those that wait never begin,
-    and those that run end at their next `stop_if_asked`.
+    Threads suffice, because NumPy and the core release the interpreter lock. No thread outlives the
+    call. If a job fails or the caller is interrupted, waiting jobs do not start, and running jobs
+    end at their next `stop_if_asked`.
 
-    Returns: Their results, in order. The first exception among them is raised.
+    Returns the results in the order of the jobs, or raises the first exception.
     """
     parent = _group()
-    allowed = None if parent is None else parent.threads
-    if len(jobs) <= 1 or allowed == 1:  # a thread costs as much as a small job
+    max_threads = None if parent is None else parent.threads
+    if len(jobs) <= 1 or max_threads == 1:  # a thread costs as much as a small job
         return [_one_after_another(job) for job in jobs]
-    workers = os.cpu_count() if allowed is None else min(allowed, len(jobs))
-    inside = None if allowed is None else max(1, allowed // min(allowed, len(jobs)))
-    group = _Group(parent, inside)
+    workers = os.cpu_count() if max_threads is None else min(max_threads, len(jobs))
+    nested_threads = (
+        None if max_threads is None else max(1, max_threads // min(max_threads, len(jobs)))
+    )
+    group = _Group(parent, nested_threads)
     pool = ThreadPoolExecutor(workers)
     try:
         results = [pool.submit(_in_group, group, job) for job in jobs]
@@ -153,7 +155,7 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
 
 
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Two jobs by `side_by_side`, and their results."""
+    """Results of two jobs run by `side_by_side`."""
     jobs: list[Callable[[], First | Second]] = [first, second]
     one, other = side_by_side(jobs)
     return cast("First", one), cast("Second", other)

@@ -1,9 +1,8 @@
-"""Least squares in a trust region, for problems of many rows and few unknowns.
+"""Trust-region least squares for problems with many rows and few unknowns.
 
-Each evaluation hands over the triangular factor of its weighted Jacobian with its residual, R of
-[J r] = Q R, in which a hundred thousand rows have become as many as there are unknowns. SciPy's
-`least_squares` would take a singular value decomposition of all rows at every step, which costs
-more than to simulate them.
+Each evaluation returns the triangular factor R of [J r] = Q R, where J is the weighted Jacobian and
+r the residual. R has as many rows as there are unknowns, plus one. SciPy's `least_squares` computes
+a singular value decomposition of all rows at every step, which takes longer than their simulation.
 """
 
 from __future__ import annotations
@@ -16,59 +15,66 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 
-_GOOD, _POOR = 0.75, 0.25  # share of the predicted gain from which the region grows, or shrinks
-# Friction's events make a cost rough: below some roughness no predicted gain is to be had.
-_PATIENCE = 4  # evaluations without
-_STUCK = 30.0  # tolerances of gain, after which the search ends
-_HOPE, _LITTLE = 1000.0, 0.2  # unless as many, and this share of the cost, are predicted still
-_LOST = 12  # evaluations without, after which nothing predicted is believed: a cliff in the cost
-_HELPS = 1e-4  # share from which a step is taken
-_LEAST_DAMPING, _FELT = 1e-9, 1e-3  # to which it may fall; to which it rises at once
-_SHORTER = 0.3  # share of the last one that is trusted after a step that did not help
-_SMALLEST = 1e-12  # of the largest singular value: directions below it are not stepped along
+# Ratio of actual to predicted decrease above which the damping decreases, and below which it
+# increases.
+_GOOD, _POOR = 0.75, 0.25
+# Coulomb friction makes the cost rough, so a small predicted decrease may not be achievable.
+_PATIENCE = 4  # evaluations over which `_STUCK` limits the decrease
+_STUCK = 30.0  # decrease, in tolerances, below which the iteration has stalled
+# A stalled iteration continues while the predicted decrease exceeds this many tolerances and this
+# share of the cost.
+_HOPE, _LITTLE = 1000.0, 0.2
+# Evaluations without sufficient decrease after which the iteration ends in any case: the cost is
+# discontinuous.
+_LOST = 12
+_HELPS = 1e-4  # smallest ratio of actual to predicted decrease for which a step is accepted
+# Smallest damping, and smallest damping after a rejected step.
+_LEAST_DAMPING, _FELT = 1e-9, 1e-3
+_SHORTER = 0.3  # factor on the trusted step length after a rejected step
+_SMALLEST = 1e-12  # relative singular value below which a direction is not used
 
 
 @dataclass(frozen=True, slots=True)
 class Linearised:
-    """The cost at one point and the least squares problem that stands for it nearby."""
+    """Cost at one point and its linearised least-squares problem."""
 
     cost: float
-    factor: FloatArray  # (n + 1, n + 1) R of [J r]; the sum of squares is near the cost
+    factor: FloatArray  # (n + 1, n + 1) R of [J r]; its sum of squares approximates the cost
 
 
 class Space(Protocol):
-    """Where coordinates may lie, and what is a straight step among them."""
+    """Domain of the unknowns: bounds, and the range in which the problem is nearly linear."""
 
     def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Where a step leads, to first order x + step: (n,)."""
+        """Point (n,) after a step from x; to first order x + step."""
 
     def bounded(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
-        """Which coordinates stand at a bound beyond which the cost falls: (n,)."""
+        """Which coordinates (n,) are at a bound that the negative gradient points beyond."""
 
     def trusted(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
-        """The step, cut to the bounds and to a share of what is linear as a rule: (n,)."""
+        """Step (n,) limited to the bounds and to a share of the range in which it is linear."""
 
 
 @dataclass(frozen=True, slots=True)
 class Flat:
-    """Coordinates without bounds, in which every step is straight and may be trusted."""
+    """Domain without bounds or step limits."""
 
     def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
-        """Their sum."""
+        """Sum x + step."""
         return np.asarray(x + step)
 
     def bounded(self, x: FloatArray, _: FloatArray) -> BoolArray:
-        """None."""
+        """No coordinate is at a bound."""
         return np.zeros(len(x), dtype=bool)
 
     def trusted(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
-        """All of it."""
+        """The unchanged step."""
         return step
 
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """Where the search ended."""
+    """Result of `minimise`."""
 
     x: FloatArray  # (n,)
     at: Linearised
@@ -86,68 +92,72 @@ def minimise(
     damping: float = 1e-3,
     max_evaluations: int,
 ) -> Found | None:
-    """Levenberg and Marquardt's method in scaled coordinates, with limits to each step.
+    """Minimise by the Levenberg-Marquardt method in scaled coordinates with limited steps.
 
-    `linearise`: (n,) -> the cost and its least squares problem, or None where there is none.
-    `start` (n,).
-    `tolerance`: The search has converged when the predicted gain is below this, in units of the
-        cost: where residuals are in deviations, a hundredth is a tenth of a parameter's standard
-        deviation.
-    `relative`: The same as a share of the cost, to be added.
-    `damping`: To begin with, beside squared singular values of columns of unit length: small where
-        the start is near.
-    `max_evaluations`: Of the least squares problem.
+    `linearise`: Cost and least-squares problem at a point (n,), or None if it is not defined there.
+        `start` (n,).
+    `tolerance`: The iteration has converged if the predicted decrease of the cost is below this
+        value. If residuals are in standard deviations, 0.01 corresponds to a tenth of a parameter's
+        standard deviation.
+    `relative`: Tolerance as a share of the cost, added to `tolerance`.
+    `damping`: Initial damping, relative to squared singular values of columns of unit length. Use a
+        small value if the start is near the minimum.
+    `max_evaluations`: Maximum number of calls of `linearise`.
 
-    Returns: Not converged if the evaluations ran out, or no step helps although much is predicted.
-    None if there is no problem at the start.
+    `converged` is False if the evaluation limit is reached, or if no step decreases the cost
+    although a large decrease is predicted. Returns None if the problem is not defined at the start.
     """
     x, first = start, linearise(start)
     if first is None:
         return None
     at = first
-    growth, share = 2.0, 1.0
+    growth, trusted_share = 2.0, 1.0
     evaluations = 1
     costs: list[float] = []
     while True:
         free = ~space.bounded(x, at.factor[:, :-1].T @ at.factor[:, -1])
         gain, _ = _step(at.factor, 0.0, free)
         costs.append(at.cost)
-        enough = tolerance + relative * at.cost
-        if gain < enough:
+        gain_tolerance = tolerance + relative * at.cost
+        if gain < gain_tolerance:
             return Found(x, at, evaluations, True)
-        stalled = len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * enough
-        lost = len(costs) > _LOST and costs[-_LOST - 1] - at.cost < _STUCK * enough
-        hopeless = gain < max(_HOPE * tolerance, _LITTLE * at.cost)
-        if lost or (stalled and hopeless):
+        stalled = (
+            len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * gain_tolerance
+        )
+        is_discontinuous = (
+            len(costs) > _LOST and costs[-_LOST - 1] - at.cost < _STUCK * gain_tolerance
+        )
+        is_small_gain = gain < max(_HOPE * tolerance, _LITTLE * at.cost)
+        if is_discontinuous or (stalled and is_small_gain):
             return Found(x, at, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, at, evaluations, False)
-        predicted, step = _trusted_step(at.factor, damping, free, _Trust(space, x, share))
+        predicted, step = _trusted_step(at.factor, damping, free, _Trust(space, x, trusted_share))
         trial = space.moved(x, step)
-        there = linearise(trial)
+        candidate = linearise(trial)
         evaluations += 1
-        quality = (at.cost - there.cost) / max(predicted, 1e-300) if there else -np.inf
-        if there is None or quality < _HELPS:
+        gain_ratio = (at.cost - candidate.cost) / max(predicted, 1e-300) if candidate else -np.inf
+        if candidate is None or gain_ratio < _HELPS:
             damping, growth = max(damping * growth, _FELT), growth * 2.0
-            share *= _SHORTER
-            if abs(predicted) < tolerance:  # no step helps
-                return Found(x, at, evaluations, hopeless)
+            trusted_share *= _SHORTER
+            if abs(predicted) < tolerance:  # no step decreases the cost
+                return Found(x, at, evaluations, is_small_gain)
             continue
-        if quality > _GOOD:
+        if gain_ratio > _GOOD:
             damping = max(damping / 5.0, _LEAST_DAMPING)
-        elif quality < _POOR:
+        elif gain_ratio < _POOR:
             damping *= 2.0
-        growth, share = 2.0, min(1.0, share / _SHORTER)
-        x, at = trial, there
+        growth, trusted_share = 2.0, min(1.0, trusted_share / _SHORTER)
+        x, at = trial, candidate
 
 
 @dataclass(frozen=True, slots=True)
 class _Trust:
-    """How far a step may go."""
+    """Limit of a step from x."""
 
     space: Space
     x: FloatArray
-    share: float  # of what is linear as a rule
+    share: float  # share of the range in which the problem is nearly linear
 
 
 def _trusted_step(
@@ -156,39 +166,39 @@ def _trusted_step(
     free: BoolArray,
     trust: _Trust,
 ) -> tuple[float, FloatArray]:
-    """A damped step in which what would go too far goes as far as it may.
+    """Damped step with limited components held at their limits; the others are re-optimised.
 
-    The others make the best of that: along a narrow valley a step that is merely cut off would
-    leave it. What that predicts may be a loss; more damping follows then.
+    Truncating a step would leave a narrow valley, so the free components minimise the model given
+    the held ones. The predicted gain may be negative; the damping then increases.
     """
     held = np.zeros(len(free))
     while True:
         predicted, step = _step(factor, damping, free, held)
-        cut = trust.space.trusted(trust.x, step, trust.share)
-        beyond = free & (cut != step)
-        if not np.any(beyond):
+        limited = trust.space.trusted(trust.x, step, trust.share)
+        is_limited = free & (limited != step)
+        if not np.any(is_limited):
             return predicted, step
-        held[beyond] = cut[beyond]
-        free = free & ~beyond
+        held[is_limited] = limited[is_limited]
+        free = free & ~is_limited
 
 
 def _step(
     factor: FloatArray, damping: float, free: BoolArray, held: FloatArray | None = None
 ) -> tuple[float, FloatArray]:
-    """The step that minimises |R (step, 1)|^2 + damping |D step|^2, and the gain it predicts.
+    """Step that minimises |R (step, 1)|^2 + damping |D step|^2, and its predicted decrease.
 
-    Coordinates that are not free move as `held` says, or not at all.
+    Coordinates that are not free move by `held`, or stay constant.
     """
-    R, right = factor[:, :-1], factor[:, -1]
+    R, residual = factor[:, :-1], factor[:, -1]
     step = np.zeros(len(free)) if held is None else held.copy()
     if np.any(free):
         scale = np.linalg.norm(R[:, free], axis=0)
         scale[scale == 0.0] = 1.0
         U, s, Vt = np.linalg.svd(R[:, free] / scale, full_matrices=False)
-        along = U.T @ (right + R @ step)
-        sure = s > _SMALLEST * s[0]
-        coefficients = -s[sure] * along[sure] / (s[sure] ** 2 + damping)
-        step[free] = Vt[sure].T @ coefficients / scale
-    # |right|^2 - |R step + right|^2, without the cancellation
-    moved = R @ step
-    return float(-np.sum(moved * (2.0 * right + moved))), step
+        projection = U.T @ (residual + R @ step)
+        is_usable = s > _SMALLEST * s[0]
+        coefficients = -s[is_usable] * projection[is_usable] / (s[is_usable] ** 2 + damping)
+        step[free] = Vt[is_usable].T @ coefficients / scale
+    # |residual|^2 - |R step + residual|^2 without cancellation
+    change = R @ step
+    return float(-np.sum(change * (2.0 * residual + change))), step
