@@ -1,9 +1,9 @@
-"""Signals -> RigidModel: the rigid-joint arm (5)-(7) by weighted least squares.
+"""Rigid step: identify the arm with rigid joints (5)-(7) by weighted least squares.
 
-The equations of motion are linear in the model's parameters. They are filtered to a bandwidth
-chosen from the data, weighted per joint, and solved together with nuisance unknowns for the
-friction of motors that may stand and for the gears' compliance; see `equations`. Deviations come
-from leaving out stretches of the data and from changing the bandwidth.
+The equations of motion are linear in the parameters. They are low-passed to a bandwidth selected
+from the data, weighted per joint, and solved together with nuisance parameters for stiction and
+gear compliance; see `equations`. The covariance comes from a block jackknife and from the change of
+the estimates with the bandwidth.
 """
 
 from __future__ import annotations
@@ -49,29 +49,35 @@ from strainwave.numerics.parallel import one_blas_thread, side_by_side
 
 __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
 
-_ROUNDS = 20
-_CONVERGED = 0.02  # change in white-error deviations, which are the smallest there are
-_STEP = 2.0**0.5  # between bandwidths tried; twice as wide where nothing is elastic
-_GAIN = np.log(1.1)  # a deviation's change that counts; the jackknife knows it no better
-_UNSETTLED = 0.5  # of a deviation, by which the last round may have moved a parameter
-_VAGUE = 0.003  # of all torque; from 1e-4 to 1e-3 where there is motion enough in the band
-_ROWS_A_BLOCK = 2.0  # of one joint: half a period of the cut-off, over which errors are alike
-_FRUITLESS = 3  # bandwidths without gain that end the search
-_EVIDENT = 4.0  # deviations at which friction depends on the load: once in ten thousand by chance
-_LEAST_SHARE = 0.01  # of the load: less is nothing beside the torque constant's own error
-OTHER_SHARE = 0.3  # of the motor in the first inertia
-_MUCH_STANDING = 0.3  # share of a record
-_POOR = 300.0  # condition number; good motion gives 10 to 50
+_ROUNDS = 20  # maximum number of iterations
+# change in standard deviations for white errors, which are smaller than those of the jackknife
+_CONVERGED = 0.02
+_STEP = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
+# log of a significant ratio of standard deviations, the accuracy of the jackknife
+_GAIN = np.log(1.1)
+_UNSETTLED = 0.5  # last change in standard deviations above which the fit has not converged
+# share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
+_VAGUE = 0.003
+# minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
+_ROWS_A_BLOCK = 2.0
+_FRUITLESS = 3  # number of successive bandwidths without improvement that ends the search
+# significance of load-dependent friction in standard deviations: 1e-4 false alarms
+_EVIDENT = 4.0
+_LEAST_SHARE = 0.01  # of the load; smaller shares are below the error of the torque constant
+OTHER_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
+_MUCH_STANDING = 0.3  # share of a record in possible stiction that causes a warning
+_POOR = 300.0  # condition number that causes a warning; good motion gives 10 to 50
 _REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
-_BELOW_RESONANCE = 3.0  # anti-resonance over bandwidth from which first order suffices
+# minimum ratio of anti-resonance to bandwidth for the first-order compliance model
+_BELOW_RESONANCE = 3.0
 
 
-_Motion = tuple[Signals, float]  # with the period that it repeats
+_Motion = tuple[Signals, float]  # signals and their period in samples
 
 
 @dataclass(frozen=True, slots=True)
 class _Trial:
-    """A fit at one bandwidth."""
+    """Fit at one bandwidth."""
 
     stretches: tuple[Stretch, ...]  # one per record
     estimate: Estimate
@@ -80,41 +86,39 @@ class _Trial:
     factor: ls.Factor
     covariance: FloatArray
     determined: BoolArray
-    last_move: float  # of any parameter in the last round, in its deviations
+    last_move: float  # largest change in the last iteration, in standard deviations
 
     @property
     def bandwidth_hz(self) -> float:
-        """Of the equations' filter."""
+        """Bandwidth [Hz] of the equations' filter."""
         return self.stretches[0].bandwidth_hz
 
     @property
     def spread(self) -> FloatArray:
-        """Logarithms of the parameters' deviations; infinite where not determined."""
-        deviation = np.sqrt(np.clip(np.diag(self.covariance), 1e-300, None))
-        return np.where(self.determined, np.log(deviation), np.inf)
+        """Log of the standard deviations; infinite for parameters that are not determined."""
+        standard_deviations = np.sqrt(np.clip(np.diag(self.covariance), 1e-300, None))
+        return np.where(self.determined, np.log(standard_deviations), np.inf)
 
     @property
     def vagueness(self) -> float:
-        """Torque that one parameter's deviation makes at most, as a share of all torque."""
-        deviation = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+        """Largest torque of one standard deviation of a parameter, as a share of the torque."""
+        standard_deviations = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
         torque = float(np.linalg.norm(self.factor.root * self.equations.target))
-        return float(np.max(deviation * self.factor.scale)) / torque
+        return float(np.max(standard_deviations * self.factor.scale)) / torque
 
 
 def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
-    `signals`: One per record, from `signals.motor_side`.
-
-    Returns: Parameters that the data do not identify have the value None, and a warning says why.
-
-    Raises `NotIdentifiable`: there is no record, or no sample of any that may be used.
+    `signals` has one item per record, from `signals.motor_side`. A parameter that the data do not
+    determine has the value None, and a warning gives the reason. Raises `NotIdentifiable` if there
+    is no record or no usable sample.
     """
     if not signals:
         raise NotIdentifiable(
             'the rigid step needs a record with use = "motion": slow, smooth motion of all joints'
         )
-    with one_blas_thread():  # hundreds of small factorisations
+    with one_blas_thread():  # hundreds of small factorisations: several threads are slower
         return _fit(signals, arm, options or RigidOptions())
 
 
@@ -125,44 +129,50 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
     else:
         trials = _search(motions, arm)
     best = _choose(trials, arm)
-    loaded = _loaded(arm, best, chosen.load_friction)
-    if loaded:
-        near = [best, *_neighbours(trials, best)]
-        best, *near = trials = [_with_loads(arm, trial, loaded) for trial in near]
-    remainder = _scatter(trials, best) + _elastic_remainder(arm, best)
-    covariance = best.covariance + np.diag(remainder)
-    model = _model(arm, best, covariance, _load_friction(trials, best, loaded))
+    loaded_joints = _loaded(arm, best, chosen.load_friction)
+    if loaded_joints:
+        neighbours = [best, *_neighbours(trials, best)]
+        best, *neighbours = trials = [
+            _with_loads(arm, trial, loaded_joints) for trial in neighbours
+        ]
+    model_error = _scatter(trials, best) + _elastic_remainder(arm, best)
+    covariance = best.covariance + np.diag(model_error)
+    model = _model(arm, best, covariance, _load_friction(trials, best, loaded_joints))
     return replace(model, torque_ratio=_torque_ratio(arm, trials, best))
 
 
 def _loaded(arm: Arm, best: _Trial, wanted: bool | None) -> list[int]:
-    """The joints whose friction grows with the load, from 0.
+    """Joints, from 0, whose friction increases with the load.
 
-    All that are wanted; otherwise those whose share stands far out of its deviation and leaves the
-    joint possible: a share beside negative friction explains something else. Behind an elastic gear
-    the load is not known well enough, and friction is the whole-arm fit's.
+    All joints if `wanted` is True. Otherwise those with a significant share whose other parameters
+    are physically possible: a share together with negative friction indicates another cause. Empty
+    for arms with elastic gears: their load is not known accurately enough, and the whole-arm fit
+    estimates the friction.
     """
-    every = list(range(arm.n_joints))
+    joints = list(range(arm.n_joints))
     if n_compliances(arm) or wanted is False or not best.determined.all():
         return []
     if wanted:
-        return every
-    loads = Loads.of(every, best.stretches)
-    once = ls.factorise(assemble(arm, best.stretches, best.estimate, loads), best.factor.root)
-    if np.all(once.common <= _LEAST_SHARE):  # as of most arms; the rest takes many times as long
+        return joints
+    loads = Loads.of(joints, best.stretches)
+    first_solution = ls.factorise(
+        assemble(arm, best.stretches, best.estimate, loads), best.factor.root
+    )
+    # one solve excludes most arms; iteration takes many times as long
+    if np.all(first_solution.common <= _LEAST_SHARE):
         return []
-    trial = _with_loads(arm, best, every)
-    share, deviation = trial.factor.common, trial.compliance_deviation
-    impossible = {arm.rigid_columns[k].joint for k in _impossible(arm, trial)}
+    trial = _with_loads(arm, best, joints)
+    share, friction_std = trial.factor.common, trial.compliance_deviation
+    implausible = {arm.rigid_columns[k].joint for k in _impossible(arm, trial)}
     return [
         k
-        for k in every
-        if share[k] > max(_LEAST_SHARE, _EVIDENT * deviation[k]) and k + 1 not in impossible
+        for k in joints
+        if share[k] > max(_LEAST_SHARE, _EVIDENT * friction_std[k]) and k + 1 not in implausible
     ]
 
 
 def _impossible(arm: Arm, trial: _Trial) -> list[int]:
-    """Parameters that are negative beyond their uncertainty, though nothing makes them so."""
+    """Parameters that are significantly negative although they must be positive."""
     return [
         k
         for k, column in enumerate(arm.rigid_columns)
@@ -173,7 +183,7 @@ def _impossible(arm: Arm, trial: _Trial) -> list[int]:
 
 
 def _with_loads(arm: Arm, trial: _Trial, joints: Sequence[int]) -> _Trial:
-    """A fit at the same bandwidth in which friction may grow with the load."""
+    """Fit at the same bandwidth with load-dependent friction of some joints."""
     loads = Loads.of(joints, trial.stretches)
     return _trial(arm, trial.stretches, trial.estimate, loads=loads)
 
@@ -181,91 +191,101 @@ def _with_loads(arm: Arm, trial: _Trial, joints: Sequence[int]) -> _Trial:
 def _load_friction(
     trials: Sequence[_Trial], best: _Trial, joints: Sequence[int]
 ) -> tuple[Parameter, ...]:
-    """The shares of the load, with deviations that count what the bandwidths differ by."""
-    found = []
+    """Load friction of the joints.
+
+    The standard deviations include the scatter between neighbouring bandwidths.
+    """
+    parameters = []
     for k, joint in enumerate(joints):
         share, variance = float(best.factor.common[k]), float(best.compliance_deviation[k]) ** 2
-        others = [(t.factor.common[k] - share) ** 2 for t in _neighbours(trials, best)]
-        std = float(np.sqrt(variance + (max(0.0, np.median(others) - variance) if others else 0.0)))
-        reach = _student(len(np.unique(best.equations.block)) - 1) * std
-        interval = (share - reach, share + reach)
-        found.append(Parameter("load_friction", joint + 1, share, std, "1", "rigid", interval))
-    return tuple(found)
+        squared_changes = [(t.factor.common[k] - share) ** 2 for t in _neighbours(trials, best)]
+        std = float(
+            np.sqrt(
+                variance
+                + (max(0.0, np.median(squared_changes) - variance) if squared_changes else 0.0)
+            )
+        )
+        half_width = _student(len(np.unique(best.equations.block)) - 1) * std
+        interval = (share - half_width, share + half_width)
+        parameters.append(Parameter("load_friction", joint + 1, share, std, "1", "rigid", interval))
+    return tuple(parameters)
 
 
 def _load_warning(share: Parameter) -> Diagnostic:
-    text = (
+    message = (
         f"friction grows by {share.value:.3f} +- {share.std:.3f} of the load, and is predicted so;"
     )
-    text += " simulate and export leave that out"
-    return Diagnostic("load-friction", f"joint {share.joint}", text)
+    message += " simulate and export leave that out"
+    return Diagnostic("load-friction", f"joint {share.joint}", message)
 
 
 def _torque_ratio(arm: Arm, trials: Sequence[_Trial], best: _Trial) -> tuple[float, float] | None:
-    """Joint 1's torque constant over joint 2's, as the data have it and as the study has it.
+    """Estimated ratio of the torque constants of joints 1 and 2, relative to the study.
 
-    The deviation counts what the neighbouring bandwidths differ by, like the parameters' own.
+    Returned with its standard deviation, which includes the scatter between neighbouring
+    bandwidths.
     """
-    found = _torque_ratio_at(arm, best)
-    if found is None:  # where the motion cannot say, neither can it in another band
+    estimate = _torque_ratio_at(arm, best)
+    if estimate is None:  # not determined by the motion in any band
         return None
     others = [_torque_ratio_at(arm, t) for t in _neighbours(trials, best)]
     excess = [
-        max(0.0, (other.value - found.value) ** 2 - other.variance)
+        max(0.0, (other.value - estimate.value) ** 2 - other.variance)
         for other in others
         if other is not None
     ]
-    variance = found.variance + (float(np.median(excess)) if excess else 0.0)
-    return 1.0 / found.value, float(np.sqrt(variance)) / found.value**2
+    variance = estimate.variance + (float(np.median(excess)) if excess else 0.0)
+    return 1.0 / estimate.value, float(np.sqrt(variance)) / estimate.value**2
 
 
 def _torque_ratio_at(arm: Arm, trial: _Trial) -> TorqueRatio | None:
-    # behind the compliances, shares of the load: no equation is built around these
+    # the common unknowns are compliances, then load shares; only compliances are linearised
     n, n_common = n_compliances(arm), trial.equations.common.shape[1]
-    around = np.pad(trial.estimate.compliance[:n], (0, n_common - n))
-    return torque_ratio(arm, trial.equations, trial.factor.root, around)
+    compliance = np.pad(trial.estimate.compliance[:n], (0, n_common - n))
+    return torque_ratio(arm, trial.equations, trial.factor.root, compliance)
 
 
 def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
-    """Trials at rising bandwidths, while they gain and the arm still looks nearly rigid."""
+    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid."""
     trials: list[_Trial] = []
-    least, since = np.full(len(arm.rigid_columns), np.inf), 0
-    stiff = n_compliances(arm) == 0
-    for bandwidth in _bandwidths(motions, _STEP ** (2 if stiff else 1)):
+    least, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
+    is_rigid = n_compliances(arm) == 0
+    for bandwidth in _bandwidths(motions, _STEP ** (2 if is_rigid else 1)):
         limits = [_surely_elastic(arm, trial) for trial in trials[-2:]]
-        if len(limits) > 1 and bandwidth > max(limits):  # one trial alone may mistake its band
+        if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
         stretches = _prepared(arm, motions, bandwidth)
-        around = (
+        start = (
             carried_over(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
         )
-        trial = _trial(arm, stretches, around)
+        trial = _trial(arm, stretches, start)
         trials.append(trial)
-        gained = bool(np.any(trial.spread < least - _GAIN))
-        since = 0 if gained else since + 1
+        has_improved = bool(np.any(trial.spread < least - _GAIN))
+        n_without_gain = 0 if has_improved else n_without_gain + 1
         least = np.minimum(least, trial.spread)
-        if since >= _FRUITLESS:
+        if n_without_gain >= _FRUITLESS:
             break
     return trials
 
 
 def _surely_elastic(arm: Arm, trial: _Trial) -> float:
-    """Bandwidth above which the arm's elasticity is certainly more than first order.
+    """Bandwidth [Hz] above which the first-order compliance model is not valid.
 
-    A trial that leaves a parameter vague, as low bandwidths do, may take anything for compliance;
-    and one whose blocks are shorter than its errors are alike does not know how vague it is.
+    Infinite if the trial is uncertain: at low bandwidths a parameter may be poorly determined, and
+    its effect may be attributed to compliance. If the blocks are shorter than the correlation time
+    of the errors, the standard deviations are unreliable.
     """
     blocks = len(np.unique(trial.equations.block)) * arm.n_joints
-    unsure = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
-    if not n_compliances(arm) or unsure:
+    is_uncertain = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
+    if not n_compliances(arm) or is_uncertain:
         return np.inf
-    certain = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
-    sure = replace(trial.estimate, compliance=certain)
-    return float(np.min(anti_resonances(arm, sure))) / _BELOW_RESONANCE
+    compliance = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
+    lower_bound = replace(trial.estimate, compliance=compliance)
+    return float(np.min(anti_resonances(arm, lower_bound))) / _BELOW_RESONANCE
 
 
 def _bandwidths(motions: Sequence[_Motion], step: float) -> Iterator[float]:
-    """From where nine tenths of the motion's power lie below, up to half the signals' own."""
+    """Yield bandwidths from that of 90 % of the motion's power to half the signals' bandwidth."""
     top = min(s.bandwidth_hz or 0.5 / s.sample_time for s, _ in motions) / 2.0
     shortest = min(period * s.sample_time for s, period in motions)
     bandwidth = max([8.0 / shortest, *(_motion_band(s) for s, _ in motions)])
@@ -276,17 +296,20 @@ def _bandwidths(motions: Sequence[_Motion], step: float) -> Iterator[float]:
 
 
 def _motion_band(signals: Signals) -> float:
-    """Frequency below which nine tenths of the velocities' power lie [Hz]."""
+    """Frequency [Hz] below which 90 % of the power of each velocity lies."""
     highest = 0.0
     count = len(signals.time)
     frequency = np.fft.rfftfreq(count, signals.sample_time)
-    along = np.arange(count) - 0.5 * (count - 1)
+    centred_index = np.arange(count) - 0.5 * (count - 1)
     for velocity in signals.motor_velocity.T:
-        steady = velocity - velocity.mean()
-        steady -= along * (along @ steady / (along @ along))
-        share = np.cumsum(np.abs(np.fft.rfft(steady)) ** 2)
-        if share[-1] > 0.0:
-            highest = max(highest, float(frequency[np.searchsorted(share, 0.9 * share[-1])]))
+        detrended = velocity - velocity.mean()
+        detrended -= centred_index * (centred_index @ detrended / (centred_index @ centred_index))
+        cumulative_power = np.cumsum(np.abs(np.fft.rfft(detrended)) ** 2)
+        if cumulative_power[-1] > 0.0:
+            highest = max(
+                highest,
+                float(frequency[np.searchsorted(cumulative_power, 0.9 * cumulative_power[-1])]),
+            )
     return highest
 
 
@@ -301,31 +324,31 @@ def _trial(
     motor_share: float = MOTOR_SHARE,
     loads: Loads | None = None,
 ) -> _Trial:
-    """Fit at one bandwidth: parameters, compliances and weights in turn until nothing moves."""
+    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence."""
     equations = assemble(arm, stretches, around, loads)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
     root = ls.first_weights(equations.target, equations.group)
-    last = np.zeros(len(arm.rigid_columns))
-    for rounds in range(_ROUNDS):
+    last_step = np.zeros(len(arm.rigid_columns))
+    for iteration in range(_ROUNDS):
         factor = ls.factorise(equations, root)
-        before = factor.value if around is None else around.solution
-        change = factor.value - before
-        moved = np.abs(change)
-        known = factor.deviation > 0.0  # others stay where they are
+        previous = factor.value if around is None else around.solution
+        change = factor.value - previous
+        size = np.abs(change)
+        known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        settled = rounds > 1 and np.all(moved <= _CONVERGED * factor.deviation)
-        found = estimate_of(arm, stretches, equations, factor, motor_share)
-        if around is not None and step @ last < 0.0 and not settled:  # to and fro
-            found = halfway(around, found)
-        around, last = found, step
-        if settled:
+        has_converged = iteration > 1 and np.all(size <= _CONVERGED * factor.deviation)
+        estimate = estimate_of(arm, stretches, equations, factor, motor_share)
+        if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
+            estimate = halfway(around, estimate)
+        around, last_step = estimate, step
+        if has_converged:
             break
         root = ls.root_weights(equations, factor)
         equations = assemble(arm, stretches, around, loads)
     covariance, compliance_variance = ls.jackknife(equations, factor)
     identified = ls.determined(equations, factor, covariance) & _shows_friction(arm, stretches)
-    deviation = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
+    standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
         stretches=stretches,
@@ -335,14 +358,14 @@ def _trial(
         factor=factor,
         covariance=covariance,
         determined=identified,
-        last_move=float(np.max((moved / deviation)[identified], initial=0.0)),
+        last_move=float(np.max((size / standard_deviations)[identified], initial=0.0)),
     )
 
 
 def _shows_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
-    """False for Coulomb friction and offset of a joint that never slides both ways.
+    """False for Coulomb friction and offset of a joint that never slides in both directions.
 
-    What little its edges seem to say of them is the prior on friction at standstill, not data.
+    The apparent information on them comes from the prior of the stiction torque, not from data.
     """
     identified = np.ones(len(arm.rigid_columns), dtype=bool)
     for k, column in enumerate(arm.rigid_columns):
@@ -350,45 +373,43 @@ def _shows_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
             "motor_coulomb_friction",
             "friction_offset",
         ):
-            ways = {
+            signs = {
                 sign
                 for s in stretches
                 for sign in np.unique(s.signals.direction[:, column.joint - 1])
             }
-            identified[k] = {-1.0, 1.0} <= ways
+            identified[k] = {-1.0, 1.0} <= signs
     return identified
 
 
 def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
-    """Variance from what the first order of elasticity leaves out.
+    """Variance (n_parameters,) of the error of the first-order compliance model.
 
-    Two things: the motor's share of the first inertia, taken as one half, is changed to what is
-    about a standard deviation away; and the next order in (w / w_a)^2 is taken to move the
-    parameters by what the first order did, times (bandwidth / anti-resonance)^2.
-
-    Returns: (n_parameters,).
+    It has two parts: the change of the estimates with the motor's share of the first inertia, from
+    one half to about one standard deviation away; and the second-order term in (w / w_a)^2,
+    estimated as the first-order change times (bandwidth / anti-resonance)^2.
     """
     ratio = best.bandwidth_hz / float(np.min(anti_resonances(arm, best.estimate)))
     if ratio == 0.0:
         return np.zeros(len(best.covariance))
-    here = best.estimate.solution
-    stiff = arm.behind_rigid_gears()
-    rigid, other = side_by_side(
+    solution = best.estimate.solution
+    rigid_arm = arm.behind_rigid_gears()
+    rigid_trial, other_share_trial = side_by_side(
         [
-            partial(_trial, stiff, best.stretches, best.estimate),
+            partial(_trial, rigid_arm, best.stretches, best.estimate),
             partial(_trial, arm, best.stretches, best.estimate, OTHER_SHARE),
         ]
     )
-    next_order = (here - rigid.estimate.solution) * ratio**2
-    return np.asarray(next_order**2 + (here - other.estimate.solution) ** 2)
+    next_order = (solution - rigid_trial.estimate.solution) * ratio**2
+    return np.asarray(next_order**2 + (solution - other_share_trial.estimate.solution) ** 2)
 
 
 def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
-    """The bandwidth at which no parameter is much less certain than it might be.
+    """Select the bandwidth at which all standard deviations are close to their minimum.
 
-    The regret of a bandwidth is the largest ratio of a deviation there to that parameter's least.
-    Behind elastic gears the lowest of the good bandwidths is taken, because what the model leaves
-    out shows at high frequencies first.
+    The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
+    bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
+    model error is largest at high frequencies.
     """
     spread = np.array([trial.spread for trial in trials])
     least = spread.min(axis=0)
@@ -406,13 +427,11 @@ def _neighbours(trials: Sequence[_Trial], best: _Trial) -> list[_Trial]:
 
 
 def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
-    """Variance from model error that shows as dependence on the bandwidth.
+    """Variance (n_parameters,) of the model error, from the change with the bandwidth.
 
-    Were the model exact, every bandwidth would give the same values within their deviations; what
-    the neighbours, within a factor of about two, differ by beyond those is what it lacks. The
-    median, because a trial at a low bandwidth may see too little to be any guide.
-
-    Returns: (n_parameters,).
+    With an exact model, the estimates at all bandwidths agree within their standard deviations. The
+    excess is the median over neighbouring bandwidths, which is insensitive to uncertain trials at
+    low bandwidths.
     """
     excess = [
         np.clip(
@@ -426,15 +445,15 @@ def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
 def _model(
     arm: Arm, best: _Trial, covariance: FloatArray, shares: tuple[Parameter, ...]
 ) -> RigidModel:
-    """The record of a fit: what was not identified becomes None."""
+    """Result of a fit; parameters that are not identified are None."""
     columns = arm.rigid_columns
     identified = best.determined
-    deviation = np.sqrt(np.diag(covariance))
+    standard_deviations = np.sqrt(np.diag(covariance))
     n_blocks = len(np.unique(best.equations.block))
-    reach = _student(n_blocks - 1)
+    half_width = _student(n_blocks - 1)
     parameters = []
     for k, column in enumerate(columns):
-        value, std = float(best.estimate.solution[k]), float(deviation[k])
+        value, std = float(best.estimate.solution[k]), float(standard_deviations[k])
         parameters.append(
             Parameter(
                 name=column.name,
@@ -443,17 +462,19 @@ def _model(
                 std=std if identified[k] else None,
                 unit=column.unit,
                 stage="rigid",
-                ci95=(value - reach * std, value + reach * std) if identified[k] else None,
+                ci95=(value - half_width * std, value + half_width * std)
+                if identified[k]
+                else None,
             )
         )
     status: Literal["determined", "partly-determined", "not-identifiable"] = "not-identifiable"
     if identified.any():
         status = "determined" if identified.all() else "partly-determined"
-    unknown = np.where(identified, 1.0, np.nan)
+    mask = np.where(identified, 1.0, np.nan)
     return RigidModel(
         parameters=tuple(parameters),
         solution=best.estimate.solution,
-        covariance=covariance * np.outer(unknown, unknown),
+        covariance=covariance * np.outer(mask, mask),
         condition_number=best.factor.condition_number,
         fit_percent={
             s.signals.experiment.name: _fits(arm, best, s, shares) for s in best.stretches
@@ -470,76 +491,86 @@ def _model(
 
 
 def _student(degrees: int) -> float:
-    """Half width of a 95 % interval in deviations, for a deviation from so many differences."""
+    """Half-width of a 95 % interval in standard deviations, for `degrees` degrees of freedom."""
     return student_quantile(0.975, max(1, degrees))
 
 
 def _fits(
     arm: Arm, best: _Trial, stretch: Stretch, shares: tuple[Parameter, ...]
 ) -> dict[str, float]:
-    """Fit of each torque of a fitted record, within the model's band."""
+    """Fit in percent of each torque of a fitted record, within the model's band."""
     solution, band = best.estimate.solution, best.bandwidth_hz
     fits = band_fit(arm, solution, stretch.signals, band, shares)
     return dict(zip(stretch.signals.torque_channel, fits.tolist(), strict=True))
 
 
 def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
-    """What the reader must know: unknowns not identified, motors that stand, motion too fast."""
+    """Warnings on unidentified parameters, stiction, excitation, convergence and elasticity."""
     columns = arm.rigid_columns
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
         if not best.determined[k]:
             yield Diagnostic("not-identifiable", str(column), _why(arm, best, k))
     for stretch in best.stretches:
-        stands = (stretch.signals.direction == 0.0).mean(axis=0)
-        for i, share in enumerate(stands):
+        stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
+        for i, share in enumerate(stiction_shares):
             if share > _MUCH_STANDING:
-                text = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
-                text += (
+                message = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
+                message += (
                     " then carries no information on its friction; move faster, reverse less often"
                 )
-                yield Diagnostic("standing", stretch.signals.experiment.name, text)
+                yield Diagnostic("standing", stretch.signals.experiment.name, message)
     if best.factor.condition_number > _POOR and best.determined.all():
-        weak = np.abs(best.factor.directions[-1])
-        involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weak > 0.3))
-        text = f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
-        yield Diagnostic("poor-excitation", names, f"{text} {involved}; {_REMEDY}")
+        weakest_direction = np.abs(best.factor.directions[-1])
+        names_involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
+        message = (
+            f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
+        )
+        yield Diagnostic("poor-excitation", names, f"{message} {names_involved}; {_REMEDY}")
     for k in _impossible(arm, best):
-        text = (
+        message = (
             f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
         )
-        text += (
+        message += (
             " the records show something that a rigid arm with Coulomb and viscous friction is not"
         )
-        yield Diagnostic("implausible", str(columns[k]), text)
+        yield Diagnostic("implausible", str(columns[k]), message)
     if best.last_move > _UNSETTLED:
-        text = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
-        text += " deviations; record a longer or livelier motion"
-        yield Diagnostic("not-settled", names, text)
+        message = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
+        message += " deviations; record a longer or livelier motion"
+        yield Diagnostic("not-settled", names, message)
     limit = _surely_elastic(arm, best)
     if best.bandwidth_hz > limit:
-        text = f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
-        text += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
-        yield Diagnostic("not-rigid", names, text)
+        message = (
+            f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
+        )
+        message += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
+        yield Diagnostic("not-rigid", names, message)
 
 
 def _why(arm: Arm, best: _Trial, unknown: int) -> str:
-    """Why one parameter could not be identified, and what to record."""
+    """Reason why one parameter is not identifiable, and what to record."""
     columns = arm.rigid_columns
     column = columns[unknown]
     joint = column.joint
-    moving = [s.signals.direction for s in best.stretches]
+    motion_directions = [s.signals.direction for s in best.stretches]
     if joint is not None:
-        directions = np.concatenate([d[:, joint - 1] for d in moving])
+        directions = np.concatenate([d[:, joint - 1] for d in motion_directions])
         if not np.any(directions):
             return f"joint {joint} does not move; record a motion in which it does"
         one_way = not (np.any(directions > 0.0) and np.any(directions < 0.0))
         if one_way and column.name in ("motor_coulomb_friction", "friction_offset"):
-            text = f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
-            return f"{text} are not separately identifiable; record motion in both directions"
-    still = [str(i + 1) for i in range(arm.n_joints) if not any(np.any(d[:, i]) for d in moving)]
-    if still:
-        return f"joint {', '.join(still)} does not move; {_REMEDY}"
+            message = (
+                f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
+            )
+            return f"{message} are not separately identifiable; record motion in both directions"
+    joints_at_rest = [
+        str(i + 1)
+        for i in range(arm.n_joints)
+        if not any(np.any(d[:, i]) for d in motion_directions)
+    ]
+    if joints_at_rest:
+        return f"joint {', '.join(joints_at_rest)} does not move; {_REMEDY}"
     others = [str(columns[k]) for k in _companions(best, unknown)]
     if others:
         return f"these records cannot separate it from {', '.join(others)}; {_REMEDY}"
@@ -547,5 +578,5 @@ def _why(arm: Arm, best: _Trial, unknown: int) -> str:
 
 
 def _companions(best: _Trial, unknown: int) -> list[int]:
-    """Unknowns that may trade against one without the data noticing."""
+    """Unidentified parameters that compensate for another without a change of the residuals."""
     return [k for k in ls.companions(best.factor, unknown) if not best.determined[k]]

@@ -1,8 +1,8 @@
-"""Signals -> the period that a motion repeats.
+"""Estimate the period of a repeated motion.
 
-A second period brings no new motion: what the model lacks, and what counts and reversals do to the
-signals, comes again with it. Deviations from leaving out stretches hold if a stretch is left out in
-all periods, and a band is narrow against one period, not against all.
+A second period adds no new motion: model error and the effects of encoder resolution and reversals
+repeat. A jackknife is therefore valid only if a block is left out in all periods, and the bandwidth
+must be compared with one period, not with the whole record.
 """
 
 from __future__ import annotations
@@ -11,60 +11,59 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Signals
 
-_LOOKED_AT = 1 << 17  # samples: a longer period says enough by itself
-_ALIKE = 0.95  # correlation from which motion repeats; servoed motion comes to 0.999
-_BESIDE = 2.0  # samples between a multiple and what it is expected to be: both are whole
-_UNLIKE = 0.5  # below which it must have been before, or it is only slow
+_LOOKED_AT = 1 << 17  # maximum number of samples in the search; a longer period needs no repetition
+_ALIKE = 0.95  # minimum correlation of repeated motion; servoed motion has 0.999
+_BESIDE = 2.0  # [samples] tolerance of a multiple of the period, which is rounded
+_UNLIKE = 0.5  # the correlation must fall below this first; otherwise the motion is only slow
 
 
 def period_of(signals: Signals) -> float:
-    """Samples after which the joints' motion is the same again; all where it never is.
+    """Period of the motion of all joints in samples, at most two thirds of the record.
 
-    Returns: At most two thirds of the samples, or all.
+    Returns the number of samples if the motion does not repeat.
     """
     n = len(signals.time)
     velocity = signals.motor_velocity[:_LOOKED_AT]
-    alike = _correlation(velocity - velocity.mean(axis=0))
-    unlike = np.flatnonzero(alike < _UNLIKE)
-    if not unlike.size:
+    correlation = _correlation(velocity - velocity.mean(axis=0))
+    low_correlation = np.flatnonzero(correlation < _UNLIKE)
+    if not low_correlation.size:
         return float(n)
-    peaks = 1 + np.flatnonzero((alike[1:-1] >= alike[:-2]) & (alike[1:-1] > alike[2:]))
-    peaks = peaks[(peaks > unlike[0]) & (alike[peaks] > _ALIKE)]
+    peaks = 1 + np.flatnonzero(
+        (correlation[1:-1] >= correlation[:-2]) & (correlation[1:-1] > correlation[2:])
+    )
+    peaks = peaks[(peaks > low_correlation[0]) & (correlation[peaks] > _ALIKE)]
     if not peaks.size or not _repeats(signals.motor_velocity, int(peaks[0])):
         return float(n)
-    # a multiple is known as well as the period itself
+    # a multiple has the same absolute error, so the period becomes more accurate
     period = float(peaks[0])
-    for k in range(2, len(alike)):
-        near = np.flatnonzero(np.abs(peaks - k * period) <= _BESIDE)
-        if not near.size:
+    for k in range(2, len(correlation)):
+        candidates = np.flatnonzero(np.abs(peaks - k * period) <= _BESIDE)
+        if not candidates.size:
             break
-        period = float(peaks[near[np.argmax(alike[peaks[near]])]]) / k
+        period = float(peaks[candidates[np.argmax(correlation[peaks[candidates]])]]) / k
     return period
 
 
 def _correlation(motion: FloatArray) -> FloatArray:
-    """Of a motion and itself so many samples later, both as long as both are there.
+    """Normalised autocorrelation (2 n_samples // 3,) of a motion (n_samples, n_joints).
 
-    2 x(t) x(t + l) / (x(t)^2 + x(t + l)^2), sums over t and the joints, each of unit variance.
-
-    `motion` (n_samples, n_joints).
-
-    Returns: (2 n_samples // 3,).
+    2 x(t) x(t + l) / (x(t)^2 + x(t + l)^2), summed over the overlap and the joints, each with unit
+    variance.
     """
-    n, size = len(motion), motion.std(axis=0)
-    x = motion / np.where(size > 0.0, size, 1.0)
+    n, scale = len(motion), motion.std(axis=0)
+    x = motion / np.where(scale > 0.0, scale, 1.0)
     spectrum = np.sum(np.abs(np.fft.rfft(x, 2 * n, axis=0)) ** 2, axis=1)
     lag = np.arange(2 * n // 3)
     product = np.fft.irfft(spectrum, 2 * n)[lag]
     energy = np.r_[0.0, np.cumsum(np.sum(x**2, axis=1))]
-    both = energy[n - lag] + energy[-1] - energy[lag]
-    return np.asarray(2.0 * product / np.maximum(both, 1e-300))
+    overlap_energy = energy[n - lag] + energy[-1] - energy[lag]
+    return np.asarray(2.0 * product / np.maximum(overlap_energy, 1e-300))
 
 
 def _repeats(motion: FloatArray, period: int) -> bool:
-    """Whether the whole of a motion does, not only what was looked at."""
-    every = max(1, len(motion) // _LOOKED_AT)
-    now, then = motion[:-period:every], motion[period::every]
-    changed = np.sum((then - now) ** 2, axis=0)
-    size = np.sum((now - now.mean(axis=0)) ** 2 + (then - then.mean(axis=0)) ** 2, axis=0)
-    return bool(np.all(changed <= (1.0 - _ALIKE) * size))
+    """Whether the whole motion repeats, beyond the samples of the search."""
+    step = max(1, len(motion) // _LOOKED_AT)
+    first, second = motion[:-period:step], motion[period::step]
+    squared_difference = np.sum((second - first) ** 2, axis=0)
+    energy = np.sum((first - first.mean(axis=0)) ** 2 + (second - second.mean(axis=0)) ** 2, axis=0)
+    return bool(np.all(squared_difference <= (1.0 - _ALIKE) * energy))

@@ -1,8 +1,8 @@
-"""Rigid equations of two joints -> the ratio of their torque constants' errors.
+"""Estimate the ratio of the torque constants of two joints from the symmetry of M(q).
 
-M(q) is symmetric: beta and gamma couple either joint to the other by the same torque, and G2 acts
-on both. So joint 1's torques, with joint 2's, show whether both are measured in the same unit. One
-overall factor of both is beyond any signal of the arm.
+M(q) is symmetric: beta and gamma appear in the torques of both joints, and G2 acts on both. The
+torques of joint 1 and joint 2 therefore determine the ratio of their torque constants. A common
+factor of both is not identifiable.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics import least_squares as ls
 
-_ROUNDS = 15
-_SETTLED = 1e-3
-_LARGEST_STEP = 2.0  # by which the ratio changes in one round
-_UNKNOWN = 3.0  # prior deviation of a round's change: as good as none
-_VAGUE = 0.5  # relative deviation from which nothing is known
-_SECOND = 1  # group of joint 2's rows
+_ROUNDS = 15  # maximum number of iterations
+_SETTLED = 1e-3  # relative change at convergence
+_LARGEST_STEP = 2.0  # maximum factor on the ratio in one iteration
+_UNKNOWN = 3.0  # prior standard deviation of the relative change, practically uninformative
+_VAGUE = 0.5  # relative standard deviation above which the ratio is not identifiable
+_SECOND = 1  # group of the rows of joint 2
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueRatio:
-    """Torque of joint 2 over what joint 1's torques and the symmetry of M(q) imply."""
+    """Torque of joint 2 over the torque that joint 1 and the symmetry of M(q) imply."""
 
     value: float
     variance: float
@@ -34,18 +34,17 @@ class TorqueRatio:
 def torque_ratio(
     arm: Arm, equations: ls.Equations, root: FloatArray, compliance: FloatArray
 ) -> TorqueRatio | None:
-    """By what joint 2's torques differ from those that joint 1's torques imply.
+    """Ratio r of the torques of joint 2 to those that the torques of joint 1 imply.
 
-    One more unknown, r, in joint 2's rows: B_2 (r theta) + F_2 phi_2 = tau_2, with theta shared
-    by both joints. Gauss-Newton about (theta, r): the column of r is the model's torque B_2 theta,
-    not the measured one, whose noise would draw r towards nothing.
+    The rows of joint 2 have the additional unknown r: B_2 (r theta) + F_2 phi_2 = tau_2, with theta
+    shared by both joints. Gauss-Newton solves for (theta, r). The column of r is the model torque
+    B_2 theta; with the measured torque, noise would bias r towards zero.
 
-    `equations`: Of a rigid fit that has settled.
-    `root` (n_rows,): Square roots of its weights.
-    `compliance` (n_elastic,): Of elastic joints, which the equations were built around.
+    `equations` are those of a converged rigid fit, `root` (n_rows,) the square roots of its
+    weights, and `compliance` (n_elastic,) the compliances of its linearisation.
 
-    Returns: None of a single joint, and where the rounds do not settle: the motion does not show
-    it.
+    Returns None for an arm without two joints, if the iteration does not converge, or if the motion
+    does not determine the ratio.
     """
     if arm.n_joints != 2:
         return None
@@ -73,7 +72,7 @@ def _scaled(
     solution: FloatArray,
     ratio: float,
 ) -> ls.Equations:
-    """Joint 2's body torques times a ratio, and a column for that ratio's change."""
+    """Multiply the body torques of joint 2 by a ratio and add a column for its relative change."""
     second = equations.group == _SECOND
     n = arm.n_body
     shared, common = equations.shared.copy(), equations.common.copy()
