@@ -1,4 +1,4 @@
-"""What is searched for: parameters, their coordinates, where they start, what is known of them."""
+"""Unknowns of the whole-arm fit: coordinates, starting values, ranges and prior."""
 
 from __future__ import annotations
 
@@ -32,27 +32,30 @@ __all__ = [
 
 _MISLED = {COULOMB: 0.03, OFFSET: 0.03}
 _VISCOUS_MISLED, _BODY_MISLED = 0.3, 0.1
-"""Shares of values by which lack of an effect may mislead the rigid step; offsets' of Coulomb's."""
-_LEAST_MISLED = 1e-12  # [SI] of what is nothing
+"""Relative errors of rigid-step estimates if the model lacks an effect.
+
+The error of a friction offset is relative to the Coulomb friction.
+"""
+_LEAST_MISLED = 1e-12  # [SI] minimum error, for estimates of zero
 
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
-"""[s] where the search for it starts."""
+"""Starting value [s] of a friction settling time."""
 
 _BASE = ("alpha", "beta", "gamma")
-_LEAST_COULOMB = 0.01  # of the torque of the largest voltage, where none was found
-_FAR = np.log(3.0)  # how far an inertia or a slope may go
-_LOWEST, _HIGHEST = -0.8, 1.5  # shares of a value by which one step may change it
-_TO_NOTHING = -0.99  # the same of a settling time, which may well be nothing
-_VERY_FAR = np.log(30.0)  # and a friction, damping, or what else a gear has
+_LEAST_COULOMB = 0.01  # minimum starting Coulomb friction, as a share of the largest motor torque
+_FAR = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
+_LOWEST, _HIGHEST = -0.8, 1.5  # relative change of a positive value in one step, at most
+_TO_NOTHING = -0.99  # relative decrease of a settling time in one step, which may be zero
+_VERY_FAR = np.log(30.0)  # range of the logarithm of friction, damping and other gear parameters
 
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """One parameter that is searched for, and its coordinate z, which is zero at the start.
+    """An unknown parameter and its coordinate z, which is zero at the start.
 
-    A positive parameter is scale exp(z), counted from the one that it lies above, as a second knee
-    from the first; one that may be zero or have either sign is scale z + start.
+    A positive parameter is scale exp(z), plus the parameter `above` which it lies, such as a second
+    knee above the first. A signed parameter is start + scale z.
     """
 
     name: str
@@ -61,14 +64,14 @@ class Unknown:
     start: float
     scale: float
     signed: bool
-    reach: float  # how far z may go, up and down
-    limits: tuple[float, float] | None = None  # of z, where they are not its reach
-    above: str | None = None  # the parameter of the same joint that it exceeds
-    prior_std: float | None = None  # of its value about the start, before any record; None: none
+    reach: float  # largest |z|
+    limits: tuple[float, float] | None = None  # bounds of z that replace its reach
+    above: str | None = None  # name of a parameter of the same joint that is a lower bound
+    prior_std: float | None = None  # of a normal prior centred at the start; None for no prior
 
     @property
     def key(self) -> Key:
-        """What it is known by."""
+        """Name and joint."""
         return self.name, self.joint
 
     def __str__(self) -> str:
@@ -77,72 +80,81 @@ class Unknown:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What the rigid step knows: linear combinations of the unknowns, with correlated errors.
+    """Prior of the rigid step: linear combinations of the unknowns, with correlated errors.
 
-    Whitened by deviations that have a least.
+    The rows are whitened by the covariance of the rigid step plus a minimum variance.
     """
 
     rows: FloatArray  # (n_rows, n_unknowns), whitened
     target: FloatArray  # (n_rows,), whitened
-    errors: FloatArray  # (n_rows, n_rows) their covariance, less than one by what that least adds
-    names: tuple[Key, ...] = ()  # (n_rows,) the rigid model's parameters
+    errors: FloatArray  # (n_rows, n_rows) covariance of the whitened rows without minimum variance
+    names: tuple[Key, ...] = ()  # (n_rows,) parameters of the rigid model
     factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    """(n_rows, n_rows) what a whitened row is multiplied by to have the parameters' units."""
-    mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) in those units
+    """(n_rows, n_rows) factor from whitened rows to parameter units."""
+    mean: FloatArray = field(
+        default_factory=lambda: np.zeros(0)
+    )  # (n_rows,) estimates of the rigid step
     before: tuple[FloatArray, FloatArray] | None = None
-    """`factor` and `errors` before it was `loosened`; None if it is not."""
+    """`factor` and `errors` before `loosened`; None if that was not applied."""
 
     def by_shifts(self, names: Collection[Key]) -> FloatArray:
-        """Derivatives of the whitened rows by errors of some of the rigid model's parameters.
+        """Derivatives (n_rows, n_shifts) of the whitened rows with respect to rigid-step errors.
 
-        Returns: (n_rows, n_shifts): Each per deviation that lack of an effect may make.
+        Each error is scaled by its typical size if the model lacks an effect.
         """
-        own = [k for k, name in enumerate(self.names) if name in names]
-        units = np.eye(len(self.names))[:, own] * self._misled[own]
+        places = [k for k, name in enumerate(self.names) if name in names]
+        units = np.eye(len(self.names))[:, places] * self._misled[places]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def loosened(self, names: Collection[Key]) -> Prior:
-        """The same, knowing less of some of the rigid model's parameters, for lack of an effect."""
-        own = [k for k, name in enumerate(self.names) if name in names]
-        if not own:
+        """Increase the variance of rigid-model parameters that a missing effect biases."""
+        places = [k for k, name in enumerate(self.names) if name in names]
+        if not places:
             return self
-        off = np.zeros((len(self.names), len(own)))
-        off[own, range(len(own))] = self._misled[own]
-        factor = np.asarray(np.linalg.cholesky(self.factor @ self.factor.T + off @ off.T))
-        turn, misled = np.linalg.solve(factor, self.factor), np.linalg.solve(factor, off)
+        added_errors = np.zeros((len(self.names), len(places)))
+        added_errors[places, range(len(places))] = self._misled[places]
+        factor = np.asarray(
+            np.linalg.cholesky(self.factor @ self.factor.T + added_errors @ added_errors.T)
+        )
+        transform, whitened_errors = (
+            np.linalg.solve(factor, self.factor),
+            np.linalg.solve(factor, added_errors),
+        )
         return replace(
             self,
-            rows=turn @ self.rows,
-            target=turn @ self.target,
-            errors=turn @ self.errors @ turn.T + misled @ misled.T,
+            rows=transform @ self.rows,
+            target=transform @ self.target,
+            errors=transform @ self.errors @ transform.T + whitened_errors @ whitened_errors.T,
             factor=factor,
             before=self.before or (self.factor, self.errors),
         )
 
     def tightened(self) -> Prior:
-        """The same as the rigid step gave it."""
+        """Restore the prior before `loosened`."""
         if self.before is None:
             return self
         factor, errors = self.before
-        turn = np.linalg.solve(factor, self.factor)
-        rows, target = turn @ self.rows, turn @ self.target
+        transform = np.linalg.solve(factor, self.factor)
+        rows, target = transform @ self.rows, transform @ self.target
         return replace(self, rows=rows, target=target, errors=errors, factor=factor, before=None)
 
     @property
     def _misled(self) -> FloatArray:
-        """(n_rows,) by which the rigid model's parameters may be off for lack of an effect."""
-        known = dict(zip(self.names, np.abs(self.mean).tolist(), strict=True))
-        off = []
+        """Typical errors (n_rows,) of the rigid-model parameters if the model lacks an effect."""
+        estimates = dict(zip(self.names, np.abs(self.mean).tolist(), strict=True))
+        errors = []
         for name, joint in self.names:
-            size = known.get((COULOMB, joint), 0.0) if name == OFFSET else known[name, joint]
-            usual = _VISCOUS_MISLED if "viscous" in name else _BODY_MISLED
-            off.append(_MISLED.get(name, usual) * size)
-        return np.asarray(np.maximum(off, _LEAST_MISLED))
+            size = (
+                estimates.get((COULOMB, joint), 0.0) if name == OFFSET else estimates[name, joint]
+            )
+            relative_error = _VISCOUS_MISLED if "viscous" in name else _BODY_MISLED
+            errors.append(_MISLED.get(name, relative_error) * size)
+        return np.asarray(np.maximum(errors, _LEAST_MISLED))
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpace:
-    """The unknowns together, and what stays as it is."""
+    """Unknowns, fixed parameters and prior of a fit."""
 
     unknowns: tuple[Unknown, ...]
     fixed: Mapping[Key, float]
@@ -150,29 +162,24 @@ class ParameterSpace:
 
     @property
     def lower(self) -> FloatArray:
-        """(n_unknowns,) the least z."""
+        """Lower bounds of z, (n_unknowns,)."""
         return np.array([u.limits[0] if u.limits else -u.reach for u in self.unknowns])
 
     @property
     def upper(self) -> FloatArray:
-        """(n_unknowns,) the largest z."""
+        """Upper bounds of z, (n_unknowns,)."""
         return np.array([u.limits[1] if u.limits else u.reach for u in self.unknowns])
 
     @property
     def own_prior(self) -> tuple[FloatArray, FloatArray]:
-        """What is known of unknowns one by one: (n_rows, n_unknowns) and (n_rows,), whitened."""
-        own = [k for k, unknown in enumerate(self.unknowns) if unknown.prior_std is not None]
-        std = np.array([self.unknowns[k].prior_std for k in own], dtype=float)
-        start = np.array([self.unknowns[k].start for k in own])
-        return np.eye(len(self.unknowns))[own] / std[:, None], start / std
+        """Whitened rows (n_rows, n_unknowns) and targets (n_rows,) of priors of single unknowns."""
+        places = [k for k, unknown in enumerate(self.unknowns) if unknown.prior_std is not None]
+        std = np.array([self.unknowns[k].prior_std for k in places], dtype=float)
+        start = np.array([self.unknowns[k].start for k in places])
+        return np.eye(len(self.unknowns))[places] / std[:, None], start / std
 
     def beforehand(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What is known beforehand, all of it, as rows of least squares at a point.
-
-        `z` (n_unknowns,).
-
-        Returns: `slope` (n_rows, n_unknowns); `residual` (n_rows,)
-        """
+        """Jacobian (n_rows, n_unknowns) and residual (n_rows,) of all priors at z (n_unknowns,)."""
         rows, target = self.own_prior
         rows = np.concatenate([self.prior.rows, rows])
         target = np.concatenate([self.prior.target, target])
@@ -180,57 +187,60 @@ class ParameterSpace:
 
     @property
     def keys(self) -> list[Key]:
-        """What the unknowns are known by."""
+        """Names and joints of the unknowns."""
         return [unknown.key for unknown in self.unknowns]
 
     def parameters(self, z: FloatArray) -> FloatArray:
-        """The unknowns' values, (n_unknowns,)."""
-        found: FloatArray = np.array(
+        """Values of the unknowns, (n_unknowns,)."""
+        values: FloatArray = np.array(
             [
                 u.start + u.scale * at if u.signed else u.scale * np.exp(at)
                 for u, at in zip(self.unknowns, z, strict=True)
             ]
         )
         for lower, upper in self._stacked:
-            found[upper] += found[lower]
+            values[upper] += values[lower]
         for k, unknown in enumerate(self.unknowns):
             if unknown.above is not None:
-                found[k] += self.fixed.get((unknown.above, unknown.joint), 0.0)
-        return found
+                values[k] += self.fixed.get((unknown.above, unknown.joint), 0.0)
+        return values
 
     def slope(self, z: FloatArray) -> FloatArray:
         """Derivatives of the values with respect to the coordinates, (n_unknowns, n_unknowns)."""
-        own = [
+        scales = [
             u.scale if u.signed else u.scale * np.exp(at)
             for u, at in zip(self.unknowns, z, strict=True)
         ]
-        found = np.diag(np.array(own))
+        jacobian = np.diag(np.array(scales))
         for lower, upper in self._stacked:
-            found[upper] += found[lower]
-        return np.asarray(found)
+            jacobian[upper] += jacobian[lower]
+        return np.asarray(jacobian)
 
     def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
-        """Where a step leads that is straight in the values, not in the coordinates: (n_unknowns,).
+        """Apply a step that is linear in the values instead of the coordinates: (n_unknowns,).
 
-        What the data identify best are sums: of an inertia with a motor's, of a joint's two viscous
-        frictions. Their valleys are straight among values and curved among logarithms.
+        The data determine sums best, such as link inertia plus motor inertia, or the total viscous
+        friction. The valleys of the cost are then straight in values and curved in logarithms.
         """
-        end, positive = z + step, self._positive
-        end[positive] = z[positive] + np.log1p(step[positive])
-        return np.asarray(np.clip(end, self.lower, self.upper))
+        moved, positive = z + step, self._positive
+        moved[positive] = z[positive] + np.log1p(step[positive])
+        return np.asarray(np.clip(moved, self.lower, self.upper))
 
     def bounded(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
-        """Which unknowns stand at the end of their range and would go beyond: (n_unknowns,)."""
+        """Which unknowns (n_unknowns,) are at a bound that a descent step would cross."""
         low, high = (z <= self.lower) & (gradient > 0.0), (z >= self.upper) & (gradient < 0.0)
         return np.asarray(low | high)
 
     def trusted(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
-        """A step that stays in reach and changes no positive value by too much at once."""
+        """Limit a step to the bounds and to a maximum relative change of positive values.
+
+        `share` scales the maximum relative change.
+        """
         positive = self._positive
         down, up = self.lower - z, self.upper - z
         down[positive], up[positive] = np.expm1(down[positive]), np.expm1(up[positive])
-        least = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
-        down[positive] = np.maximum(down, share * np.array(least))[positive]
+        lower_change = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
+        down[positive] = np.maximum(down, share * np.array(lower_change))[positive]
         up[positive] = np.minimum(up, share * _HIGHEST)[positive]
         return np.asarray(np.clip(step, np.minimum(down, 0.0), np.maximum(up, 0.0)))
 
@@ -239,11 +249,11 @@ class ParameterSpace:
         return np.array([not unknown.signed for unknown in self.unknowns])
 
     def values(self, z: FloatArray) -> Values:
-        """All that simulating the arm needs."""
+        """Values of all parameters for the simulation, fixed ones included."""
         return {**self.fixed, **dict(zip(self.keys, self.parameters(z).tolist(), strict=True))}
 
     def coordinates(self, values: Values) -> FloatArray:
-        """Where given values lie, within the bounds: (n_unknowns,)."""
+        """Coordinates of values, clipped to the bounds: (n_unknowns,)."""
         z = []
         for unknown in self.unknowns:
             value = values[unknown.key]
@@ -256,11 +266,11 @@ class ParameterSpace:
         return np.asarray(np.clip(np.array(z), self.lower, self.upper))
 
     def holding(self, values: Mapping[Key, float]) -> ParameterSpace:
-        """With some of the unknowns held at given values."""
+        """Fix some of the unknowns at given values."""
         kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
         dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]
-        known = np.array([values[self.unknowns[k].key] for k in dropped])
-        target = self.prior.target - self.prior.rows[:, dropped] @ known
+        held_values = np.array([values[self.unknowns[k].key] for k in dropped])
+        target = self.prior.target - self.prior.rows[:, dropped] @ held_values
         return ParameterSpace(
             tuple(self.unknowns[k] for k in kept),
             {**self.fixed, **values},
@@ -269,19 +279,14 @@ class ParameterSpace:
 
     @property
     def _stacked(self) -> list[tuple[int, int]]:
-        """Where pairs of unknowns stand of which the second lies above the first."""
+        """Index pairs (lower, upper) of unknowns of which the first bounds the second."""
         at = {key: k for k, key in enumerate(self.keys)}
         pairs = ((at.get((u.above, u.joint)), k) for k, u in enumerate(self.unknowns) if u.above)
         return [(lower, upper) for lower, upper in pairs if lower is not None]
 
 
 def combination(names: Sequence[Key], parts: Row) -> FloatArray:
-    """A weighted sum of the unknowns as a row: (n_unknowns,).
-
-    `parts`: Weights; those of what is no unknown are left out.
-
-    Returns: (n_unknowns,).
-    """
+    """Weights (n_unknowns,) of a linear combination; parts that are not unknowns are ignored."""
     return np.array([parts.get(name, 0.0) for name in names])
 
 
@@ -293,16 +298,12 @@ def space_of(
     largest_voltage: Sequence[float],
     floor: float,
 ) -> ParameterSpace:
-    """Unknowns with their starts from the decoupled models, and what the rigid model knows.
+    """Unknowns with starting values from the decoupled step, and the prior of the rigid step.
 
-    A gear with a curve starts as a linear one: see `with_curves`.
-
-    `model`: Dispensable for a single joint without gravity.
-    `joints`: One per joint.
-    `largest_voltage` [V]: Applied to each joint, for the scale of its friction.
-    `floor`: Least deviation of what the rigid model knows, as a share of its value.
-
-    Raises `NotIdentifiable`: A start is missing or impossible.
+    All gears are linear; `with_curves` adds stiffness curves. `joints` has one model per joint;
+    `model` may be None for a single joint without gravity. `largest_voltage` [V] of each joint sets
+    the minimum Coulomb friction. `floor` is the minimum relative standard deviation of the prior.
+    Raises `NotIdentifiable` if a starting value is missing.
     """
     start = starts_of(model, joints, arm).values
     unknowns = []
@@ -317,17 +318,17 @@ def space_of(
         signed = name == OFFSET or name.startswith("gravity")
         if signed and scale == 0.0:
             scale = 1.0
-        far = _FAR if "inertia" in name or name in (*_BASE, STIFFNESS) else _VERY_FAR
+        reach = _FAR if "inertia" in name or name in (*_BASE, STIFFNESS) else _VERY_FAR
         unit = unit_of(name, None if number is None else arm.joints[number - 1])
-        unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(far)))
+        unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(reach)))
     keys = [unknown.key for unknown in unknowns]
     return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, arm, floor))
 
 
 def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]) -> ParameterSpace:
-    """The parameters of its law in place of the one stiffness of each gear with a curve.
+    """Replace the linear stiffness of each gear with a curve by the parameters of its law.
 
-    `largest_torque` [N m]: That each gear carries in the records.
+    `largest_torque` [N m] is that of each gear in the records.
     """
     unknowns: list[Unknown] = []
     columns: list[FloatArray] = []
@@ -346,33 +347,37 @@ def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]
 
 
 def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unknown]:
-    """The unknowns of a gear's law, near a linear one."""
+    """Unknowns of a gear law, starting near the linear law."""
     start = joint.law.starts(stiffness.start, largest_torque)
-    found = []
+    unknowns = []
     for p in joint.law.parameters:
         value, unit = start[p.name], unit_of(p.name, joint)
-        far = stiffness.reach if p.is_slope else float(_VERY_FAR)
+        reach = stiffness.reach if p.is_slope else float(_VERY_FAR)
         positive = p.described.range == "positive"
-        limits = (-1.0, float(np.exp(far))) if p.described.range == "non-negative" else None
+        limits = (-1.0, float(np.exp(reach))) if p.described.range == "non-negative" else None
         scale = value - (start[p.above] if p.above is not None else 0.0)
-        found.append(
-            Unknown(p.name, stiffness.joint, unit, value, scale, not positive, far, limits, p.above)
+        unknowns.append(
+            Unknown(
+                p.name, stiffness.joint, unit, value, scale, not positive, reach, limits, p.above
+            )
         )
-    return found
+    return unknowns
 
 
 def with_settling(space: ParameterSpace) -> ParameterSpace:
-    """With a settling time of each joint's friction."""
+    """Add the friction settling time of each joint."""
     joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
-    more = [
+    settling_times = [
         Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
     ]
-    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
-    return ParameterSpace((*space.unknowns, *more), space.fixed, replace(space.prior, rows=rows))
+    rows = np.pad(space.prior.rows, ((0, 0), (0, len(settling_times))))
+    return ParameterSpace(
+        (*space.unknowns, *settling_times), space.fixed, replace(space.prior, rows=rows)
+    )
 
 
 def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float) -> Prior:
-    """The rigid model's parameters as combinations of the unknowns, divided by their errors."""
+    """Rigid-step estimates as whitened linear combinations of the unknowns."""
     identified = [
         k
         for k, p in enumerate(model.parameters if model is not None else ())
@@ -387,6 +392,6 @@ def _prior(model: RigidModel | None, keys: Sequence[Key], arm: Arm, floor: float
     covariance = model.covariance[np.ix_(identified, identified)]
     factor = np.asarray(np.linalg.cholesky(covariance + np.diag((floor * np.abs(mean)) ** 2)))
     errors = np.linalg.solve(factor, np.linalg.solve(factor, covariance).T)
-    white = np.asarray(np.linalg.solve(factor, rows))
+    whitened = np.asarray(np.linalg.solve(factor, rows))
     target = np.asarray(np.linalg.solve(factor, mean))
-    return Prior(white, target, errors, tuple(names), factor, mean)
+    return Prior(whitened, target, errors, tuple(names), factor, mean)

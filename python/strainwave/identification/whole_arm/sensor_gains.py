@@ -1,7 +1,7 @@
-"""What a link sensor that an arm does not have would add, by the Fisher information of the fit.
+"""Predicted benefit of an additional link sensor, from the Fisher information of the fit.
 
-Each record is gone through once more with the sensors that its links lack: their rows are never
-measured, but their derivatives by the unknowns, over their noise, are all that information asks.
+Each record is simulated with the missing sensors. The Fisher information requires only the
+derivatives of their readings with respect to the unknowns and the sensor noise, not measurements.
 """
 
 from __future__ import annotations
@@ -25,45 +25,43 @@ from strainwave.identification.whole_arm.parametrisation import Key, combination
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import side_by_side
 
-_ACCELEROMETER_HZ = 300.0
-_GYRO_HZ = 100.0
-_GYRO_DENSITY = float(np.radians(0.01))  # [rad/s/sqrt(Hz)]
-_LINK_COUNTS = 2**17  # per turn of the link
-_DISTANCE = 0.3  # [m] of an accelerometer, where the study has no length at all
-_ROBUST_WEIGHT = 0.79  # mean of (1 + r^2)^(-1/2) over normal errors: what the soft L1 loss counts
-_NAMES = ("gear_", "motor_inertia", "link_inertia")
+_ACCELEROMETER_HZ = 300.0  # [Hz] bandwidth of a typical accelerometer
+_GYRO_HZ = 100.0  # [Hz] bandwidth of a typical gyro
+_GYRO_DENSITY = float(np.radians(0.01))  # [rad/s/sqrt(Hz)] noise density of a typical gyro
+_LINK_COUNTS = 2**17  # counts per turn of a typical link encoder
+_DISTANCE = 0.3  # [m] of an accelerometer from the axis if the study gives no length
+_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
+_NAMES = ("gear_", "motor_inertia", "link_inertia")  # prefixes of the reported parameters
 
 
 @dataclass(frozen=True, slots=True)
 class _Candidate:
-    """A sensor that a link does not have."""
+    """A sensor that a link lacks."""
 
     sensor: LinkSensor
     channel: Channel
-    assumed: str  # its data sheet
+    assumed: str  # assumed specification, as text
 
 
 def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[SensorGain]:
-    """What one more link sensor in the same records would make of each interval.
+    """Predict the standard deviations with one additional link sensor in the same records.
 
-    Two rules give a variance, and the larger one counts. In a sandwich B (H C H + S) B the rows
-    that are there err as the fit's covariance C says, and the sensor's by its data sheet: H is
-    the information without and S that of the sensor, B the inverse of both. It is right where the
-    fit's errors are noise. Where they are the model's, a sensor's rows have them as well: then the
-    variance shrinks no more than that of all information does.
+    The predicted variance is the larger one of two. The first is that of the sandwich
+    B (H C H + S) B, with C the covariance of the fit, H its information, S that of the sensor by
+    its specification, and B = (H + S)^-1. It holds if the errors of the fit are noise. Model errors
+    also affect the additional sensor, so the second is the variance of the fit times the ratio of
+    the local variances, B over H^-1.
 
-    Robust weights, repetitions and unknowns of the records are the fit's own, and each sensor has
-    an unknown constant. It errs by no less than a thousandth of what it shows: no model is better.
+    Robust weights, repetitions and record parameters are those of the fit. Each sensor has an
+    unknown bias, and its standard deviation is at least 1e-3 of that of its reading.
 
-    `fit`: At its minimum.
-    `parameters`: As published, with their standard deviations.
-
-    Returns: Of gears and inertias, for each sensor that an elastic joint's link lacks in all
-    records; empty where none lacks any, or the arm cannot be simulated with them.
+    `fit` is at its minimum, and `parameters` are its published parameters. Returns the gains of
+    gear parameters and inertias for each candidate sensor of an elastic joint whose link has none
+    in any record. The list is empty if there is no candidate or the simulation fails.
     """
     candidates = list(_candidates(fit.objective.records, arm))
-    asked = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]
-    if not candidates or not asked:
+    reported = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]
+    if not candidates or not reported:
         return []
     try:
         parts = _information(fit, arm, candidates)
@@ -72,26 +70,26 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     space = fit.objective.space
     slope = space.slope(fit.z)
     prior = space.beforehand(fit.z)[0]
-    known = prior.T @ prior
-    W = np.array([_weights(p, space.keys, arm) for p in asked]) @ slope
-    here, *each = [sum(own, known) for own in zip(*parts, strict=True)]
+    prior_information = prior.T @ prior
+    W = np.array([_weights(p, space.keys, arm) for p in reported]) @ slope
+    present, *extended = [sum(own, prior_information) for own in zip(*parts, strict=True)]
     own = np.linalg.inv(space.slope(fit.z))
-    meat = here @ own @ fit.confidence.combined @ own.T @ here
-    local = _variances(W, inverse_information(here))
-    found = []
-    for candidate, information in zip(candidates, each, strict=True):
+    meat = present @ own @ fit.confidence.combined @ own.T @ present
+    local = _variances(W, inverse_information(present))
+    gains = []
+    for candidate, information in zip(candidates, extended, strict=True):
         inverse = inverse_information(information)
-        stds = np.array([p.std for p in asked])
-        sandwich = _variances(W, inverse @ (meat + information - here) @ inverse)
+        stds = np.array([p.std for p in reported])
+        sandwich = _variances(W, inverse @ (meat + information - present) @ inverse)
         shares = np.maximum(sandwich / stds**2, _variances(W, inverse) / local)
         shares = np.sqrt(np.minimum(1.0, shares))
-        for parameter, share in zip(asked, shares.tolist(), strict=True):
-            found.append(_gain(candidate, parameter, share))
-    return found
+        for parameter, share in zip(reported, shares.tolist(), strict=True):
+            gains.append(_gain(candidate, parameter, share))
+    return gains
 
 
 def _variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Of combinations of what has a covariance: (n_rows,)."""
+    """Variances (n_rows,) of linear combinations, one per row."""
     return np.asarray(np.einsum("ij,jk,ik->i", rows, covariance, rows))
 
 
@@ -110,7 +108,7 @@ def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGa
 
 
 def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
-    """A parameter as a combination of the unknowns' values: (n_unknowns,)."""
+    """Weights (n_unknowns,) of a parameter as a linear combination of the unknowns."""
     key = (parameter.name, parameter.joint)
     if key in keys or parameter.joint is None:
         return combination(keys, {key: 1.0})
@@ -118,10 +116,10 @@ def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
 
 
 def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
-    """Sensors of the links of elastic joints that have none in any record."""
-    have = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
+    """Candidate sensors of elastic joints whose link has no sensor in any record."""
+    sensed_joints = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
     for number, joint in enumerate(arm.joints, start=1):
-        if number in have or not joint.elastic:
+        if number in sensed_joints or not joint.elastic:
             continue
         density = SensorNoise().accelerometer_density
         place = ""
@@ -148,32 +146,32 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
 
 
 def _distance(joint: Joint, arm: Arm) -> float:
-    """[m] from the axis at which an accelerometer would sit: the study's, or the first link's."""
+    """Distance [m] of the accelerometer from the axis: given, or the length of the first link."""
     return joint.accelerometer_distance or arm.link_length or _DISTANCE
 
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
-    """Each record's information, (n_unknowns, n_unknowns): as it is, then with each candidate."""
+    """Fisher information (n_unknowns, n_unknowns) of each record, without and with each sensor."""
     objective, values = fit.objective, fit.objective.space.values(fit.z)
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
-    public = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
+    parameter_places = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         rich = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.local), len(rows.step)
         begun = (rows.evaluated.own + rows.step)[:n_begin]
-        seen, tangent = rich.linearised(values, begun, [keys[k] for k in public])
+        seen, tangent = rich.linearised(values, begun, [keys[k] for k in parameter_places])
         scale = np.sqrt(_ROBUST_WEIGHT / repetitions_of(rich))
         scale = scale / np.maximum(rich.noise, LEAST_ERROR * np.std(seen, axis=0))
         own = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
         R = triangular_factor(own.reshape(-1, own.shape[2]))
         found = [_shared(R, n_own)]
         for k, candidate in enumerate(candidates):
-            # its constant, then the record's own unknowns, then the shared ones
+            # columns: bias of the sensor, record parameters, shared unknowns
             more = np.zeros((len(seen), 1 + own.shape[2]))
             more[:, 0] = candidate.channel.shifted
-            more[:, 1 : 1 + n_begin] = tangent[:, k, len(public) :]
-            more[:, 1 + n_own :] = tangent[:, k, : len(public)] @ slope[public]
+            more[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
+            more[:, 1 + n_own :] = tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
             stacked = np.concatenate([np.pad(R, ((0, 0), (1, 0))), scale[k] * more])
             if not candidate.channel.shifted:
                 stacked = stacked[:, 1:]
@@ -185,14 +183,14 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
 
 
 def _shared(factor: FloatArray, n_own: int) -> FloatArray:
-    """R'R of what a record's own unknowns cannot imitate."""
+    """Information R'R of the shared unknowns after elimination of the record parameters."""
     R = factor[n_own:, n_own:]
     return np.asarray(R.T @ R)
 
 
 def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]) -> Dataset:
-    """The record with the candidates for its channels, and their noise behind its low-pass."""
-    lacking = {candidate.channel.joint for candidate in candidates}
+    """Replace the channels of a record by the candidates, with their filtered noise."""
+    missing_joints = {candidate.channel.joint for candidate in candidates}
     joints = tuple(
         replace(
             joint,
@@ -200,19 +198,21 @@ def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]
             accelerometer_hz=joint.accelerometer_hz or _ACCELEROMETER_HZ,
             gyro_hz=joint.gyro_hz or _GYRO_HZ,
         )
-        if number in lacking
+        if number in missing_joints
         else joint
         for number, joint in enumerate(record.arm.joints, start=1)
     )
     channels = tuple(candidate.channel for candidate in candidates)
-    white = np.sqrt(0.5 / record.log.sample_time)  # deviation of a sample for a density of one
-    sample: dict[Quantity, float] = {
-        "accelerometer": SensorNoise().accelerometer_density * white,
-        "gyro": _GYRO_DENSITY * white,
+    noise_per_density = np.sqrt(
+        0.5 / record.log.sample_time
+    )  # standard deviation of a sample per unit noise density
+    sample_std: dict[Quantity, float] = {
+        "accelerometer": SensorNoise().accelerometer_density * noise_per_density,
+        "gyro": _GYRO_DENSITY * noise_per_density,
         "link_angle": 2.0 * np.pi / _LINK_COUNTS / np.sqrt(12.0),
     }
     noise = [
-        sample[c.quantity] * np.linalg.norm(record.kernels.taps(rate=c.rate)) for c in channels
+        sample_std[c.quantity] * np.linalg.norm(record.kernels.taps(rate=c.rate)) for c in channels
     ]
     return replace(
         record,

@@ -1,8 +1,8 @@
-"""Link sensors that ring on their mounts, found by evidence in the whole-arm fit.
+"""Detection of mount resonances of link sensors in the whole-arm fit.
 
-A mount changes the channels of one sensor and nothing else. What swings in the arm itself moves the
-motor as well, and is left to the effects: a mount joins only where, once fitted, it makes its
-sensor's residuals much smaller and others' hardly larger.
+A mount resonance changes only the channels of its sensor. A resonance of the arm also moves the
+motor and is left to the effects. The model therefore includes a mount resonance only if its fit
+reduces the residuals of its sensor strongly and increases those of other channels hardly.
 """
 
 from __future__ import annotations
@@ -26,50 +26,51 @@ from strainwave.identification.whole_arm.sensors import with_sensors
 from strainwave.identification.whole_arm.solver import fine_search, search_from
 from strainwave.numerics.distributions import chi_square_limit
 
-_FREQUENCIES = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)  # [Hz]
-_DAMPINGS = (0.05, 0.12)  # at each of them
-_BEYOND_BAND = 2.0  # times the low-pass's cut-off: beyond, only a quarter is left below it
-_FALSE_ALARMS = 1e-4  # odds that noise passes for a mount
-_SHARE = 0.1  # of its sensor's cost that a linear step must take off
-_STARTS = 3  # mounts from which it is fitted
-_TRIAL = 12  # evaluations of each
-_GAIN = 0.1  # predicted, at which they end
-_LEFT = 0.3  # of its sensor's cost, at most, once it is fitted
-_SPOILED = 0.2  # share of what it takes off that, by which the other channels' cost may rise
+# natural frequencies [Hz] of the tested mounts
+_FREQUENCIES = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)
+_DAMPINGS = (0.05, 0.12)  # damping ratios of the tested mounts, at each frequency
+_BEYOND_BAND = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4 change in the band
+_FALSE_ALARMS = 1e-4  # false alarm probability over all tested mounts
+_SHARE = 0.1  # minimum cost reduction of a linear step, as a share of the sensor's cost
+_STARTS = 3  # starting mounts of a fit
+_TRIAL = 12  # maximum evaluations per start
+_GAIN = 0.1  # predicted cost reduction at which a trial ends
+_LEFT = 0.3  # maximum cost of the sensor after the fit, relative to that before
+_SPOILED = 0.2  # maximum cost increase of other channels, relative to the reduction
 
 Names = tuple[Key, Key]
-"""Of the frequency and the damping of a sensor's mount."""
+"""Keys of the frequency and the damping ratio of a sensor's mount."""
 
 Mounts = dict[Names, list[MountResonance]]
 
 
 def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
-    """A fit with the mounts of sensors that ring, one after the other.
+    """Add mount resonances one by one, the most significant first.
 
-    Returns: As it is where no sensor's residuals are more than its noise.
+    Returns the fit itself if no sensor has residuals above its noise.
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
-        found = _best(fit, selection)
-        if found is None:
+        best = _best(fit, selection)
+        if best is None:
             break
-        selection.grant(found.iterations)
+        selection.grant(best.iterations)
         options = selection.options
-        fit = fine_search(found.objective, found.z, fit.iterations + found.iterations, options)
+        fit = fine_search(best.objective, best.z, fit.iterations + best.iterations, options)
     return fit
 
 
 def _best(fit: Fit, selection: Selection) -> Fit | None:
-    """The fit with the mount that explains most, of those that pass; None where none does."""
+    """Fit with the most significant acceptable mount; None if there is none."""
     for names, mounts in _promising(fit, selection).items():
-        found = _fitted(fit, names, mounts, selection)
-        if found is not None and _explains(fit, found, names):
-            return found
+        refit = _fitted(fit, names, mounts, selection)
+        if refit is not None and _explains(fit, refit, names):
+            return refit
     return None
 
 
 def _promising(fit: Fit, selection: Selection) -> Mounts:
-    """Mounts whose linear steps are evident, of each sensor the most significant first."""
+    """Mounts with significant score tests, by sensor, the most significant first."""
     tested = _tested(fit, selection)
     n = sum(map(len, tested.values()))
     if not n:
@@ -87,79 +88,94 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
     square = np.sum(projected**2, axis=0)
     gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
     gains /= np.where(square > 0.0, square, np.inf)
-    each, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARMS / n, 1)
-    found: list[tuple[float, Names, list[MountResonance]]] = []
+    gain, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARMS / n, 1)
+    significant: list[tuple[float, Names, list[MountResonance]]] = []
     for names, mounts in tested.items():
-        own = sorted(((next(each), mount) for mount in mounts), key=lambda one: -one[0])
-        least = max(limit, _SHARE * _cost(fit, names)[0])
-        if own[0][0] > least:
-            found.append((own[0][0], names, [mount for _, mount in own[:_STARTS]]))
-    found.sort(key=lambda one: -one[0])
-    return {names: mounts for _, names, mounts in found}
+        ranked = sorted(((next(gain), mount) for mount in mounts), key=lambda one: -one[0])
+        threshold = max(limit, _SHARE * _cost(fit, names)[0])
+        if ranked[0][0] > threshold:
+            significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_STARTS]]))
+    significant.sort(key=lambda one: -one[0])
+    return {names: mounts for _, names, mounts in significant}
 
 
 def _tested(fit: Fit, selection: Selection) -> Mounts:
-    """Of the sensors whose residuals are more than noise, and that have no mount yet."""
-    objective, found = fit.objective, Mounts()
+    """Mounts to test: of sensors with residuals above noise and without a mount resonance."""
+    objective, mounts = fit.objective, Mounts()
     band = _BEYOND_BAND * max(record.cutoff_hz for record in objective.records)
-    known = objective.space.keys
-    tested = [MountResonance(f, d) for f in _FREQUENCIES if f < band for d in _DAMPINGS]
+    present = objective.space.keys
+    candidates = [MountResonance(f, d) for f in _FREQUENCIES if f < band for d in _DAMPINGS]
     for record, beyond in zip(objective.records, beyond_noise(objective, fit.z), strict=True):
-        for channel, more in zip(record.channels, beyond.tolist(), strict=True):
+        for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
             names = mount_of(channel.sensor, channel.joint)
-            if not more or names is None or any(is_held(k, selection.options) for k in names):
+            if (
+                not exceeds_noise
+                or names is None
+                or any(is_held(k, selection.options) for k in names)
+            ):
                 continue
-            if names[0] not in known:
-                found[names] = tested
-    return found
+            if names[0] not in present:
+                mounts[names] = candidates
+    return mounts
 
 
 def _fitted(
     fit: Fit, names: Names, mounts: Sequence[MountResonance], selection: Selection
 ) -> Fit | None:
-    """The best of short searches with a mount beside the unknowns, from some resonances."""
+    """Best of short searches with a mount as additional unknowns, from several starts."""
     best: Fit | None = None
     values = fit.objective.space.values(fit.z)
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = with_sensors(fit.objective.space, list(starts), starts)
-        objective, begin = fit.objective.for_unknowns(space), space.coordinates(values | starts)
+        objective, start = fit.objective.for_unknowns(space), space.coordinates(values | starts)
         options = replace(selection.options, max_iterations=_TRIAL)
         try:
-            found = search_from(objective, begin, 0, options, tolerance=_GAIN)
+            trial = search_from(objective, start, 0, options, tolerance=_GAIN)
         except NotIdentifiable:
             continue
-        if best is None or found.cost < best.cost:
-            best = found
+        if best is None or trial.cost < best.cost:
+            best = trial
     return best
 
 
 def _explains(before: Fit, after: Fit, names: Names) -> bool:
-    """Whether a mount explains its sensor's residuals and hardly spoils any other's."""
-    (own, others), (left, beside) = (_cost(fit, names) for fit in (before, after))
-    return left < _LEFT * own and beside - others < _SPOILED * (own - left)
+    """Whether a mount explains the residuals of its sensor without increasing others much."""
+    (cost_before, others_before), (cost_after, others_after) = (
+        _cost(fit, names) for fit in (before, after)
+    )
+    return cost_after < _LEFT * cost_before and others_after - others_before < _SPOILED * (
+        cost_before - cost_after
+    )
 
 
 def _cost(fit: Fit, names: Names) -> tuple[float, float]:
-    """Of the channels of a mount's sensor, and of all others."""
+    """Cost of the channels of the mount's sensor, and of all other channels."""
     costs = np.zeros(2)
     objective = fit.objective
-    every = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
-    for record, weights, rows in every:
+    evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
+    for record, weights, rows in evaluated:
         for channel, cost in zip(record.channels, rows.costs(weights), strict=True):
             costs[0 if mount_of(channel.sensor, channel.joint) == names else 1] += cost
-    own, others = costs.tolist()
-    return own, others
+    sensor_cost, others = costs.tolist()
+    return sensor_cost, others
 
 
 def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """The sensors that ring on their mounts."""
-    for found in parameters:
-        key = found.name, found.joint
-        if not (is_of_mount(key) and found.name.endswith("_frequency")) or found.value is None:
+    """Warn of link sensors with a mount resonance."""
+    for parameter in parameters:
+        key = parameter.name, parameter.joint
+        if (
+            not (is_of_mount(key) and parameter.name.endswith("_frequency"))
+            or parameter.value is None
+        ):
             continue
-        sensor = found.name.removesuffix("_mount_frequency").replace("_", " ")
-        text = f"the {sensor} of link {found.joint} rings on its mount at {found.value:.3g} ±"
-        text += f" {1.96 * (found.std or 0.0):.2g} Hz; estimated and corrected: glue or screw it"
+        sensor = parameter.name.removesuffix("_mount_frequency").replace("_", " ")
+        text = (
+            f"the {sensor} of link {parameter.joint} rings on its mount at {parameter.value:.3g} ±"
+        )
+        text += (
+            f" {1.96 * (parameter.std or 0.0):.2g} Hz; estimated and corrected: glue or screw it"
+        )
         text += " down"
-        yield Diagnostic("sensor-mount", f"joint {found.joint}", text)
+        yield Diagnostic("sensor-mount", f"joint {parameter.joint}", text)
