@@ -1,4 +1,4 @@
-"""Banded matrices against the same with all their zeros."""
+"""Banded matrices against dense matrices."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from strainwave.numerics.banded import Banded
 def test_products_rows_and_scales_are_those_of_the_dense_matrix() -> None:
     rng = np.random.default_rng(6)
     entries = rng.normal(size=(7, 3))
-    entries[-1, 1:] = 0.0  # its window reaches past the last column
+    entries[-1, 1:] = 0.0  # the last row extends beyond the last column
     banded = Banded(np.array([0, 0, 1, 3, 4, 5, 7]), entries, 8)
     dense = banded.dense()
     assert dense.shape == (7, 8)

@@ -1,4 +1,4 @@
-"""Residual correlations: known delays, limits that hold for coloured noise."""
+"""Residual correlations: known delays, and confidence limits for coloured noise."""
 
 from __future__ import annotations
 
@@ -29,41 +29,42 @@ def test_a_delayed_input_gives_a_peak_at_its_delay() -> None:
 def test_values_are_those_of_the_definition() -> None:
     rng = np.random.default_rng(1)
     e, u = rng.standard_normal((2, 60))
-    found = correlate_residuals(e, u[:, None], 1.0)
+    correlation = correlate_residuals(e, u[:, None], 1.0)
     e, u = e - e.mean(), u - u.mean()
-    lags = len(found.autocorrelation) - 1
+    lags = len(correlation.autocorrelation) - 1
     assert lags == 15  # a quarter of the samples
     for lag in range(1, lags + 1):
-        assert found.autocorrelation[lag] == pytest.approx(e[lag:] @ e[:-lag] / (e @ e))
+        assert correlation.autocorrelation[lag] == pytest.approx(e[lag:] @ e[:-lag] / (e @ e))
         scale = np.sqrt((e @ e) * (u @ u))
         behind, ahead = e[lag:] @ u[:-lag] / scale, e[:-lag] @ u[lag:] / scale
-        assert found.cross_correlation[lags + lag, 0] == pytest.approx(behind)
-        assert found.cross_correlation[lags - lag, 0] == pytest.approx(ahead)
+        assert correlation.cross_correlation[lags + lag, 0] == pytest.approx(behind)
+        assert correlation.cross_correlation[lags - lag, 0] == pytest.approx(ahead)
 
 
 def test_the_standard_deviation_holds_for_coloured_signals() -> None:
-    """Independent low-pass noise: the scatter over draws is the stated one."""
+    """The scatter of independent low-pass noise equals the reported standard deviation."""
     rng = np.random.default_rng(2)
-    values, stated = [], []
+    values, reported_std = [], []
     for _ in range(400):
         e, u = (lfilter([1.0], [1.0, -0.9], rng.standard_normal(N)) for _ in range(2))
-        found = correlate_residuals(e, u[:, None], 1.0)
-        values.append(found.cross_correlation[:, 0])
-        stated.append(found.cross_std[0])
-    # the variance of two first-order processes is (1 + a^2) / (1 - a^2) that of white noise
-    assert np.mean(stated) == pytest.approx(np.sqrt(1.81 / 0.19 / N), rel=0.15)
-    assert np.std(values) == pytest.approx(np.mean(stated), rel=0.15)  # 400 draws: 4 %
+        correlation = correlate_residuals(e, u[:, None], 1.0)
+        values.append(correlation.cross_correlation[:, 0])
+        reported_std.append(correlation.cross_std[0])
+    # the variance for two first-order processes is (1 + a^2) / (1 - a^2) times that for white noise
+    assert np.mean(reported_std) == pytest.approx(np.sqrt(1.81 / 0.19 / N), rel=0.15)
+    # 400 draws: standard error of 4 %.
+    assert np.std(values) == pytest.approx(np.mean(reported_std), rel=0.15)
 
 
 def test_a_constant_signal_has_no_correlation() -> None:
-    found = correlate_residuals(np.ones(100), np.zeros((100, 2)), 1.0)
-    assert not found.autocorrelation.any()
-    assert not found.cross_correlation.any()
-    assert np.isfinite(found.cross_std).all()
+    correlation = correlate_residuals(np.ones(100), np.zeros((100, 2)), 1.0)
+    assert not correlation.autocorrelation.any()
+    assert not correlation.cross_correlation.any()
+    assert np.isfinite(correlation.cross_std).all()
 
 
 def test_the_autocorrelation_of_a_density_and_its_scatter() -> None:
-    """First-order noise: rho(l) = a^|l|, and estimates scatter as stated."""
+    """For first-order noise, rho(l) = a^|l|, and estimates have the reported standard deviation."""
     a, f = 0.7, np.linspace(0.0, 0.5, 2001)
     density = 1.0 / np.abs(1.0 - a * np.exp(-2j * np.pi * f)) ** 2
     rho, std = expected_autocorrelation(f, density, 1.0, 10, N)

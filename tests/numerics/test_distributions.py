@@ -1,4 +1,4 @@
-"""Closed forms against SciPy's, which a run does without."""
+"""Closed-form distributions and the matrix exponential against SciPy."""
 
 import numpy as np
 import pytest
@@ -16,14 +16,14 @@ from strainwave.numerics.linalg import exponential
 @pytest.mark.parametrize("degrees", [1, 2, 3, 10, 25, 100, 101, 300])
 @pytest.mark.parametrize("value", [0.0, 0.1, 1.0, 30.0, 100.0, 1e3, 1e5, np.inf])
 def test_chi_square_tail(value: float, degrees: int) -> None:
-    # sums of a few hundred rounded terms, each at most one
+    # rounding of a sum of a few hundred terms, each at most one
     assert chi_square_tail(value, degrees) == pytest.approx(chdtrc(degrees, value), abs=1e-13)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 10, 101])
 @pytest.mark.parametrize("probability", [0.5, 0.05, 2.7e-3, 6e-7])
 def test_chi_square_limit(probability: float, degrees: int) -> None:
-    # sixty halvings, of a tail whose own error is some 1e-15
+    # 60 bisections of a tail probability with an error of about 1e-15
     expected = chdtri(degrees, probability)
     assert chi_square_limit(probability, degrees) == pytest.approx(expected, rel=1e-7)
 
@@ -31,7 +31,7 @@ def test_chi_square_limit(probability: float, degrees: int) -> None:
 @pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5, 19, 20, 39, 200])
 @pytest.mark.parametrize("probability", [0.5, 0.8, 0.975, 0.9999])
 def test_student_quantile(probability: float, degrees: int) -> None:
-    # sixty halvings of the angle
+    # 60 bisections of the angle
     expected = stdtrit(degrees, probability)
     assert student_quantile(probability, degrees) == pytest.approx(expected, rel=1e-10, abs=1e-14)
 

@@ -1,4 +1,4 @@
-"""Least squares with nuisance unknowns, against plain least squares over all unknowns at once."""
+"""Least squares with nuisance parameters against plain least squares over all parameters."""
 
 from __future__ import annotations
 
@@ -14,10 +14,7 @@ N_ROWS, N_LOCAL, N_COMMON = 60, 20, 2
 
 
 def problem() -> tuple[ls.Equations, FloatArray]:
-    """Three unknowns of all rows, two that all may have, twenty that a few rows each have.
-
-    And roots of weights.
-    """
+    """Equations with 3 parameters, 2 common and 20 local nuisance parameters, and root weights."""
     rng = np.random.default_rng(3)
     entries = np.zeros((N_ROWS, 4))
     entries[:-10] = rng.normal(size=(N_ROWS - 10, 4))
@@ -38,21 +35,21 @@ def problem() -> tuple[ls.Equations, FloatArray]:
 
 
 def plain(equations: ls.Equations, root: FloatArray) -> FloatArray:
-    """All rows and all unknowns, the priors as rows of their own."""
+    """Least squares over all rows and parameters, with the priors as additional rows."""
     local = equations.local[0].columns.dense()
     columns = np.hstack([equations.shared, equations.common, local]) * root[:, None]
-    deviation = np.concatenate([equations.common_deviation, equations.local_deviation])
-    priors = np.hstack([np.zeros((len(deviation), 3)), np.diag(1.0 / deviation)])
-    target = np.concatenate([equations.target * root, np.zeros(len(deviation))])
+    std = np.concatenate([equations.common_deviation, equations.local_deviation])
+    priors = np.hstack([np.zeros((len(std), 3)), np.diag(1.0 / std)])
+    target = np.concatenate([equations.target * root, np.zeros(len(std))])
     return np.asarray(np.linalg.lstsq(np.vstack([columns, priors]), target)[0])
 
 
 def test_all_unknowns_at_once_give_the_same() -> None:
     equations, root = problem()
     factor = ls.factorise(equations, root)
-    # rounding times the condition number, some tens
-    found = np.concatenate([factor.value, factor.common, factor.local])
-    np.testing.assert_allclose(found, plain(equations, root), rtol=1e-10, atol=1e-12)
+    # rounding times a condition number of about 50
+    estimate = np.concatenate([factor.value, factor.common, factor.local])
+    np.testing.assert_allclose(estimate, plain(equations, root), rtol=1e-10, atol=1e-12)
 
 
 def test_leverage_is_how_a_fit_follows_its_target() -> None:
@@ -79,33 +76,35 @@ def test_moves_are_those_of_a_new_solve() -> None:
 def test_the_jackknife_leaves_out_block_by_block() -> None:
     equations, root = problem()
     factor = ls.factorise(equations, root)
-    found, _ = ls.jackknife(equations, factor)
-    whole = plain(equations, root)[:3]
-    shifts = [plain(equations, root * (equations.block != b))[:3] - whole for b in range(10)]
+    covariance, _ = ls.jackknife(equations, factor)
+    solution = plain(equations, root)[:3]
+    shifts = [plain(equations, root * (equations.block != b))[:3] - solution for b in range(10)]
     scatter = 0.9 * np.array(shifts).T @ np.array(shifts)
-    # beside the blocks, what the estimate leans towards the priors
-    assert (np.linalg.eigvalsh(found - scatter) > -1e-6 * np.trace(scatter)).all()
-    assert np.trace(found) < 2.0 * np.trace(scatter)
+    # the jackknife adds the variance from the priors
+    assert (np.linalg.eigvalsh(covariance - scatter) > -1e-6 * np.trace(scatter)).all()
+    assert np.trace(covariance) < 2.0 * np.trace(scatter)
 
 
 def test_the_jackknife_follows_common_nuisance_unknowns() -> None:
     equations, root = problem()
     n = 3 + N_COMMON
-    _, found = ls.jackknife(equations, ls.factorise(equations, root))
-    whole = plain(equations, root)[3:n]
-    shifts = [plain(equations, root * (equations.block != b))[3:n] - whole for b in range(10)]
+    _, variance = ls.jackknife(equations, ls.factorise(equations, root))
+    solution = plain(equations, root)[3:n]
+    shifts = [plain(equations, root * (equations.block != b))[3:n] - solution for b in range(10)]
     scatter = 0.9 * np.sum(np.square(shifts), axis=0)
-    # beside the blocks, what the estimate leans towards the priors, no further than they reach
-    assert (found > scatter * (1.0 - 1e-6)).all()
-    assert (found < scatter + equations.common_deviation**2).all()
+    # the jackknife adds the variance from the priors, which is at most the prior variance
+    assert (variance > scatter * (1.0 - 1e-6)).all()
+    assert (variance < scatter + equations.common_deviation**2).all()
 
 
 def test_leaving_out_rows_of_no_nuisance_unknown() -> None:
     equations, root = problem()
     part = equations.local[0]
-    inside = np.arange(N_ROWS) < N_ROWS - 10  # the last rows have none of the unknowns
-    apart = replace(equations, local=(ls.Local(part.rows[inside], part.columns.rows(inside)),))
-    found, expected = (
-        ls.jackknife(each, ls.factorise(each, root))[0] for each in (apart, equations)
+    has_local = np.arange(N_ROWS) < N_ROWS - 10  # the last rows contain no local parameter
+    separate = replace(
+        equations, local=(ls.Local(part.rows[has_local], part.columns.rows(has_local)),)
     )
-    np.testing.assert_allclose(found, expected, rtol=1e-8)
+    covariance, expected = (
+        ls.jackknife(each, ls.factorise(each, root))[0] for each in (separate, equations)
+    )
+    np.testing.assert_allclose(covariance, expected, rtol=1e-8)

@@ -1,4 +1,4 @@
-"""Functions of small matrices against NumPy's and SciPy's."""
+"""Functions of small matrices against NumPy and SciPy."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from strainwave.numerics.linalg import exponential, triangular_factor
 def test_blocks_have_the_factor_of_the_whole(shape: tuple[int, int]) -> None:
     rng = np.random.default_rng(shape[0])
     table = rng.normal(size=shape) * 10.0 ** rng.uniform(-6.0, 6.0, shape[1])
-    whole, found = np.asarray(np.linalg.qr(table, mode="r")), triangular_factor(table)
-    assert found.shape == whole.shape
-    np.testing.assert_array_equal(found, np.triu(found))
+    expected, R = np.asarray(np.linalg.qr(table, mode="r")), triangular_factor(table)
+    assert R.shape == expected.shape
+    np.testing.assert_array_equal(R, np.triu(R))
     size = np.linalg.norm(table, axis=0)
-    # a row may have either sign
-    np.testing.assert_allclose(np.abs(found) / size, np.abs(whole) / size, atol=1e-12)
+    # the sign of each row of R is arbitrary
+    np.testing.assert_allclose(np.abs(R) / size, np.abs(expected) / size, atol=1e-12)
 
 
 def test_a_factor_keeps_what_normal_equations_lose() -> None:
-    """Two columns that differ by 1e-10: the square of that is below rounding."""
+    """Two columns that differ by 1e-10: the square of the difference is below rounding."""
     rng = np.random.default_rng(1)
-    one = rng.normal(size=2000)
-    other = one + 1e-10 * rng.normal(size=2000)
-    R = triangular_factor(np.column_stack([one, other]))
-    expected = np.linalg.norm(other - one * (one @ other) / (one @ one))
+    first = rng.normal(size=2000)
+    second = first + 1e-10 * rng.normal(size=2000)
+    R = triangular_factor(np.column_stack([first, second]))
+    expected = np.linalg.norm(second - first * (first @ second) / (first @ first))
     assert abs(R[1, 1]) == pytest.approx(expected, rel=1e-4)
 
 

@@ -1,4 +1,4 @@
-"""Independent work side by side, and a process of our own."""
+"""Parallel jobs, and the configuration of a process."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_jobs_run_at_the_same_time() -> None:
     both = threading.Barrier(2, timeout=30.0)
 
     def meet() -> bool:
-        both.wait()  # breaks unless the other comes
+        both.wait()  # raises unless the other job arrives
         return True
 
     assert side_by_side([meet, meet]) == [True, True]
@@ -39,7 +39,7 @@ def test_a_job_that_fails_shows_who_asks() -> None:
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
 def test_a_job_that_fails_ends_those_beside_it() -> None:
-    """Also those that such a job began itself; and those that wait never begin."""
+    """Nested jobs end too, and waiting jobs do not start."""
     begun = threading.Barrier(3, timeout=30.0)
     ended = list[threading.Thread]()
     late = list[int]()
@@ -65,8 +65,8 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
         side_by_side(jobs)
     assert len(ended) == 2
     assert not any(thread.is_alive() for thread in ended)
-    assert late in ([], [1])  # its turn may have come before the failure
-    stop_if_asked()  # outside of them nothing is stopped
+    assert late in ([], [1])  # it may have started before the failure
+    stop_if_asked()  # outside the jobs, nothing is stopped
 
 
 def test_a_process_of_our_own_begins_no_blas_threads() -> None:
@@ -77,10 +77,10 @@ import numpy
 from threadpoolctl import threadpool_info
 print(*{i["num_threads"] for i in threadpool_info() if i["internal_api"] == "openblas"})
 """
-    free = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
-    found = subprocess.run(
-        [sys.executable, "-c", code], env=free, check=True, capture_output=True, text=True
+    environment = {k: v for k, v in os.environ.items() if not k.endswith("_NUM_THREADS")}
+    process = subprocess.run(
+        [sys.executable, "-c", code], env=environment, check=True, capture_output=True, text=True
     )
-    if not found.stdout.strip():
+    if not process.stdout.strip():
         pytest.skip("this NumPy has another BLAS")
-    assert found.stdout.split() == ["1"]
+    assert process.stdout.split() == ["1"]

@@ -1,4 +1,4 @@
-"""The one estimate by Welch's method, against SciPy's and against what is known of white noise."""
+"""Welch's method against SciPy, and against the known density of white noise."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_the_density_of_white_noise_is_its_variance_over_the_band() -> None:
 
 def test_windows_begin_every_few_samples() -> None:
     x = np.arange(20.0)[:, None]
-    lines = window_spectra(x, np.ones(8), 4)
-    assert lines.shape == (4, 5, 1)
-    np.testing.assert_allclose(lines[:, 0], 0.0, atol=1e-12)  # the mean is taken off
-    np.testing.assert_allclose(lines[2, :, 0], np.fft.rfft(x[8:16, 0] - x[8:16, 0].mean()))
+    spectra = window_spectra(x, np.ones(8), 4)
+    assert spectra.shape == (4, 5, 1)
+    np.testing.assert_allclose(spectra[:, 0], 0.0, atol=1e-12)  # the mean is removed
+    np.testing.assert_allclose(spectra[2, :, 0], np.fft.rfft(x[8:16, 0] - x[8:16, 0].mean()))

@@ -1,4 +1,4 @@
-"""What follows from a model: continuous time, responses, modes, and their deviations."""
+"""Quantities derived from a model: continuous time, frequency responses, modes, covariances."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ def fitted(seed: int = 0, samples: int = 1000) -> StateSpace:
 
 
 def transformed(model: StateSpace, T: FloatArray) -> StateSpace:
-    """The same model and the same uncertainty in coordinates T x."""
-    own = Matrices(model.A, model.B, model.C, model.D, model.K, model.initial_states)
-    moved = own.transformed(T)
+    """Model with the state T x and the correspondingly transformed covariance."""
+    matrices = Matrices(model.A, model.B, model.C, model.D, model.K, model.initial_states)
+    changed = matrices.transformed(T)
     inverse = np.linalg.inv(T)
     assert model.covariance is not None
     p, m = model.D.shape
@@ -39,29 +39,29 @@ def transformed(model: StateSpace, T: FloatArray) -> StateSpace:
         np.kron(T, np.eye(p)),
     ]
     size = sum(len(block) for block in blocks)
-    whole, start = np.zeros((size, size)), 0
+    jacobian, start = np.zeros((size, size)), 0
     for block in blocks:
-        whole[start : start + len(block), start : start + len(block)] = block
+        jacobian[start : start + len(block), start : start + len(block)] = block
         start += len(block)
     return replace(
         model,
-        A=moved.A,
-        B=moved.B,
-        C=moved.C,
-        K=moved.K,
-        covariance=whole @ model.covariance @ whole.T,
+        A=changed.A,
+        B=changed.B,
+        C=changed.C,
+        K=changed.K,
+        covariance=jacobian @ model.covariance @ jacobian.T,
     )
 
 
 def test_continuous_time_undoes_both_holds() -> None:
-    found, truth = to_continuous(ARM.sampled()), ARM.continuous()
-    np.testing.assert_allclose(found.A, truth.A, rtol=1e-10, atol=1e-9)
-    np.testing.assert_allclose(found.B, truth.B, rtol=1e-10, atol=1e-9)
-    np.testing.assert_allclose(found.D, 0.0, atol=1e-12)
+    converted, truth = to_continuous(ARM.sampled()), ARM.continuous()
+    np.testing.assert_allclose(converted.A, truth.A, rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(converted.B, truth.B, rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(converted.D, 0.0, atol=1e-12)
 
 
 def test_continuous_time_of_coinciding_poles() -> None:
-    """exp of a Jordan block at -30 / s, whose eigenvectors do not span the states."""
+    """Exponential of a Jordan block at -30 / s, which has a single eigenvector."""
     z, T = np.exp(-30.0 * SAMPLE_TIME), SAMPLE_TIME
     A = np.array([[z, z * T], [0.0, z]])
     model = state_space(A, np.ones((2, 1)), np.ones((1, 2)), np.zeros((1, 1)), hold=("zero",))
@@ -86,29 +86,31 @@ def test_poles_near_the_nyquist_frequency_are_warned_of() -> None:
 
 
 def test_modes_are_those_of_the_two_inertias() -> None:
-    found, anti = modes(ARM.sampled(), 0, 0), ARM.anti_resonance()
-    assert found.resonance is not None
-    assert found.anti_resonance is not None
-    assert found.anti_resonance.value == pytest.approx(anti, rel=1e-9)
+    estimate, anti = modes(ARM.sampled(), 0, 0), ARM.anti_resonance()
+    assert estimate.resonance is not None
+    assert estimate.anti_resonance is not None
+    assert estimate.anti_resonance.value == pytest.approx(anti, rel=1e-9)
     poles = np.linalg.eigvals(ARM.continuous().A)
-    assert found.resonance.value == pytest.approx(poles[np.argmax(poles.imag)], rel=1e-9)
-    assert [mode.oscillates for mode in found.poles] == [False, True]
-    # From the motor to the link, the damper adds one zero at -k / d_G.
-    across = modes(ARM.sampled(), 0, 1)
-    assert across.anti_resonance is None
-    assert across.zeros[0].value == pytest.approx(-ARM.gear_stiffness / ARM.gear_damping, rel=1e-6)
+    assert estimate.resonance.value == pytest.approx(poles[np.argmax(poles.imag)], rel=1e-9)
+    assert [mode.oscillates for mode in estimate.poles] == [False, True]
+    # From the motor to the link, gear damping adds one zero at -k / d_G.
+    motor_to_link = modes(ARM.sampled(), 0, 1)
+    assert motor_to_link.anti_resonance is None
+    assert motor_to_link.zeros[0].value == pytest.approx(
+        -ARM.gear_stiffness / ARM.gear_damping, rel=1e-6
+    )
     assert modes(ARM.continuous(), 0, 1).zeros[0].value == pytest.approx(
-        across.zeros[0].value, rel=1e-6
+        motor_to_link.zeros[0].value, rel=1e-6
     )
 
 
 def test_response_of_slow_samples_is_that_of_continuous_time() -> None:
-    """Far below the sample rate a hold is a delay of half a sample: a phase of w T / 2."""
+    """Far below the sampling rate, a hold delays by half a sampling period: a phase of w T / 2."""
     f = np.array([0.5, 2.0])
     sampled = frequency_response(ARM.sampled(), f).response[:, :, 0]
     exact = frequency_response(ARM.continuous(), f).response[:, :, 0]
     delay = np.exp(-0.5j * 2.0 * np.pi * f * SAMPLE_TIME)[:, None]
-    # The rest is the hold's sinc, 1 - (w T)^2 / 24, and aliases: 1e-5.
+    # Remainder: sinc of the hold, 1 - (w T)^2 / 24, and aliases: 1e-5.
     np.testing.assert_allclose(sampled, exact * delay, rtol=1e-4)
 
 
@@ -117,18 +119,18 @@ def test_nothing_depends_on_coordinates() -> None:
     T = np.random.default_rng(2).standard_normal((3, 3))
     other = transformed(model, T)
     f = np.linspace(1.0, 450.0, 30)
-    ours, theirs = frequency_response(model, f), frequency_response(other, f)
-    np.testing.assert_allclose(theirs.response, ours.response, rtol=1e-8)
-    assert ours.magnitude_std is not None
-    assert theirs.magnitude_std is not None
-    np.testing.assert_allclose(theirs.magnitude_std, ours.magnitude_std, rtol=1e-5)
-    for mine, yours in zip(modes(model, 0, 0).poles, modes(other, 0, 0).poles, strict=True):
-        assert yours.frequency_hz == pytest.approx(mine.frequency_hz, rel=1e-8)
-        assert yours.frequency_std_hz == pytest.approx(mine.frequency_std_hz, rel=1e-3)
+    reference, changed = frequency_response(model, f), frequency_response(other, f)
+    np.testing.assert_allclose(changed.response, reference.response, rtol=1e-8)
+    assert reference.magnitude_std is not None
+    assert changed.magnitude_std is not None
+    np.testing.assert_allclose(changed.magnitude_std, reference.magnitude_std, rtol=1e-5)
+    for expected, got in zip(modes(model, 0, 0).poles, modes(other, 0, 0).poles, strict=True):
+        assert got.frequency_hz == pytest.approx(expected.frequency_hz, rel=1e-8)
+        assert got.frequency_std_hz == pytest.approx(expected.frequency_std_hz, rel=1e-3)
 
 
 def test_two_ways_to_the_deviation_of_a_response_agree() -> None:
-    """Exact derivatives against central differences."""
+    """Exact derivatives agree with central differences."""
     model, f = fitted(), np.array([5.0, 12.0, 20.0, 100.0])
     exact = frequency_response(model, f)
     assert exact.magnitude_std is not None

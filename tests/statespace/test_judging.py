@@ -1,4 +1,4 @@
-"""Residual tests and the choice of an order: right verdicts at the stated rate."""
+"""Residual tests and order selection: correct decisions at the stated significance level."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ def verdicts(model: StateSpace, data: InputOutput) -> dict[str, bool]:
 def test_p_values_of_the_truth_are_uniform() -> None:
     from scipy.stats import kstest
 
-    found: dict[str, list[float]] = {}
+    p_values: dict[str, list[float]] = {}
     for seed in range(60):
         for test in check_model(TRUTH, noisy(seed, 800)).tests:
-            found.setdefault(test.name, []).append(test.p_value)
-    assert len(found) == 3
-    for name, values in found.items():
+            p_values.setdefault(test.name, []).append(test.p_value)
+    assert len(p_values) == 3
+    for name, values in p_values.items():
         assert kstest(values, "uniform").pvalue > 1e-3, name
 
 
@@ -54,9 +54,9 @@ def test_each_fault_fails_its_own_test() -> None:
 def test_fits_are_those_of_simulation_and_prediction() -> None:
     data = noisy(1, 2000)
     check = check_model(TRUTH, data)
-    # The innovations' share of the outputs is all that prediction leaves.
-    left = 100.0 * (1.0 - NOISE / data.outputs.std(axis=0))
-    np.testing.assert_allclose(check.prediction_fit_percent, left, atol=0.1)
+    # Prediction leaves only the innovations unexplained.
+    expected = 100.0 * (1.0 - NOISE / data.outputs.std(axis=0))
+    np.testing.assert_allclose(check.prediction_fit_percent, expected, atol=0.1)
     assert all(p > s for p, s in zip(check.prediction_fit_percent, check.fit_percent, strict=True))
     assert check.autocorrelation.shape == (26, 2, 2)
     assert check.cross_correlation.shape == (51, 2, 2)
@@ -74,41 +74,41 @@ def test_checks_of_other_data_are_refused() -> None:
 
 def test_order_of_the_arm_is_three() -> None:
     for seed in range(3):
-        found = select_order(noisy(seed, 1000), orders=(1, 2, 3, 4))
-        assert found.chosen == 3, found.rule
-        assert found.model.order == 3
-        assert found.model.n_samples == 1000
-        assert found.rule.startswith("order 3: ")
-        assert [len(fit) for fit in found.held_out_fit_percent] == [2] * 4
+        selection = select_order(noisy(seed, 1000), orders=(1, 2, 3, 4))
+        assert selection.chosen == 3, selection.rule
+        assert selection.model.order == 3
+        assert selection.model.n_samples == 1000
+        assert selection.rule.startswith("order 3: ")
+        assert [len(fit) for fit in selection.held_out_fit_percent] == [2] * 4
 
 
 def test_orders_are_compared_by_the_fit_that_is_given() -> None:
-    """The same choice by subspace estimates, which take a hundredth of the time."""
-    found = select_order(noisy(0, 2000), fit=subspace_orders)
-    assert {model.method for model in found.models} == {"subspace"}
-    assert found.chosen == 3
+    """Subspace estimates select the same order in a hundredth of the time."""
+    selection = select_order(noisy(0, 2000), fit=subspace_orders)
+    assert {model.method for model in selection.models} == {"subspace"}
+    assert selection.chosen == 3
 
 
 def test_held_out_data_decide_where_one_order_is_best() -> None:
-    found = select_order(noisy(0, 1000), orders=(2, 3))
-    assert found.chosen == 3
-    assert found.rule == "order 3: all others are worse on held-out data"
+    selection = select_order(noisy(0, 1000), orders=(2, 3))
+    assert selection.chosen == 3
+    assert selection.rule == "order 3: all others are worse on held-out data"
 
 
 def test_records_too_short_to_hold_out_leave_it_to_bic() -> None:
-    found = select_order(noisy(0, 150), orders=(2, 3, 4))
-    assert np.isnan(found.held_out_fit_percent).all()
-    assert "no data long enough" in found.rule
+    selection = select_order(noisy(0, 150), orders=(2, 3, 4))
+    assert np.isnan(selection.held_out_fit_percent).all()
+    assert "no data long enough" in selection.rule
 
 
 def test_coloured_residuals_silence_bic() -> None:
-    """An echo after 12 samples is in no model of so few states."""
+    """An echo after 12 samples, which no model with so few states describes."""
     rng = np.random.default_rng(0)
     e = NOISE * rng.standard_normal((2000, 2))
     echo = e + 0.8 * np.vstack([np.zeros((12, 2)), e[:-12]])
-    found = select_order(simulate(TRUTH, excitation(rng, 2000), echo), orders=(2, 3, 4))
-    assert found.chosen == 3
-    assert "BIC has no say" in found.rule
+    selection = select_order(simulate(TRUTH, excitation(rng, 2000), echo), orders=(2, 3, 4))
+    assert selection.chosen == 3
+    assert "BIC has no say" in selection.rule
 
 
 def test_orders_that_make_no_sense_are_refused() -> None:

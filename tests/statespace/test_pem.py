@@ -1,4 +1,4 @@
-"""Prediction-error minimisation: its derivatives, its optimum, its options, its refusals."""
+"""Prediction-error method: derivatives, optimum, options and errors."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ def noisy(seed: int, samples: int, truth: StateSpace = TRUTH) -> InputOutput:
 
 
 def physical(model: ContinuousStateSpace) -> FloatArray:
-    """m_M, m_L, k, d_G, from what no change of coordinates changes.
+    """Parameters m_M, m_L, k, d_G, from quantities that are invariant to state coordinates.
 
-    C B holds e / m_M and 1 / m_L; the zeros of the first channel are those of the link alone.
+    C B contains e / m_M and 1 / m_L. The zeros of the first channel depend on the link only.
     """
-    high = model.C @ model.B
-    m_M, m_L = ARM.torque_per_volt / high[0, 0], 1.0 / high[1, 1]
+    CB = model.C @ model.B
+    m_M, m_L = ARM.torque_per_volt / CB[0, 0], 1.0 / CB[1, 1]
     zero = modes(replace(model, covariance=None), 0, 0).anti_resonance
     assert zero is not None
     w = 2.0 * np.pi * zero.frequency_hz
@@ -51,15 +51,15 @@ PHYSICAL = np.array([ARM.motor_inertia, ARM.link_inertia, ARM.gear_stiffness, AR
 
 
 def information_bound(data: InputOutput) -> FloatArray:
-    """Cramer-Rao bound of the entries at the truth: least scatter any unbiased fit can have.
+    """Cramer-Rao bound at the true values: the smallest covariance of an unbiased estimate.
 
-    Inverse of sum psi' Lambda^-1 psi over directions that move the innovations. Nothing acts at
-    once but the interaction torque, which is known to the fit as well.
+    Inverse of sum psi' Lambda^-1 psi over directions that change the innovations. Only the
+    interaction torque has feedthrough, as in the fit.
     """
     stacked = stack(data)
     n, m, p = 3, 2, 2
-    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, TRUTH.initial_states)
-    scaled = rescale(own, stacked).pack()
+    true_matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, TRUTH.initial_states)
+    scaled = rescale(true_matrices, stacked).pack()
     J = Evaluator(stacked, n).core.jacobian(scaled)
     J = (J * (stacked.output_scale / NOISE)[:, None]).reshape(-1, J.shape[2])
     free = np.ones(J.shape[1], dtype=bool)
@@ -67,22 +67,23 @@ def information_bound(data: InputOutput) -> FloatArray:
     free[[start, start + m]] = False
     size = np.linalg.norm(J[:, free], axis=0)
     _, s, Vt = np.linalg.svd(J[:, free] / size, full_matrices=False)
-    moved = s > 1e-9 * s[0]
-    assert moved.sum() == free.sum() - n * n  # all but changes of coordinates
-    half = np.zeros((len(free), int(moved.sum())))
-    half[free] = Vt[moved].T / s[moved] / size[:, None]
+    is_determined = s > 1e-9 * s[0]
+    # All directions except changes of state coordinates.
+    assert is_determined.sum() == free.sum() - n * n
+    factor = np.zeros((len(free), int(is_determined.sum())))
+    factor[free] = Vt[is_determined].T / s[is_determined] / size[:, None]
     u, y = stacked.input_scale, stacked.output_scale
     parts = [np.ones((n, n)), np.ones((n, 1)) / u, y[:, None] * np.ones((1, n))]
     parts += [y[:, None] / u, np.ones((n, 1)) / y]
-    half = half[: start + p * m + n * p] * np.concatenate([np.ravel(x) for x in parts])[:, None]
-    return np.asarray(half @ half.T)
+    factor = factor[: start + p * m + n * p] * np.concatenate([np.ravel(x) for x in parts])[:, None]
+    return np.asarray(factor @ factor.T)
 
 
 # --- derivatives ------------------------------------------------------------------------------
 
 
 def test_jacobian_is_the_derivative_to_second_order() -> None:
-    """The error of a central difference falls with the square of the step."""
+    """The error of a central difference is proportional to the square of the step."""
     first, second = noisy(1, 60), noisy(2, 35)
     data = stack([first, second])
     evaluator = Evaluator(data, 3)
@@ -108,7 +109,7 @@ def test_jacobian_is_the_derivative_to_second_order() -> None:
 def test_a_predictor_that_overflows_is_refused(
     feedthrough: tuple[bool, ...] | None, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """No entries are estimated of it, and no library complains on the terminal."""
+    """An overflowing predictor raises an error and prints nothing."""
     data = stack(noisy(1, 2000))
     evaluator = Evaluator(data, 3)
     unstable = Matrices(3.0 * TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, 0.0 * TRUTH.K, np.zeros((1, 3)))
@@ -123,8 +124,8 @@ def test_a_predictor_that_overflows_is_refused(
 def test_every_entry_has_its_own_derivative() -> None:
     data = stack(noisy(1, 80))
     evaluator = Evaluator(data, 3)
-    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
-    values = balanced(rescale(own, data)).pack()
+    matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    values = balanced(rescale(matrices, data)).pack()
     whitener = evaluator.whitener(evaluator.unpack(values))
     J = evaluator.core.jacobian(values)
     hessian, gradient = evaluator.core.normal_equations(values, whitener)
@@ -135,13 +136,13 @@ def test_every_entry_has_its_own_derivative() -> None:
     scores = evaluator.core.scores(values, whitener)
     np.testing.assert_allclose(scores.sum(axis=0), gradient, rtol=1e-8)
     for entry in range(len(values)):
-        moved = values.copy()
-        moved[entry] += 1e-6
-        rise = evaluator.cost(moved)
-        moved[entry] -= 2e-6
-        # Half the second difference of a cost of 1e3 is rounded at 1e-13 * 1e3 / 1e-6.
-        slope = (rise - evaluator.cost(moved)) / 2e-6
-        assert slope == pytest.approx(gradient[entry], rel=1e-4, abs=1e-3)
+        changed = values.copy()
+        changed[entry] += 1e-6
+        cost_plus = evaluator.cost(changed)
+        changed[entry] -= 2e-6
+        # Rounding of the difference: a cost of 1e3 times 1e-13, divided by 1e-6.
+        derivative = (cost_plus - evaluator.cost(changed)) / 2e-6
+        assert derivative == pytest.approx(gradient[entry], rel=1e-4, abs=1e-3)
 
 
 # --- the optimum ------------------------------------------------------------------------------
@@ -151,18 +152,18 @@ def test_coordinates_of_the_start_do_not_matter() -> None:
     data = noisy(0, 600)
     rng = np.random.default_rng(5)
     T = rng.standard_normal((3, 3))
-    own = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
-    moved = own.transformed(T)
-    other = replace(TRUTH, A=moved.A, B=moved.B, C=moved.C, K=moved.K)
+    matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    changed = matrices.transformed(T)
+    other = replace(TRUTH, A=changed.A, B=changed.B, C=changed.C, K=changed.K)
     fits = [pem(data, start=start) for start in (TRUTH, other)]
     assert fits[0].log_likelihood == pytest.approx(fits[1].log_likelihood, abs=1e-3)
-    ours, theirs = (propagate(to_continuous(fit), physical) for fit in fits)
-    assert ours[1] is not None
-    assert theirs[1] is not None
-    # Both stop within a few hundredths of a standard deviation of the optimum.
-    std = np.sqrt(np.diag(ours[1]))
-    assert np.abs((ours[0] - theirs[0]) / std).max() < 0.05
-    np.testing.assert_allclose(np.diag(theirs[1]), np.diag(ours[1]), rtol=0.02)
+    reference, estimate = (propagate(to_continuous(fit), physical) for fit in fits)
+    assert reference[1] is not None
+    assert estimate[1] is not None
+    # Both iterations end within a few hundredths of a standard deviation of the optimum.
+    std = np.sqrt(np.diag(reference[1]))
+    assert np.abs((reference[0] - estimate[0]) / std).max() < 0.05
+    np.testing.assert_allclose(np.diag(estimate[1]), np.diag(reference[1]), rtol=0.02)
 
 
 def test_start_from_data_reaches_the_optimum_near_the_truth() -> None:
@@ -187,11 +188,11 @@ def test_refines_a_subspace_estimate() -> None:
 
 
 def test_errors_are_as_large_as_stated_and_as_small_as_possible() -> None:
-    """Normalised errors are chi-square; deviations are those of Cramer and Rao."""
+    """Normalised errors are chi-square, and standard deviations reach the Cramer-Rao bound."""
     from scipy.stats import chi2
 
     seeds, samples = 60, 1500
-    total, errors, stated = 0.0, [], []
+    total, errors, reported_std = 0.0, [], []
     for seed in range(seeds):
         data = noisy(seed, samples)
         values, covariance = propagate(to_continuous(pem(data, 3)), physical)
@@ -199,20 +200,21 @@ def test_errors_are_as_large_as_stated_and_as_small_as_possible() -> None:
         error = values - PHYSICAL
         total += float(error @ np.linalg.solve(covariance, error))
         errors.append(error)
-        stated.append(np.sqrt(np.diag(covariance)))
+        reported_std.append(np.sqrt(np.diag(covariance)))
     assert 1e-3 < chi2.sf(total, 4 * seeds) < 1.0 - 1e-3
     bound = propagate(
         to_continuous(replace(TRUTH, covariance=information_bound(noisy(0, samples)))), physical
     )[1]
     assert bound is not None
-    least = np.sqrt(np.diag(bound))
-    np.testing.assert_allclose(np.mean(stated, axis=0), least, rtol=0.1)
-    # A deviation from 60 seeds is itself known to 9 %: three of those.
-    np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), least, rtol=0.28)
+    bound_std = np.sqrt(np.diag(bound))
+    np.testing.assert_allclose(np.mean(reported_std, axis=0), bound_std, rtol=0.1)
+    # A standard deviation from 60 seeds has a standard error of 9 %; the tolerance is three of
+    # them.
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), bound_std, rtol=0.28)
 
 
 def test_white_disturbances_have_no_gain_and_correct_standard_deviations() -> None:
-    """At 512 samples, where an estimated gain made chi-square 1.2 to 1.35 times too large."""
+    """With 512 samples, an estimated gain would increase chi-square by a factor of 1.2 to 1.35."""
     from scipy.stats import chi2
 
     white = ARM.sampled(np.zeros_like(GAIN), np.diag(NOISE**2))
@@ -234,51 +236,51 @@ def test_two_records_know_what_one_twice_as_long_knows() -> None:
     data = noisy(7, 2000)
     halves = pem([data.window(0, 1000), data.window(1000, 2000)], 3)
     assert halves.initial_states.shape == (2, 3)
-    ours, theirs = (propagate(to_continuous(fit), physical) for fit in (whole, halves))
-    assert ours[1] is not None
-    assert theirs[1] is not None
-    np.testing.assert_allclose(np.diag(theirs[1]), np.diag(ours[1]), rtol=0.05)
+    reference, estimate = (propagate(to_continuous(fit), physical) for fit in (whole, halves))
+    assert reference[1] is not None
+    assert estimate[1] is not None
+    np.testing.assert_allclose(np.diag(estimate[1]), np.diag(reference[1]), rtol=0.05)
 
 
 # --- closed loop ------------------------------------------------------------------------------
 
 
 def closed_loop(seed: int, samples: int) -> InputOutput:
-    """A proportional velocity servo on the noisy motor velocity, one sample of delay."""
+    """Record with a proportional servo on the noisy motor velocity, delayed by one sample."""
     rng = np.random.default_rng(seed)
     e = 5.0 * NOISE * rng.standard_normal((samples, 2))
     torque = 2.0 * rng.standard_normal(samples)
     reference = np.repeat(20.0 * np.sign(rng.standard_normal(samples // 20 + 1)), 20)
     inputs, outputs = np.zeros((samples, 2)), np.zeros((samples, 2))
-    x, before = np.zeros(3), 0.0
+    x, last_velocity = np.zeros(3), 0.0
     for k in range(samples):
-        u = np.array([0.5 * (reference[k] - before), torque[k]])
+        u = np.array([0.5 * (reference[k] - last_velocity), torque[k]])
         inputs[k], outputs[k] = u, TRUTH.C @ x + TRUTH.D @ u + e[k]
         x = TRUTH.A @ x + TRUTH.B @ u + TRUTH.K @ e[k]
-        before = outputs[k, 0]
+        last_velocity = outputs[k, 0]
     return InputOutput(inputs, outputs, TRUTH.sample_time, TRUTH.hold)
 
 
 def test_consistent_in_closed_loop() -> None:
-    """With K estimated, errors stay within their deviations; an output-error model is biased."""
+    """With K estimated, errors match the standard deviations; an output-error model is biased."""
     scores: dict[str, list[FloatArray]] = {"innovations": [], "none": []}
     for seed in range(4):
         data = closed_loop(seed, 5000)
-        for disturbance, each in scores.items():
+        for disturbance, errors in scores.items():
             fit = pem(data, 3, options=PemOptions(disturbance=disturbance))  # type: ignore[arg-type]
             values, covariance = propagate(to_continuous(fit), physical)
             assert covariance is not None
-            each.append((values - PHYSICAL) / np.sqrt(np.diag(covariance)))
-    # The mean of four standard normal numbers is beyond 1.65 once in a thousand.
+            errors.append((values - PHYSICAL) / np.sqrt(np.diag(covariance)))
+    # The mean of four standard normal numbers exceeds 1.65 with a probability of 1e-3.
     assert np.abs(np.mean(scores["innovations"], axis=0)).max() < 1.65
     assert np.abs(np.mean(scores["none"], axis=0)).max() > 4.0
 
 
-# --- options, and what a fit says of itself ---------------------------------------------------
+# --- options and diagnostics ------------------------------------------------------------------
 
 
 def test_work_is_pinned() -> None:
-    """A slower algorithm takes more steps than these."""
+    """Upper limits of iterations and evaluations, which detect a slower algorithm."""
     fits = [pem(noisy(seed, 800), 3) for seed in range(5)]
     assert sum(fit.iterations for fit in fits) <= 75
     assert sum(fit.evaluations for fit in fits) <= 90
@@ -292,16 +294,16 @@ def test_options_change_the_answer() -> None:
     output_error = pem(data, 3, options=PemOptions(disturbance="none"))
     assert output_error.method == "output-error"
     assert not output_error.K.any()
-    through = pem(data, 3, options=PemOptions(feedthrough=(True, True)))
+    with_feedthrough = pem(data, 3, options=PemOptions(feedthrough=(True, True)))
     assert not default.D[:, 0].any()
-    assert through.D.all()
-    assert through.n_parameters == default.n_parameters + 2
+    assert with_feedthrough.D.all()
+    assert with_feedthrough.n_parameters == default.n_parameters + 2
     at_standstill = pem(data, 3, options=PemOptions(initial_state="zero"))
     assert default.initial_states.any()
     assert not at_standstill.initial_states.any()
-    hurried = pem(data, 3, options=PemOptions(max_iterations=1))
-    assert hurried.status == "iteration-limit"
-    assert [warning.code for warning in hurried.warnings] == ["pem-iteration-limit"]
+    limited = pem(data, 3, options=PemOptions(max_iterations=1))
+    assert limited.status == "iteration-limit"
+    assert [warning.code for warning in limited.warnings] == ["pem-iteration-limit"]
     exact = pem(data, 3, options=PemOptions(tolerance=1e-9))
     assert exact.iterations > default.iterations
     kinds = {
@@ -312,7 +314,7 @@ def test_options_change_the_answer() -> None:
 
 
 def test_auto_covariance_asks_the_residuals() -> None:
-    """An output-error fit of data with coloured noise leaves coloured residuals."""
+    """An output-error fit of data with coloured noise has coloured residuals."""
     data = noisy(3, 3000)
     assert pem(data, 3).covariance_kind == "white"
     output_error = pem(data, 3, options=PemOptions(disturbance="none"))
@@ -332,7 +334,7 @@ def test_sandwich_is_honest_where_white_is_not() -> None:
             assert covariance is not None
             scores[kind] += float(np.sum((values - PHYSICAL) ** 2 / np.diag(covariance)))
     mean = {kind: total / (4 * seeds) for kind, total in scores.items()}
-    # 60 squares, in part correlated: their mean is known to some 30 %.
+    # The mean of 60 partly correlated squares has a standard error of about 30 %.
     assert 0.5 < mean["sandwich"] < 2.0, mean
     assert mean["white"] > 5.0, mean
 
@@ -347,7 +349,7 @@ def test_too_high_an_order_is_not_passed_off_as_known() -> None:
 
 
 def test_what_predicts_but_does_not_simulate_says_so() -> None:
-    """A drift that no input makes: the last sample predicts the next, the inputs explain nothing."""
+    """A drift that is independent of the input is predicted one step ahead but not simulated."""
     rng = np.random.default_rng(0)
     drift = np.cumsum(rng.standard_normal((600, 1)), axis=0)
     model = pem(InputOutput(rng.standard_normal((600, 1)), drift, 1e-3), 1)
@@ -390,10 +392,12 @@ def test_starts_that_do_not_fit_are_refused() -> None:
 
 
 def test_no_start_has_a_stable_predictor(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A start may lose it to rounding; without any other that is said, and nothing warned of."""
-    unseen = Matrices(1.5 * TRUTH.A, TRUTH.B, 0.0 * TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
+    """All starting values have an unstable predictor: an error is raised."""
+    unobservable = Matrices(
+        1.5 * TRUTH.A, TRUTH.B, 0.0 * TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3))
+    )
     module = sys.modules["strainwave.statespace.pem"]
-    monkeypatch.setattr(module, "_starts", lambda *_: [unseen])
+    monkeypatch.setattr(module, "_starts", lambda *_: [unobservable])
     with pytest.raises(NumericalFailure, match="stable predictor"):
         pem(noisy(0, 600), 3)
 
@@ -405,10 +409,10 @@ def test_a_start_without_a_stable_predictor_is_passed_over(
     starts = module._starts
 
     def first_unstable(*arguments: Any) -> list[Matrices]:
-        found: list[Matrices] = starts(*arguments)
-        return [replace(found[0], A=1.5 * found[0].A, K=0.0 * found[0].K), *found]
+        matrices: list[Matrices] = starts(*arguments)
+        return [replace(matrices[0], A=1.5 * matrices[0].A, K=0.0 * matrices[0].K), *matrices]
 
     data = noisy(0, 600)
-    usual = pem(data, 3)
+    expected = pem(data, 3)
     monkeypatch.setattr(module, "_starts", first_unstable)
-    assert pem(data, 3).log_likelihood == pytest.approx(usual.log_likelihood, abs=1e-6)
+    assert pem(data, 3).log_likelihood == pytest.approx(expected.log_likelihood, abs=1e-6)

@@ -1,4 +1,4 @@
-"""Subspace steps: exact on exact data, indifferent to units, joints of records, feedback."""
+"""Subspace methods: noise-free data, channel units, several records and errors."""
 
 from __future__ import annotations
 
@@ -18,14 +18,16 @@ from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_spa
 ARM = TwoInertia()
 FREQUENCIES = np.linspace(5.0, 400.0, 50)
 GAIN = np.array([[0.0, 1e-3], [0.3, 0.5], [0.001, 0.3]])
-NOISE = np.array([0.3, 0.005])  # [rad/s], a percent of the motor's velocity and of the link's
+NOISE = np.array([0.3, 0.005])  # [rad/s], 1 % of the motor velocity and of the link velocity
 
 
 def response_error(model: StateSpace, truth: StateSpace) -> float:
-    """Largest error of any channel, relative to the channel's largest response."""
-    ours = frequency_response(model, FREQUENCIES).response
-    theirs = frequency_response(truth, FREQUENCIES).response
-    return float((np.abs(ours - theirs).max(axis=0) / np.abs(theirs).max(axis=0)).max())
+    """Largest error of any channel, relative to the largest response of the channel."""
+    response = frequency_response(model, FREQUENCIES).response
+    true_response = frequency_response(truth, FREQUENCIES).response
+    return float(
+        (np.abs(response - true_response).max(axis=0) / np.abs(true_response).max(axis=0)).max()
+    )
 
 
 @pytest.mark.parametrize("method", ["moesp", "n4sid", "predictor", "auto"])
@@ -36,7 +38,8 @@ def test_exact_data_give_the_exact_model(
     truth, rng = ARM.sampled(), np.random.default_rng(seed)
     data = simulate(truth, excitation(rng, 800), initial_state=np.array([1e-4, 5.0, 0.05]))
     model = subspace(data, 3, method=method)
-    # Rounding, 1e-16, times the condition of a Hankel matrix of lightly damped data, some 1e4.
+    # Rounding of 1e-16 times the condition number of a Hankel matrix of lightly damped data, about
+    # 1e4.
     assert response_error(model, truth) < 1e-9
     assert min(model.fit_percent) > 100.0 - 1e-7
 
@@ -56,7 +59,7 @@ def test_units_of_channels_do_not_matter(powers: tuple[float, ...], seed: int) -
     plain = frequency_response(subspace(data, 3), FREQUENCIES).response
     other = frequency_response(subspace(scaled, 3), FREQUENCIES).response
     rescaled = other * factor[:2] / factor[2:, None]
-    # Rounding apart; the estimate itself is not that precise.
+    # Rounding only: the estimation error is larger.
     np.testing.assert_allclose(rescaled, plain, rtol=1e-5, atol=1e-7 * np.abs(plain).max())
 
 
@@ -86,7 +89,7 @@ def test_error_falls_with_the_root_of_the_length() -> None:
             data = simulate(truth, excitation(rng, samples), noise)
             each.append(response_error(subspace(data, 3, horizon=20), truth))
         errors.append(np.sqrt(np.mean(np.square(each))))
-    # Sixteen times the data, a quarter of the error; six seeds scatter by some 30 %.
+    # Sixteen times the data reduce the error to a quarter; the scatter of six seeds is about 30 %.
     assert 2.5 < errors[0] / errors[1] < 6.0
 
 
@@ -95,7 +98,7 @@ def test_horizon_and_feedthrough_are_heard() -> None:
     data = simulate(ARM.sampled(GAIN), excitation(rng, 500), NOISE * rng.standard_normal((500, 2)))
     assert subspace(data, 3, horizon=17).horizon == 17
     default = subspace(data, 3)
-    assert not default.D[:, 0].any()  # held inputs act one sample later
+    assert not default.D[:, 0].any()  # inputs with zero-order hold act one sample later
     assert default.D[:, 1].all()
     assert subspace(data, 3, feedthrough=(True, True)).D.all()
     assert not subspace(data, 3, feedthrough=(False, False)).D.any()
