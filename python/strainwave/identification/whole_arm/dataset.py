@@ -100,7 +100,7 @@ class Dataset:
     lacking: FloatArray  # (n_rows, n_channels) correction of the integrator step error
     # (n_rows, n_channels) False where a row contains masked samples; None if none does
     counted: BoolArray | None = field(default=None, kw_only=True)
-    # (n_rows, n_channels) step error at the parameters of the last correction; None before any
+    # (n_rows, n_channels) step error at the last correction; None if there was none
     step_error: FloatArray | None = field(default=None, kw_only=True)
 
     @property
@@ -363,8 +363,8 @@ class Dataset:
         """
         exact, error = self._step_error(values, local)
         noise = np.minimum(self.noise, self._noise_beside(exact, values))
-        lacking = error if self.step_error is None else self.lacking + error - self.step_error
-        return replace(self, lacking=lacking, noise=noise, step_error=error)
+        correction = error if self.step_error is None else self.lacking + error - self.step_error
+        return replace(self, lacking=correction, noise=noise, step_error=error)
 
     def with_step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
@@ -377,8 +377,8 @@ class Dataset:
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""
         step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
-        short = replace(self, longest_step=step)
-        exact, coarse = (one.run(values, local, self.quantities()) for one in (short, self))
+        refined = replace(self, longest_step=step)
+        exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
         return exact, self.seen(exact, values) - self.seen(coarse, values)
 
     def _noise_beside(
@@ -448,7 +448,7 @@ class Dataset:
         mapping.
         """
         runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
-        tested = [(names, mount) for names, own in mounts.items() for mount in own]
+        tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
         changes = np.zeros((len(self.time), len(self.channels), len(tested)))
         for k, channel in enumerate(self.channels):
             reading = self._reading(channel, runs, values)

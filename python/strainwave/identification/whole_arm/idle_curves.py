@@ -15,11 +15,11 @@ def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if all terms are significant.
     """
-    idle = _idle(fit, selection)
-    if not idle:
+    insignificant = _idle(fit, selection)
+    if not insignificant:
         return fit
     values = fit.objective.space.values(fit.z)
-    space = fit.objective.space.holding(dict.fromkeys(idle, 0.0))
+    space = fit.objective.space.holding(dict.fromkeys(insignificant, 0.0))
     start = space.coordinates(values)
     return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
 
@@ -29,7 +29,7 @@ def _idle(fit: Fit, selection: Selection) -> list[Key]:
 
     A chi-square distance tests all optional parameters of a gear together.
     """
-    keys, idle = fit.objective.space.keys, list[Key]()
+    keys, insignificant = fit.objective.space.keys, list[Key]()
     for number, joint in enumerate(selection.arm.joints, start=1):
         names = joint.law.may_vanish
         places = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
@@ -37,5 +37,5 @@ def _idle(fit: Fit, selection: Selection) -> list[Key]:
             estimate = fit.objective.space.parameters(fit.z)[places]
             covariance = fit.confidence.cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < EVIDENT**2:
-                idle += [keys[k] for k in places]
-    return idle
+                insignificant += [keys[k] for k in places]
+    return insignificant

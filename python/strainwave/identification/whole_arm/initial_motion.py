@@ -57,16 +57,18 @@ def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatA
     `rest` is the cost of the record from standstill. Returns None if initial states do not explain
     enough of it.
     """
-    held = objective.space.holding(objective.space.values(z))  # only the record's own unknowns vary
-    single = objective.in_motion(k).only(k).for_unknowns(held)
-    rough_single = replace(single, beginning_tolerance=ROUGH_BEGINNING)
+    fixed_space = objective.space.holding(
+        objective.space.values(z)
+    )  # only the record parameters vary
+    free_start = objective.in_motion(k).only(k).for_unknowns(fixed_space)
+    rough_start = replace(free_start, beginning_tolerance=ROUGH_BEGINNING)
     try:
-        (rows,) = rough_single.rows(z[:0])
+        (rows,) = rough_start.rows(z[:0])
         if (1.0 - ROUGH_BEGINNING) * rows.cost(objective.weights[k]) > _SHARE * rest:
             return None  # a more precise search cannot reach the required share
-        (rows,) = single.rows(z[:0])
+        (rows,) = free_start.rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # the arm cannot be simulated from such initial states
     cost = rows.cost(objective.weights[k])
-    evident = rest - cost > _EVIDENT and cost < _SHARE * rest
-    return rows.evaluated.own + rows.step if evident else None
+    is_evident = rest - cost > _EVIDENT and cost < _SHARE * rest
+    return rows.evaluated.own + rows.step if is_evident else None

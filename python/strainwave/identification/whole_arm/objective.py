@@ -95,9 +95,9 @@ class Evaluated:
         columns = (self.local / weights.deviation[:, None]).reshape(initial_residual.size, -1)
         residual, weight = initial_residual, _weight(initial_residual, weights)
         step = np.zeros(self.n_own)
-        apart = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
+        is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
         for _ in range(_ROUNDS if self.n_own else 0):
-            step = _solved(columns, -initial_residual.ravel(), weight.ravel(), apart=apart)
+            step = _solved(columns, -initial_residual.ravel(), weight.ravel(), apart=is_separable)
             previous, residual = (
                 residual,
                 initial_residual + (columns @ step).reshape(initial_residual.shape),
@@ -136,13 +136,13 @@ class Rows:
         `least_bend` is its minimum relative to the weights.
         """
         square = self.root**2
-        bend = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
-        bend = np.sqrt(np.maximum(bend, least_bend))
+        curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
+        curvature = np.sqrt(np.maximum(curvature, least_bend))
         columns, n = self.evaluated.columns, len(self.step)
         table = np.empty((*self.residual.shape, columns.shape[2] + 1))
-        scale = self.root * (bend / self.deviation)
+        scale = self.root * (curvature / self.deviation)
         np.multiply(columns, scale[..., None], out=table[..., :-1])
-        np.multiply(self.residual, self.root / bend, out=table[..., -1])
+        np.multiply(self.residual, self.root / curvature, out=table[..., -1])
         return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
 
     def cost(self, weights: Weights) -> float:
@@ -215,11 +215,11 @@ class Objective:
 
     def rows(self, z: FloatArray) -> list[Rows]:
         """Weighted rows of every record at z, with optimal record parameters."""
-        at, known = z.tobytes(), self.memory.rows
-        if known is not None and known[0] == at and known[1] is self.weights:
-            return known[2]
+        point, cached = z.tobytes(), self.memory.rows
+        if cached is not None and cached[0] == point and cached[1] is self.weights:
+            return cached[2]
         rows = self._at(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
-        self.memory.rows = at, self.weights, rows
+        self.memory.rows = point, self.weights, rows
         return rows
 
     def evaluate(self, z: FloatArray) -> list[Evaluated]:
@@ -264,8 +264,8 @@ class Objective:
 
         records = tuple(self._each(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
-        moved = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
-        memory = _Memory(list(self.memory.own), (z.tobytes(), moved))
+        shifted = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
+        memory = _Memory(list(self.memory.own), (z.tobytes(), shifted))
         return replace(self, records=records, memory=memory)
 
     def in_long_steps(self, z: FloatArray) -> Objective:
@@ -275,9 +275,9 @@ class Objective:
         error of the longer steps. Returns the objective itself if the arm cannot be simulated in
         longer steps.
         """
-        known = self.memory.long
-        if known is not None and known[0] == z.tobytes() and known[1] is self.weights:
-            return known[2]
+        cached = self.memory.long
+        if cached is not None and cached[0] == z.tobytes() and cached[1] is self.weights:
+            return cached[2]
         rows = self.rows(z)
         record_parameters = [each.evaluated.own + each.step for each in rows]
 
@@ -287,18 +287,18 @@ class Objective:
             residual = (rows[k].residual * self.weights[k].deviation)[:n_rows]
             counted = None if record.counted is None else record.counted[:n_rows]
             long = replace(long, lacking=np.zeros_like(residual), counted=counted)
-            there = self._begun(long, z, record_parameters[k])
-            if not np.isfinite(there.columns).all():
+            evaluated = self._begun(long, z, record_parameters[k])
+            if not np.isfinite(evaluated.columns).all():
                 raise NumericalFailure("the derivatives overflow in long steps")
-            long = replace(long, lacking=residual - there.difference)
-            return long, replace(there, difference=residual)
+            long = replace(long, lacking=residual - evaluated.difference)
+            return long, replace(evaluated, difference=residual)
 
         try:
             pairs = self._each(lengthened)
         except (InvalidInput, NumericalFailure):
             return self
         records = tuple(record for record, _ in pairs)
-        memory = _Memory(record_parameters, (z.tobytes(), [there for _, there in pairs]))
+        memory = _Memory(record_parameters, (z.tobytes(), [evaluated for _, evaluated in pairs]))
         long = replace(self, records=records, memory=memory)
         self.memory.long = z.tobytes(), self.weights, long
         return long
@@ -357,15 +357,15 @@ class Objective:
 
     def _at(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
         """Apply `work` to the evaluation of every record at z, which is cached."""
-        at, last = z.tobytes(), self.memory.last
-        known = last[1] if last is not None and last[0] == at else None
+        point, last = z.tobytes(), self.memory.last
+        cached = last[1] if last is not None and last[0] == point else None
 
         def both(k: int, record: Dataset) -> tuple[Evaluated, T]:
-            evaluated = known[k] if known is not None else self._evaluated(k, record, z)
+            evaluated = cached[k] if cached is not None else self._evaluated(k, record, z)
             return evaluated, work(k, evaluated)
 
         results = self._each(both)
-        self.memory.last = at, [evaluated for evaluated, _ in results]
+        self.memory.last = point, [evaluated for evaluated, _ in results]
         return [result for _, result in results]
 
     def _evaluated(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
@@ -446,8 +446,8 @@ class Objective:
 
         def factor(k: int, _: Dataset) -> FloatArray:
             columns = np.concatenate([evaluated[k].columns, more(k, evaluated[k])], axis=2)
-            whole = replace(evaluated[k], columns=columns)
-            return whole.weighted(self.weights[k]).factor(LEAST_BEND)
+            extended = replace(evaluated[k], columns=columns)
+            return extended.weighted(self.weights[k]).factor(LEAST_BEND)
 
         prior_columns, prior_residual = self.space.beforehand(z)
         border = np.zeros((len(prior_columns), n_more))

@@ -45,8 +45,8 @@ SETTLING_START = 1e-4
 _BASE = ("alpha", "beta", "gamma")
 _LEAST_COULOMB = 0.01  # minimum starting Coulomb friction, as a share of the largest motor torque
 _FAR = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
-_LOWEST, _HIGHEST = -0.8, 1.5  # relative change of a positive value in one step, at most
-_TO_NOTHING = -0.99  # relative decrease of a settling time in one step, which may be zero
+_LOWEST, _HIGHEST = -0.8, 1.5  # limits of the relative change of a positive value in one step
+_TO_NOTHING = -0.99  # lower limit of the relative change of a settling time, which may be zero
 _VERY_FAR = np.log(30.0)  # range of the logarithm of friction, damping and other gear parameters
 
 
@@ -54,8 +54,8 @@ _VERY_FAR = np.log(30.0)  # range of the logarithm of friction, damping and othe
 class Unknown:
     """An unknown parameter and its coordinate z, which is zero at the start.
 
-    A positive parameter is scale exp(z), plus the parameter `above` which it lies, such as a second
-    knee above the first. A signed parameter is start + scale z.
+    The value of a positive parameter is scale exp(z), plus that of its lower bound `above` if there
+    is one, such as the first knee for the second. That of a signed parameter is start + scale z.
     """
 
     name: str
@@ -91,9 +91,7 @@ class Prior:
     names: tuple[Key, ...] = ()  # (n_rows,) parameters of the rigid model
     factor: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     """(n_rows, n_rows) factor from whitened rows to parameter units."""
-    mean: FloatArray = field(
-        default_factory=lambda: np.zeros(0)
-    )  # (n_rows,) estimates of the rigid step
+    mean: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n_rows,) estimates
     before: tuple[FloatArray, FloatArray] | None = None
     """`factor` and `errors` before `loosened`; None if that was not applied."""
 

@@ -120,7 +120,7 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
     of further sets lie within the band of the low-pass.
     """
     records, values = fit.objective.records, fit.objective.space.values(fit.z)
-    band = max(record.cutoff_hz for record in records)
+    band_hz = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
     single_set = bool(effects_in(fit.objective.space, arm)) or not exceed_noise(
         fit.objective, fit.z
@@ -129,7 +129,7 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
     for joint, name in candidates:
         effect = effect_named(name)
         first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
-        in_band = [one for one in further if not single_set and _highest(effect, one) < band]
+        in_band = [one for one in further if not single_set and _highest(effect, one) < band_hz]
         for number, shapes in enumerate((first, *in_band)):
             hypotheses[Hypothesis(joint, name, number)] = shapes
     return hypotheses
@@ -163,19 +163,29 @@ class _Step:
 def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
     """Forward selection: each effect is tested given the significant effects before it."""
     chance = FALSE_ALARMS / len(columns.sizes)
-    taken = np.zeros((len(columns.target), 0))
-    alone = _best_shapes([_step(columns, hypothesis, taken) for hypothesis in columns.sizes])
-    remaining, steps = list(alone), list(alone.values())
+    selected = np.zeros((len(columns.target), 0))
+    single_steps = _best_shapes(
+        [_step(columns, hypothesis, selected) for hypothesis in columns.sizes]
+    )
+    remaining, steps = list(single_steps), list(single_steps.values())
     while remaining:
         best = max(steps, key=lambda step: step.beyond(chance))
         hypothesis = best.candidate
         score_test = _scored(best, fit, _moved(columns, best, fit), chance)
-        reached = _reached(columns, alone[hypothesis], fit)
-        yield Tested(score_test, chance, alone[hypothesis].gain, alone[hypothesis].rigid, reached)
+        reached = _reached(columns, single_steps[hypothesis], fit)
+        yield Tested(
+            score_test,
+            chance,
+            single_steps[hypothesis].gain,
+            single_steps[hypothesis].rigid,
+            reached,
+        )
         remaining.remove(hypothesis)
         if score_test.evident:
-            taken = np.column_stack([taken, columns.seen(hypothesis), columns.shifts(hypothesis)])
-            steps = [_step(columns, other, taken) for other in remaining]
+            selected = np.column_stack(
+                [selected, columns.seen(hypothesis), columns.shifts(hypothesis)]
+            )
+            steps = [_step(columns, other, selected) for other in remaining]
         else:
             steps = [step for step in steps if step is not best]
 
@@ -248,14 +258,14 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
     and only sums of viscous frictions are identifiable.
     """
-    before = fit.objective.space.values(fit.z)
+    estimates = fit.objective.space.values(fit.z)
     stds = np.sqrt(np.diag(fit.confidence.combined))
     parameter_shifts = []
     for (name, joint), std in zip(fit.objective.space.keys, stds.tolist(), strict=True):
         if _is_primary((name, joint)) and std > 0.0:
-            shift = values[name, joint] - before[name, joint]
+            shift = values[name, joint] - estimates[name, joint]
             parameter_shifts.append(
-                ParameterShift(name, joint, before[name, joint], shift, shift / std)
+                ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
             )
     yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
 

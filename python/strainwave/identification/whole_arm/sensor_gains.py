@@ -157,26 +157,32 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
     parameter_places = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
-        rich = _with_candidates(record, arm, candidates)
+        extended = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.local), len(rows.step)
-        begun = (rows.evaluated.own + rows.step)[:n_begin]
-        seen, tangent = rich.linearised(values, begun, [keys[k] for k in parameter_places])
-        scale = np.sqrt(_ROBUST_WEIGHT / repetitions_of(rich))
-        scale = scale / np.maximum(rich.noise, LEAST_ERROR * np.std(seen, axis=0))
-        own = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
-        R = triangular_factor(own.reshape(-1, own.shape[2]))
-        found = [_shared(R, n_own)]
+        initial_states = (rows.evaluated.own + rows.step)[:n_begin]
+        readings, tangent = extended.linearised(
+            values, initial_states, [keys[k] for k in parameter_places]
+        )
+        scale = np.sqrt(_ROBUST_WEIGHT / repetitions_of(extended))
+        scale = scale / np.maximum(extended.noise, LEAST_ERROR * np.std(readings, axis=0))
+        columns = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
+        factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
+        information = [_shared(factor, n_own)]
         for k, candidate in enumerate(candidates):
             # columns: bias of the sensor, record parameters, shared unknowns
-            more = np.zeros((len(seen), 1 + own.shape[2]))
-            more[:, 0] = candidate.channel.shifted
-            more[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
-            more[:, 1 + n_own :] = tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
-            stacked = np.concatenate([np.pad(R, ((0, 0), (1, 0))), scale[k] * more])
+            sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
+            sensor_rows[:, 0] = candidate.channel.shifted
+            sensor_rows[:, 1 : 1 + n_begin] = tangent[:, k, len(parameter_places) :]
+            sensor_rows[:, 1 + n_own :] = (
+                tangent[:, k, : len(parameter_places)] @ slope[parameter_places]
+            )
+            stacked = np.concatenate([np.pad(factor, ((0, 0), (1, 0))), scale[k] * sensor_rows])
             if not candidate.channel.shifted:
                 stacked = stacked[:, 1:]
-            found.append(_shared(triangular_factor(stacked), n_own + candidate.channel.shifted))
-        return found
+            information.append(
+                _shared(triangular_factor(stacked), n_own + candidate.channel.shifted)
+            )
+        return information
 
     pairs = zip(objective.records, objective.rows(fit.z), strict=True)
     return side_by_side([partial(one, *pair) for pair in pairs])
@@ -203,9 +209,8 @@ def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]
         for number, joint in enumerate(record.arm.joints, start=1)
     )
     channels = tuple(candidate.channel for candidate in candidates)
-    noise_per_density = np.sqrt(
-        0.5 / record.log.sample_time
-    )  # standard deviation of a sample per unit noise density
+    # standard deviation of a sample per unit noise density
+    noise_per_density = np.sqrt(0.5 / record.log.sample_time)
     sample_std: dict[Quantity, float] = {
         "accelerometer": SensorNoise().accelerometer_density * noise_per_density,
         "gyro": _GYRO_DENSITY * noise_per_density,

@@ -102,9 +102,9 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
 def _tested(fit: Fit, selection: Selection) -> Mounts:
     """Mounts to test: of sensors with residuals above noise and without a mount resonance."""
     objective, mounts = fit.objective, Mounts()
-    band = _BEYOND_BAND * max(record.cutoff_hz for record in objective.records)
+    limit_hz = _BEYOND_BAND * max(record.cutoff_hz for record in objective.records)
     present = objective.space.keys
-    candidates = [MountResonance(f, d) for f in _FREQUENCIES if f < band for d in _DAMPINGS]
+    candidates = [MountResonance(f, d) for f in _FREQUENCIES if f < limit_hz for d in _DAMPINGS]
     for record, beyond in zip(objective.records, beyond_noise(objective, fit.z), strict=True):
         for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
             names = mount_of(channel.sensor, channel.joint)

@@ -74,10 +74,10 @@ def with_sensors(
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in START}
-    more = [_unknown(key, starts) for key in keys]
-    rows = np.pad(space.prior.rows, ((0, 0), (0, len(more))))
-    known = {**space.fixed, **fixed}
-    return ParameterSpace((*space.unknowns, *more), known, replace(space.prior, rows=rows))
+    added = [_unknown(key, starts) for key in keys]
+    rows = np.pad(space.prior.rows, ((0, 0), (0, len(added))))
+    known_values = {**space.fixed, **fixed}
+    return ParameterSpace((*space.unknowns, *added), known_values, replace(space.prior, rows=rows))
 
 
 def _unknown(key: Key, starts: Values) -> Unknown:
@@ -126,12 +126,12 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
 
 def _late(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
     """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
-    keys, seen = fit.objective.space.keys, set()
+    keys, visited = fit.objective.space.keys, set()
     for channel in (c for record in fit.objective.records for c in record.channels):
         delay, bandwidth = (of(channel.sensor, channel.joint) for of in (delay_of, bandwidth_of))
-        if delay is None or bandwidth is None or delay not in keys or delay in seen:
+        if delay is None or bandwidth is None or delay not in keys or delay in visited:
             continue
-        seen.add(delay)
+        visited.add(delay)
         joint_data = arm.joints[channel.joint - 1]
         sensor = channel.sensor
         given = getattr(joint_data, f"{sensor}_hz", None)
@@ -171,9 +171,9 @@ def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: Tuning
 
 def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
-    while idle := _idle(fit):
+    while insignificant := _idle(fit):
         values = fit.objective.space.values(fit.z)
-        space = fit.objective.space.holding(idle)
+        space = fit.objective.space.holding(insignificant)
         fit = _refined_from(
             fit, fit.objective.for_unknowns(space), space.coordinates(values), selection.options
         )
@@ -228,11 +228,11 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
     Forward selection: each constant must reduce the cost by `least` and significantly, given those
     before it.
     """
-    known = set(fit.objective.space.keys)
+    included = set(fit.objective.space.keys)
     candidates = [
         key
         for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
-        if key not in known and not is_drift(key) and not is_held(key, options)
+        if key not in included and not is_drift(key) and not is_held(key, options)
         if not _imitated(key, fit)
     ]
     if not candidates:

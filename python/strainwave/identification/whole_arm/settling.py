@@ -43,15 +43,15 @@ def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
     values = fit.objective.space.values(fit.z)
     stds = np.sqrt(np.diag(fit.confidence.cautious))
     at_lower_bound = fit.z < _NOTHING * fit.objective.space.lower
-    idle = {
+    insignificant = {
         key: 0.0
         for key, std, is_at_bound in zip(
             fit.objective.space.keys, stds, at_lower_bound, strict=True
         )
         if key[0] == SETTLING and (is_at_bound or values[key] < EVIDENT * std)
     }
-    if not idle:
+    if not insignificant:
         return fit
-    space = fit.objective.space.holding(idle)
+    space = fit.objective.space.holding(insignificant)
     start = space.coordinates(values)
     return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)

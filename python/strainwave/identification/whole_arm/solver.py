@@ -149,7 +149,7 @@ def search_from(
     `minimise` for `tolerance`, `relative` and `damping`. Raises `NotIdentifiable` if the arm cannot
     be simulated at `z`.
     """
-    left = options.max_iterations - spent
+    n_remaining = options.max_iterations - spent
     evaluation = count(spent + 1)
 
     def linearise(x: FloatArray) -> Linearised | None:
@@ -163,7 +163,7 @@ def search_from(
         tolerance=tolerance,
         relative=relative,
         damping=damping,
-        max_evaluations=max(1, left if most is None else min(left, most)),
+        max_evaluations=max(1, n_remaining if most is None else min(n_remaining, most)),
     )
     if minimum is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm where it starts")

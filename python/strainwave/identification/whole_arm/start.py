@@ -101,8 +101,8 @@ def start_of(
     given = placed | ({} if given is None else dict(given))
 
     def search_by(joints: Sequence[JointModel]) -> ParameterSpace:
-        found = _space(records, model, joints, arm, chosen)
-        return with_sensors(found, [key for key in placed if key[0] not in START], given)
+        extended = _space(records, model, joints, arm, chosen)
+        return with_sensors(extended, [key for key in placed if key[0] not in START], given)
 
     def objective_of(joints: Sequence[JointModel]) -> Objective:
         return Objective.of(search_by(joints), long_steps)
