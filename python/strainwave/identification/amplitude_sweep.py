@@ -1,4 +1,4 @@
-"""RecordModels of several amplitudes -> Sweep: the equivalent stiffness over the amplitude."""
+"""Amplitude sweep: equivalent gear stiffness over the excitation amplitude."""
 
 from __future__ import annotations
 
@@ -9,29 +9,29 @@ import numpy as np
 
 from strainwave.domain import RecordModel, Sweep, SweepPoint
 
-_MIN_AMPLITUDES = 3  # a line through two points has no residual
+_MIN_AMPLITUDES = 3  # with two points, a line has no residual
 MIN_TREND_STD_ERRORS = 3.0
-"""Slope over its standard error from which a trend is significant: 0.3 % false alarms."""
+"""Minimum slope over its standard error of a significant trend: 0.3 % false alarms."""
 
 
 def sweeps(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
-    """One sweep for each joint excited at three amplitudes or more with the other joints free.
+    """One sweep for each joint excited at three or more amplitudes with the other joints free.
 
     The squared anti-resonance k/m_L is proportional to the stiffness. The trend is the slope of a
-    weighted line over the amplitude. Its standard error grows with the scatter of the points
-    around a parabola: the curvature of a hardening spring is not scatter.
+    weighted line over the amplitude. The standard error of the slope includes the scatter of the
+    points around a parabola, because the curvature of a hardening spring is not scatter.
     """
     results = []
     for joint in sorted({record.signals.joint for record in records}):
-        own = [r for r in records if r.signals.joint == joint and _others_free(r)]
-        points = sorted(_points(own), key=lambda point: point.amplitude)
+        joint_records = [r for r in records if r.signals.joint == joint and _others_free(r)]
+        points = sorted(_points(joint_records), key=lambda point: point.amplitude)
         if len({point.amplitude for point in points}) >= _MIN_AMPLITUDES:
             results.append(_sweep(joint, tuple(points)))
     return tuple(results)
 
 
 def _others_free(record: RecordModel) -> bool:
-    """Whether the other joints are free, or the record belongs to a sweep by its `use`."""
+    """Whether the other joints are free, or the record is part of a sweep by its `use`."""
     experiment = record.signals.experiment
     return experiment.use == "sweep" or "servo" not in experiment.control
 
@@ -61,11 +61,11 @@ def _points(records: Iterable[RecordModel]) -> list[SweepPoint]:
 def _sweep(joint: int, points: tuple[SweepPoint, ...]) -> Sweep:
     x = np.array([point.amplitude for point in points])
     y = np.array([point.squared_anti_resonance for point in points])
-    s = np.array([point.squared_anti_resonance_std for point in points])
-    X = np.column_stack([np.ones_like(x), x, x**2]) / s[:, None]
-    line, parabola = (np.linalg.lstsq(X[:, :n], y / s)[0] for n in (2, 3))
+    std_y = np.array([point.squared_anti_resonance_std for point in points])
+    X = np.column_stack([np.ones_like(x), x, x**2]) / std_y[:, None]
+    line, parabola = (np.linalg.lstsq(X[:, :n], y / std_y)[0] for n in (2, 3))
     slope = float(line[1])
-    residual = y / s - X @ parabola
+    residual = y / std_y - X @ parabola
     scale = max(1.0, float(residual @ residual) / max(1, len(x) - 3))
     std = float(np.sqrt(np.linalg.inv(X[:, :2].T @ X[:, :2])[1, 1] * scale))
     is_significant = abs(slope) > MIN_TREND_STD_ERRORS * std

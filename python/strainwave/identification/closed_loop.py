@@ -1,8 +1,7 @@
-"""Elastic model and a record -> what its sensors should have read, by applying its input again.
+"""Simulate a record on an elastic arm under its recorded input, and compare the sensors.
 
-Servo, references and open-loop voltages are the record's; the arm is the model. What is compared
-are motor velocities, from the encoders' differences, and accelerometers, all through one zero-phase
-low-pass.
+Servo, references and open-loop voltages come from the record. The compared channels are motor
+velocities, differentiated from the encoders, and accelerometers, all with one zero-phase low-pass.
 """
 
 from __future__ import annotations
@@ -25,11 +24,12 @@ from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
-_MOVES = 10.0  # times its noise: below that a fit would judge the sensor, not the model
+# minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
+_MOVES = 10.0
 
 
 def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
-    """The arm with only those effects whose parameters are known."""
+    """The arm with only the effects whose parameters are all known."""
     known = {(base_name(name), joint) for name, joint in known}
     joints = tuple(
         replace(
@@ -46,9 +46,9 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
 
 
 def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
-    """The arm with simpler springs where the values know no more of them, and known effects.
+    """The arm with known effects only, and with the simplest springs that the values describe.
 
-    `values`: (name, joint) -> value.
+    `values` maps (name, joint) to a value.
     """
     joints = tuple(
         replace(joint, spring=known_instead(joint.law, joint.law.of_joint(values, number)).name)
@@ -58,49 +58,40 @@ def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
 
 
 def velocity_band(log: Log, arm: Arm) -> float:
-    """Frequency up to which the liveliest motor's angle stands out of its noise [Hz].
-
-    Returns: [Hz].
-    """
+    """Highest frequency [Hz] at which a motor angle exceeds its noise, over all motors."""
     numbers = range(1, arm.n_joints + 1)
     return max(signal_band(log.channels[f"theta_m{i}"], log.sample_time) for i in numbers)
 
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What a record shows of its motion, and how a simulated arm is to be compared with it."""
+    """Measured motion of a record, with the data that the comparison with a simulation needs."""
 
     log: Log
     drive: Drive
     cutoff_hz: float
     channels: tuple[str, ...]  # omega_m{i} [rad/s], then a{i} [m/s^2]
-    time: FloatArray  # (n_rows,) [s] without the filter's edges
+    time: FloatArray  # (n_rows,) [s] without the edges of the filter
     measured: FloatArray  # (n_rows, n_channels)
-    noise: (
-        FloatArray  # (n_channels,) standard deviation of the sensor's own noise behind the filter
-    )
+    noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
 
     @property
     def moves(self) -> tuple[bool, ...]:
-        """Per channel, whether it stands well out of its noise."""
+        """Whether each channel clearly exceeds its noise."""
         return tuple((np.std(self.measured, axis=0) > _MOVES * self.noise).tolist())
 
     def simulated(self, arm: Arm, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
-        """The same channels of an arm that goes through the same experiment.
+        """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
 
-        An accelerometer's bias is unknown: its simulated mean is set to the measured one. Its delay
-        and its scale are among the values where they are known.
-
-        `arm`: With springs and effects that fit the values.
-        `values`: (name, joint) -> value.
-
-        Returns: (n_rows, n_channels).
+        The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.
+        Delay and scale of an accelerometer are applied if they are among the values. `arm` must
+        have the springs and effects of `values`, which maps (name, joint) to a value.
         """
         record: list[Quantity] = ["encoder"]
         if len(self.channels) > arm.n_joints:
             record.append("accelerometer")
-        hanging = self.drive.link_angle is None
-        inputs = inputs_in(arm, dict(values), self.log.name, hanging=hanging)
+        is_hanging = self.drive.link_angle is None
+        inputs = inputs_in(arm, dict(values), self.log.name, hanging=is_hanging)
         runs = simulate_arms(
             arm,
             [inputs.values],
@@ -112,67 +103,63 @@ class Observed:
         columns = [runs["encoder"][0]]
         for name in self.channels[arm.n_joints :]:
             joint, T = int(name[1:]), self.log.sample_time
-            read = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
-            columns.append(read[:, None])
-        seen = _filtered(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
-        shift = self.measured.mean(axis=0) - seen.mean(axis=0)
+            reading = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
+            columns.append(reading[:, None])
+        filtered = _filtered(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
+        shift = self.measured.mean(axis=0) - filtered.mean(axis=0)
         shift[: arm.n_joints] = 0.0
-        return np.asarray(seen + shift)
+        return np.asarray(filtered + shift)
 
 
 def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
-    """Velocities and accelerations of a record, ready to be compared.
+    """Velocities and accelerations of a record, prepared for the comparison.
 
-    `cutoff_hz` [Hz]: Of the low-pass; as far up as the encoders show motion if it is not given.
-
-    Raises `InvalidInput`: the log lacks something that simulating it needs.
+    `cutoff_hz` [Hz] is that of the low-pass; the default is the bandwidth of the measured motion.
+    Raises `InvalidInput` if the log lacks a channel that the simulation needs.
     """
     check_recorded_input(arm, log)
     cutoff = cutoff_hz or velocity_band(log, arm)
     numbers = range(1, arm.n_joints + 1)
-    placed = [i for i in numbers if has_accelerometer(log, arm, i)]
+    with_accelerometer = [i for i in numbers if has_accelerometer(log, arm, i)]
     raw = [log.channels[f"theta_m{i}"] for i in numbers]
-    raw += [log.channels[f"a{i}"] for i in placed]
+    raw += [log.channels[f"a{i}"] for i in with_accelerometer]
     T = log.sample_time
-    # of white noise below the cut-off, differentiated for the encoders
-    slope = 2.0 * np.pi * cutoff / np.sqrt(3.0)
-    shares = np.array([slope] * arm.n_joints + [1.0] * len(placed))
+    # gain of white noise below the cut-off; encoders are differentiated
+    derivative_gain = 2.0 * np.pi * cutoff / np.sqrt(3.0)
+    gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(with_accelerometer))
     noise = np.array([noise_deviation(channel) for channel in raw])
     return Observed(
         log=log,
         drive=recorded_drive(arm, log),
         cutoff_hz=cutoff,
-        channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in placed]),
+        channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in with_accelerometer]),
         time=log.time[_inside(log, cutoff)],
         measured=_filtered(np.column_stack(raw), arm.n_joints, log, cutoff),
-        noise=noise * shares * np.sqrt(min(1.0, 2.0 * T * cutoff)),
+        noise=noise * gains * np.sqrt(min(1.0, 2.0 * T * cutoff)),
     )
 
 
 def predict_closed_loop(
     values: Values, log: Log, arm: Arm, cutoff_hz: float | None = None
 ) -> Prediction:
-    """Simulate a record on an arm with elastic joints, and compare.
+    """Simulate a record on an arm with elastic joints and compare it with the measurement.
 
-    `values`: (name, joint) -> value; of a gear with a curve one `gear_stiffness` will do.
-    `log`: Of any experiment whose references and open-loop voltages are there.
-    `cutoff_hz` [Hz]: Of the low-pass for both sides; from the record if it is not given.
+    `values` maps (name, joint) to a value; one `gear_stiffness` is sufficient for a nonlinear gear.
+    The references and open-loop voltages come from `log`. `cutoff_hz` [Hz] is the low-pass of both
+    sides; the default is derived from the record.
 
-    Returns: Channels `omega_m{i}` [rad/s] and, where there are accelerometers, `a{i}` [m/s^2]. The
-    fit of a channel that hardly stands out of its noise is NaN, and a warning says so.
+    The channels are `omega_m{i}` [rad/s] and, with accelerometers, `a{i}` [m/s^2]. The fit of a
+    channel that hardly exceeds its noise is NaN, with a warning.
 
-    Raises `InvalidInput`: the log lacks something that simulating it needs, or a parameter is
-    missing or impossible; `NumericalFailure`: the motion left the finite numbers.
+    Raises `InvalidInput` if the log lacks a channel, or a parameter is missing or impossible;
+    `NumericalFailure` if the simulated motion is not finite.
     """
-    seen = observe(log, arm, cutoff_hz)
-    return prediction_of(seen, seen.simulated(as_known(arm, values), values))
+    observed = observe(log, arm, cutoff_hz)
+    return prediction_of(observed, observed.simulated(as_known(arm, values), values))
 
 
 def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
-    """The record of a comparison.
-
-    `predicted` (n_rows, n_channels).
-    """
+    """Prediction record of a comparison. `predicted` is (n_rows, n_channels)."""
     fits = np.where(seen.moves, fit_percent(seen.measured, predicted), np.nan)
     return Prediction(
         experiment=seen.log.name,
@@ -188,28 +175,27 @@ def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
 def _still(seen: Observed) -> Iterator[Diagnostic]:
     for name, moves in zip(seen.channels, seen.moves, strict=True):
         if not moves:
-            text = f"{name} has no fit: what it shows hardly stands out of its noise"
-            yield Diagnostic("nothing-to-predict", seen.log.name, text)
+            message = f"{name} has no fit: what it shows hardly stands out of its noise"
+            yield Diagnostic("nothing-to-predict", seen.log.name, message)
 
 
 def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:
-    """Whether a joint's accelerometer was logged, and it is known where it sits.
-
-    `joint`: From 1.
-    """
-    own = arm.joints[joint - 1]
-    placed = own.motion == "prismatic" or own.accelerometer_distance is not None
-    return placed and f"a{joint}" in log.channels
+    """Whether the accelerometer of `joint` (from 1) is logged and its position is known."""
+    description = arm.joints[joint - 1]
+    has_position = (
+        description.motion == "prismatic" or description.accelerometer_distance is not None
+    )
+    return has_position and f"a{joint}" in log.channels
 
 
 def _inside(log: Log, cutoff_hz: float) -> slice:
-    """Without the edges, which hold the filter's transients."""
+    """Rows without the edges of the record, which contain filter transients."""
     edge = min(int(np.ceil(1.0 / (cutoff_hz * log.sample_time))), len(log) // 4)
     return slice(edge, len(log) - edge)
 
 
 def _filtered(raw: FloatArray, n_joints: int, log: Log, cutoff_hz: float) -> FloatArray:
-    """Encoders, then accelerometers, (n_samples, n_channels, ...), through the low-pass."""
-    smooth = np.array(low_pass(raw, cutoff_hz, log.sample_time))
-    smooth[:, :n_joints] = differentiate(smooth[:, :n_joints], log.sample_time)
-    return np.asarray(smooth[_inside(log, cutoff_hz)])
+    """Low-pass encoders and accelerometers (n_samples, n_channels, ...), differentiate encoders."""
+    filtered = np.array(low_pass(raw, cutoff_hz, log.sample_time))
+    filtered[:, :n_joints] = differentiate(filtered[:, :n_joints], log.sample_time)
+    return np.asarray(filtered[_inside(log, cutoff_hz)])

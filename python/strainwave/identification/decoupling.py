@@ -1,4 +1,4 @@
-"""LinkSignals, RigidModel -> one Decoupled record a joint: interaction torques (13), (14)."""
+"""Decoupling: compute interaction torques (13), (14) and one `Decoupled` record per joint."""
 
 from __future__ import annotations
 
@@ -28,22 +28,23 @@ from strainwave.dynamics.interaction_torque import (
 from strainwave.errors import NotIdentifiable
 from strainwave.numerics.spectra import cross_spectral_densities
 
-_SHARE = 0.95  # of the motor velocity's power that lies below the band's top
-_LOWEST = 1.0  # [Hz]
-_SEGMENTS = 8  # Welch segments in a record
-_CONSTANT = 0.1  # largest relative change of the element (1,1)
-_FULL = 0.8  # share of the band in which tau must stand out of its noise
-_ABOVE = 4.0  # times the noise: a Welch estimate of 8 averages stays below that
-_RICH = 1e-3  # least over largest eigenvalue: deviations are then 16 times those of lone inputs
-_SEEN = 0.02  # of n tau over u
-_SLIDING = 0.85  # share of the record in which the motor must slide
+_SHARE = 0.95  # share of the motor velocity's power below the upper edge of the band
+_LOWEST = 1.0  # [Hz] minimum of the lower edge of the band
+_SEGMENTS = 8  # number of Welch segments in a record
+_CONSTANT = 0.1  # maximum relative change of the element (1,1) of M(q)
+_FULL = 0.8  # minimum share of the band in which tau exceeds its noise
+_ABOVE = 4.0  # factor on the noise level; a Welch estimate with 8 averages stays below it
+# minimum eigenvalue ratio: standard deviations are 16 times those of independent inputs
+_RICH = 1e-3
+_SEEN = 0.02  # minimum of n tau over u
+_SLIDING = 0.85  # minimum share of the record in which the motor slides
 
 
 @dataclass(frozen=True, slots=True)
 class DecouplingOptions:
-    """What may be set by hand."""
+    """Options of `decouple`."""
 
-    band_hz: tuple[float, float] | None = None  # of the checks; None: where the motor moves
+    band_hz: tuple[float, float] | None = None  # of the checks; None: band of the motor motion
 
 
 def decouple(
@@ -52,20 +53,18 @@ def decouple(
     arm: Arm,
     options: DecouplingOptions | None = None,
 ) -> tuple[Decoupled, ...]:
-    """Each joint as a two-inertia system of its own, driven by u and by the other links.
+    """Decouple each joint into a two-inertia system with the inputs u and tau.
 
-    u_i = e_i v_i - f_i sgn(dtheta_Mi) - f_0i at the motor, tau_i from `interaction_torques`.
+    u_i = e_i v_i - f_i sgn(dtheta_Mi) - f_0i at the motor; tau_i is from `interaction_torques`.
 
-    `model`: None will do for a single joint without gravity; its friction then stays in u.
+    Returns one record per joint, from the base. `model` may be None for a single joint without
+    gravity; its friction then remains in u. A single joint without gravity has only the input u.
 
-    Returns: One per joint, from the base. A single joint without gravity has the one input u.
-
-    Raises `NotIdentifiable`: the rigid model is missing, or lacks a parameter that the torques
-    need.
+    Raises `NotIdentifiable` if the rigid model is missing or lacks a parameter of the torques.
     """
     chosen = options or DecouplingOptions()
     base, tau = _interaction(signals, model, arm)
-    found = []
+    records = []
     for i in range(arm.n_joints):
         u = signals.motor_torque[:, i]
         if model is not None:
@@ -75,7 +74,7 @@ def decouple(
         densities = _spectra(inputs, signals.sample_time)
         frequency, richness = _richness(densities, band)
         checks = tuple(_checks(signals, arm, base, i, inputs, band, densities, richness))
-        found.append(
+        records.append(
             Decoupled(
                 experiment=signals.experiment,
                 joint=i + 1,
@@ -99,13 +98,13 @@ def decouple(
                 warnings=tuple(_warnings(signals, arm, i, checks)),
             )
         )
-    return tuple(found)
+    return tuple(records)
 
 
 def _interaction(
     signals: LinkSignals, model: RigidModel | None, arm: Arm
 ) -> tuple[FloatArray, FloatArray | None]:
-    """Base parameters and torques; no torques where nothing acts on the joint but its motor."""
+    """Base parameters and interaction torques; None if no interaction torque acts on the joint."""
     if is_uncoupled(arm):
         return np.zeros(0), None
     if model is None:
@@ -122,17 +121,15 @@ def _viscous(model: RigidModel, arm: Arm, joint: int) -> float | None:
 
 
 def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
-    """A joint decoupled without a rigid model, its dry friction taken out of u once it is known.
+    """Subtract Coulomb friction and offset from u of a joint decoupled without a rigid model.
 
-    u - f sgn(dtheta_M) - f_0, as `decouple` does with a rigid model: what linear models describe.
-
-    `part`: Whose friction is still in u.
-    `joint`: With `motor_coulomb_friction` and `friction_offset`, where it has them.
+    Returns u - f sgn(dtheta_M) - f_0, as `decouple` computes with a rigid model. The friction comes
+    from `motor_coulomb_friction` and `friction_offset` of `joint`, where it has them.
     """
     i = part.joint - 1
-    dry = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
+    coulomb_torque = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
     inputs = part.inputs.copy()
-    inputs[:, 0] -= dry + joint.values.get("friction_offset", 0.0)
+    inputs[:, 0] -= coulomb_torque + joint.values.get("friction_offset", 0.0)
     return replace(part, inputs=inputs)
 
 
@@ -143,7 +140,7 @@ def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray
 
 
 def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
-    """Where a motor moves."""
+    """Frequency band [Hz] of the motor velocity's power."""
     frequency, power = _spectra(signals.motor_velocity[:, i : i + 1], signals.sample_time)
     share = np.cumsum(power[:, 0, 0].real)
     lowest = max(_LOWEST, frequency[1])
@@ -153,7 +150,7 @@ def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
 
 
 def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
-    """Cross-spectral density matrices by Welch's method: (n_frequencies, n, n), complex."""
+    """Frequencies, and cross-spectral densities (n_frequencies, n, n) by Welch's method."""
     segment = max(16, 2 * len(columns) // (_SEGMENTS + 1))
     return cross_spectral_densities(columns, sample_time, min(segment, len(columns)))
 
@@ -161,19 +158,21 @@ def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
 def _richness(
     densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
-    """Least over largest eigenvalue of the inputs' coherency matrix, by frequency.
+    """Ratio of smallest to largest eigenvalue of the inputs' coherency matrix, by frequency.
 
-    Two inputs with the coherence gamma^2 have (1 - gamma)/(1 + gamma): zero where one is a linear
-    function of the other, so that their effects cannot be separated. At the ratio r the
-    deviations are 1 / sqrt(4 r) times those of inputs without coherence, for small r.
+    For two inputs with coherence gamma^2 it is (1 - gamma)/(1 + gamma). It is zero if one input is
+    a linear function of the other, so that their effects are not separable. For a small ratio r,
+    the standard deviations are 1 / sqrt(4 r) times those of inputs without coherence.
     """
     frequency, density = densities
     inside = (frequency >= band[0]) & (frequency <= band[1])
     power = np.sqrt(np.einsum("fii->fi", density[inside]).real)
     floor = 1e-12 * power.max() if power.size else 1.0
     scale = np.maximum(power, max(floor, 1e-300))
-    values = np.linalg.eigvalsh(density[inside] / (scale[:, :, None] * scale[:, None, :]))
-    return frequency[inside], np.clip(values[:, 0], 0.0, None) / np.maximum(values[:, -1], 1e-300)
+    eigenvalues = np.linalg.eigvalsh(density[inside] / (scale[:, :, None] * scale[:, None, :]))
+    return frequency[inside], np.clip(eigenvalues[:, 0], 0.0, None) / np.maximum(
+        eigenvalues[:, -1], 1e-300
+    )
 
 
 def _checks(
@@ -186,14 +185,14 @@ def _checks(
     densities: tuple[FloatArray, ComplexArray],
     richness: FloatArray,
 ) -> Iterator[Check]:
-    moving = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
-    text = f"the motor slides in {100.0 * moving:.0f} % of the record"
+    sliding_share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
+    text = f"the motor slides in {100.0 * sliding_share:.0f} % of the record"
     text += (
         ""
-        if moving >= _SLIDING
+        if sliding_share >= _SLIDING
         else "; a linear model takes stiction for inertia: raise the amplitude"
     )
-    yield Check("sliding", moving >= _SLIDING, moving, _SLIDING, text)
+    yield Check("sliding", sliding_share >= _SLIDING, sliding_share, _SLIDING, text)
     if inputs.shape[1] == 1:
         return
     yield _constancy(signals, arm, base, i)
@@ -214,35 +213,35 @@ def _checks(
 
 
 def _constancy(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
-    """How much a link's own inertia changes in the motion; tau holds it, the paper's (13) not."""
+    """Change of a link's own inertia in the motion, which is part of tau here but not in (13)."""
     q = signals.link_angle
-    unit = np.zeros_like(q)
-    unit[:, i] = 1.0
-    still = np.zeros_like(q)
-    held = arm.link_torques(base, q, still, still)
-    inertia = (arm.link_torques(base, q, still, unit) - held)[:, i]
+    unit_acceleration = np.zeros_like(q)
+    unit_acceleration[:, i] = 1.0
+    zero = np.zeros_like(q)
+    static_torque = arm.link_torques(base, q, zero, zero)
+    inertia = (arm.link_torques(base, q, zero, unit_acceleration) - static_torque)[:, i]
     change = float(np.ptp(inertia) / arm.link_inertias(base)[i])
-    text = f"the link's own inertia changes by {100.0 * change:.2g} %"
-    text += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"
-    return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, text)
+    message = f"the link's own inertia changes by {100.0 * change:.2g} %"
+    message += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"
+    return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, message)
 
 
 def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
-    """Share of the band in which the power density of tau is above its noise."""
+    """Share of the band in which the power density of tau exceeds its noise level."""
     frequency, density = densities
     power = density[:, 1, 1].real
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    full = float(np.mean(power[inside] > _ABOVE * noise)) if inside.any() else 0.0
-    text = f"tau is above its noise in {100.0 * full:.0f} % of the band"
-    text += "" if full >= _FULL else "; raise the amplitude"
-    return Check("interaction-spectrum", full >= _FULL, full, _FULL, text)
+    share = float(np.mean(power[inside] > _ABOVE * noise)) if inside.any() else 0.0
+    message = f"tau is above its noise in {100.0 * share:.0f} % of the band"
+    message += "" if share >= _FULL else "; raise the amplitude"
+    return Check("interaction-spectrum", share >= _FULL, share, _FULL, message)
 
 
 def _warnings(
     signals: LinkSignals, arm: Arm, i: int, checks: tuple[Check, ...]
 ) -> Iterator[Diagnostic]:
-    """Failed checks, of joints that were to be identified in this record."""
+    """Warnings for failed checks of the joints that the record identifies."""
     if signals.experiment.joint not in (None, i + 1):
         return
     for check in checks:

@@ -1,4 +1,4 @@
-"""Decoupled records -> frequency responses, their noise and distortion, and resonances."""
+"""Nonparametric frequency responses of a joint with noise and distortion, and its resonances."""
 
 from __future__ import annotations
 
@@ -20,13 +20,15 @@ from strainwave.signals.channels import check_alike
 
 __all__ = ["FrequencyOptions", "by_periods", "by_welch", "resonance", "respond"]
 
-_FEWEST_PERIODS = 2
-_OVERLAP = 0.5
-_INDEPENDENT = 0.95  # segments that half overlap under a Hann window count for so many
-_ROUNDS = 20  # of reweighting; it settles in a few
-_BELOW, _ABOVE = 0.5, 1.6  # the fit's window around the dip and the peak
-_FEW_LINES = 12
-_SMOOTH = 5  # lines of the running median in which dip and peak are sought
+_FEWEST_PERIODS = 2  # minimum number of periods, so that their scatter can be computed
+_OVERLAP = 0.5  # of Welch segments
+# equivalent number of independent segments per Hann segment with 50 % overlap
+_INDEPENDENT = 0.95
+_ROUNDS = 20  # iterations of reweighting; a few suffice
+# lower edge of the fit over the dip frequency, and upper edge over the peak frequency
+_BELOW, _ABOVE = 0.5, 1.6
+_FEW_LINES = 12  # minimum number of lines, twice the number of coefficients
+_SMOOTH = 5  # lines of the running median in which dip and peak are located
 
 
 def respond(
@@ -34,17 +36,16 @@ def respond(
 ) -> FrequencyResponse:
     """Nonparametric frequency response of one joint from one or several records.
 
-    Periodic excitation, with at least as many records as inputs: period averages, line by line,
-    Y = G U over the records; noise from the scatter of the periods. Otherwise H1 = S_yu S_uu^-1 by
-    Welch's method over all records. The difference between records beyond the noise, where there
-    are more than needed, is distortion: another amplitude or posture, another response.
+    For periodic excitation with at least as many records as inputs: average the periods, solve Y =
+    G U per line over the records, and compute the noise from the scatter of the periods. Otherwise:
+    H1 = S_yu S_uu^-1 by Welch's method over all records. With more records than necessary, their
+    difference in excess of the noise is distortion, caused by different amplitudes or postures.
 
-    `records`: Of one joint, all with one sample time.
+    The records must belong to one joint and have one sampling period. The outputs are motor
+    velocity and link velocity.
 
-    Returns: Outputs: motor velocity, link velocity.
-
-    Raises `InvalidInput`: there is no record, or they are of different joints, sample times or
-    inputs; `NotIdentifiable`: the inputs cannot be separated in the records.
+    Raises `InvalidInput` if there is no record or the records differ in joint, sampling period or
+    inputs; `NotIdentifiable` if the records do not separate the inputs.
     """
     chosen = options or FrequencyOptions()
     check_alike(records)
@@ -56,21 +57,18 @@ def respond(
     shortest = min(len(u) for u, _ in pairs)
     if period and shortest >= _FEWEST_PERIODS * period and len(pairs) >= n_in:
         return by_periods(pairs, T, period, chosen.transient_periods)
-    wanted = round(chosen.segment / T) if chosen.segment else (period or shortest // 4)
-    return by_welch(pairs, T, min(wanted, shortest))
+    segment = round(chosen.segment / T) if chosen.segment else (period or shortest // 4)
+    return by_welch(pairs, T, min(segment, shortest))
 
 
 def by_periods(
     pairs: Sequence[tuple[FloatArray, FloatArray]], sample_time: float, period: int, transient: int
 ) -> FrequencyResponse:
-    """Response from whole periods of periodic records.
+    """Frequency response from whole periods of periodic records.
 
-    `pairs` (n_samples, n_inputs) (n_samples, n_outputs).
-    `sample_time` [s].
-    `period`: Samples.
-    `transient`: Periods left out at the start, as far as two are left.
-
-    Raises `NotIdentifiable`: fewer records than inputs.
+    `pairs` has (n_samples, n_inputs) and (n_samples, n_outputs) per record, `period` is in samples,
+    and `transient` is the number of periods left out at the start, so that at least two remain.
+    Raises `NotIdentifiable` for fewer records than inputs.
     """
     n_in = pairs[0][0].shape[1]
     if len(pairs) < n_in:
@@ -79,28 +77,30 @@ def by_periods(
         )
     means: list[ComplexArray] = []
     scatters: list[ComplexArray] = []
-    count = 0
+    n_periods = 0
     for pair in pairs:
-        kept = min(transient, max(0, len(pair[0]) // period - _FEWEST_PERIODS))
-        lines = _lines(np.column_stack(pair)[kept * period :], period)
+        n_skipped = min(transient, max(0, len(pair[0]) // period - _FEWEST_PERIODS))
+        lines = _lines(np.column_stack(pair)[n_skipped * period :], period)
         means.append(lines.mean(axis=0))
         scatters.append(lines - means[-1])
-        count += len(lines)
+        n_periods += len(lines)
     mean = np.stack(means, axis=1)  # (n_frequencies, n_records, n_in + n_out)
     u: ComplexArray = np.swapaxes(mean[..., :n_in], 1, 2)
     y: ComplexArray = np.swapaxes(mean[..., n_in:], 1, 2)
     inverse = np.linalg.pinv(u, rcond=1e-6)
     response = y @ inverse
-    # a period's error is what its output has beyond the response to its own input
+    # error of a period: its output minus the response to its own input
     variance = np.zeros(response.shape)
     noise_power = np.zeros((len(response), y.shape[1]))
     for k, scatter in enumerate(scatters):
         residual = scatter[..., n_in:] - np.einsum("foi,pfi->pfo", response, scatter[..., :n_in])
-        of_mean = (np.abs(residual) ** 2).sum(axis=0) / max(1, len(scatter) - 1) / len(scatter)
-        variance += of_mean[:, :, None] * (np.abs(inverse[:, k, :]) ** 2)[:, None, :]
-        noise_power += of_mean * len(scatter)
-    power = (np.abs(y) ** 2).sum(axis=2)
-    coherence = power / np.maximum(power + noise_power, 1e-300)
+        mean_variance = (
+            (np.abs(residual) ** 2).sum(axis=0) / max(1, len(scatter) - 1) / len(scatter)
+        )
+        variance += mean_variance[:, :, None] * (np.abs(inverse[:, k, :]) ** 2)[:, None, :]
+        noise_power += mean_variance * len(scatter)
+    output_power = (np.abs(y) ** 2).sum(axis=2)
+    coherence = output_power / np.maximum(output_power + noise_power, 1e-300)
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(period, sample_time)[1:], dtype=float)
     distortion = _distortion(y, u, response, variance) if len(pairs) > n_in else None
     return FrequencyResponse(
@@ -110,7 +110,7 @@ def by_periods(
         noise_variance=variance,
         distortion_variance=distortion,
         method="periods",
-        n_averages=count,
+        n_averages=n_periods,
     )
 
 
@@ -119,17 +119,13 @@ def by_welch(
 ) -> FrequencyResponse:
     """H1 = S_yu S_uu^-1 with overlapping Hann windows over all records.
 
-    `pairs` (n_samples, n_inputs) (n_samples, n_outputs).
-    `sample_time` [s].
-    `segment`: Samples.
-
-    Returns: Coherence is the multiple one. Noise variance is the residual's over n_averages S_uu.
-
-    Raises `NotIdentifiable`: there are no more segments than inputs.
+    `pairs` has (n_samples, n_inputs) and (n_samples, n_outputs) per record; `segment` is in
+    samples. The coherence is the multiple coherence. The noise variance is that of the residual
+    over n_averages S_uu. Raises `NotIdentifiable` if there are no more segments than inputs.
     """
     n_in = pairs[0][0].shape[1]
-    blocks = [_segments(np.column_stack(pair), segment) for pair in pairs]
-    lines = np.concatenate(blocks)
+    segments = [_segments(np.column_stack(pair), segment) for pair in pairs]
+    lines = np.concatenate(segments)
     count = len(lines)
     if count <= n_in:
         raise NotIdentifiable(f"{count} segments cannot separate {n_in} inputs; record for longer")
@@ -137,12 +133,12 @@ def by_welch(
     S_uu, S_yu, S_yy = S[:, :n_in, :n_in], S[:, n_in:, :n_in], S[:, n_in:, n_in:]
     inverse = np.linalg.pinv(S_uu, rcond=1e-9, hermitian=True)
     response = S_yu @ inverse
-    power = np.einsum("foo->fo", S_yy).real
-    explained = np.einsum("foi,foi->fo", response, S_yu.conj()).real
-    coherence = np.clip(explained / np.maximum(power, 1e-300), 0.0, 1.0)
-    freedom = (count - n_in) * (1.0 if count == len(pairs) else _INDEPENDENT)
-    left = power * (1.0 - coherence) / freedom
-    variance = left[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
+    output_power = np.einsum("foo->fo", S_yy).real
+    explained_power = np.einsum("foi,foi->fo", response, S_yu.conj()).real
+    coherence = np.clip(explained_power / np.maximum(output_power, 1e-300), 0.0, 1.0)
+    degrees_of_freedom = (count - n_in) * (1.0 if count == len(pairs) else _INDEPENDENT)
+    residual_power = output_power * (1.0 - coherence) / degrees_of_freedom
+    variance = residual_power[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(segment, sample_time)[1:], dtype=float)
     return FrequencyResponse(
         frequencies_hz=frequency,
@@ -160,18 +156,16 @@ def resonance(
     variance: FloatArray | None = None,
     band_hz: tuple[float, float] | None = None,
 ) -> Resonance:
-    """Anti-resonance and resonance of motor input to motor velocity, by a local complex fit.
+    """Anti-resonance and resonance from motor input to motor velocity, by a local complex fit.
 
-    G11 = (b0 + b1 s + b2 s^2) / (a0 + a1 s + a2 s^2 + a3 s^3) of (17) around the dip and the peak,
-    by least squares on the numerator and denominator, reweighted with the last denominator
-    (Sanathanan and Koerner) until it settles.
+    Fits G11 = (b0 + b1 s + b2 s^2) / (a0 + a1 s + a2 s^2 + a3 s^3) of (17) around the dip and the
+    peak by iterated linear least squares, weighted by the last denominator (Sanathanan and
+    Koerner).
 
-    `frequencies_hz` (n_frequencies,) [Hz].
-    `response` (n_frequencies,).
-    `variance` (n_frequencies,): Of the response; lines weigh by its inverse.
-    `band_hz`: Where to look for dip and peak.
+    `frequencies_hz` [Hz], `response` and `variance` are (n_frequencies,); lines have the inverse
+    variance as weight. `band_hz` limits the search for dip and peak.
 
-    Raises `NotIdentifiable`: there is no dip below a peak, or the fit has no damped oscillating
+    Raises `NotIdentifiable` if there is no dip below a peak, or the fit has no damped oscillating
     pair.
     """
     low, high = band_hz or (frequencies_hz[0], frequencies_hz[-1])
@@ -190,11 +184,15 @@ def resonance(
     for _ in range(_ROUNDS):
         rows = np.column_stack([powers[:, :3], -(G / scale)[:, None] * powers[:, :3]])
         target = (G / scale) * powers[:, 3]
-        by = (weight / np.abs(denominator))[:, None]
-        stacked = np.concatenate([(rows * by).real, (rows * by).imag])
-        aim = np.concatenate([(target * by[:, 0]).real, (target * by[:, 0]).imag])
-        size = np.linalg.norm(stacked, axis=0)
-        coefficients = np.linalg.lstsq(stacked / size, aim, rcond=None)[0] / size
+        row_weight = (weight / np.abs(denominator))[:, None]
+        real_rows = np.concatenate([(rows * row_weight).real, (rows * row_weight).imag])
+        real_target = np.concatenate(
+            [(target * row_weight[:, 0]).real, (target * row_weight[:, 0]).imag]
+        )
+        column_norm = np.linalg.norm(real_rows, axis=0)
+        coefficients = (
+            np.linalg.lstsq(real_rows / column_norm, real_target, rcond=None)[0] / column_norm
+        )
         denominator = powers @ np.r_[coefficients[3:], 1.0]
     zero = _pair(coefficients[:3], dip / peak)
     pole = _pair(np.r_[coefficients[3:], 1.0], 1.0)
@@ -209,19 +207,19 @@ def resonance(
 
 
 def _period(record: Decoupled) -> int | None:
-    """Samples of one period of the joint's excitation, where that is a whole number."""
+    """Period of the joint's excitation in samples, if it is an integer; otherwise None."""
     prbs = record.experiment.prbs
     if prbs is None:
         return None
     samples = prbs.clock * (2**prbs.order - 1) / record.sample_time
-    whole = round(samples)
-    return whole if abs(samples - whole) < 1e-3 and whole >= 16 else None
+    rounded = round(samples)
+    return rounded if abs(samples - rounded) < 1e-3 and rounded >= 16 else None
 
 
 def _lines(columns: FloatArray, period: int) -> ComplexArray:
-    """Spectra of whole periods, without the constant: (n_periods, n_frequencies, n_columns)."""
-    whole = len(columns) // period
-    blocks = columns[: whole * period].reshape(whole, period, -1)
+    """Spectra of whole periods without the constant: (n_periods, n_frequencies, n_columns)."""
+    n_periods = len(columns) // period
+    blocks = columns[: n_periods * period].reshape(n_periods, period, -1)
     return np.asarray(np.fft.rfft(blocks, axis=1)[:, 1:] / period)
 
 
@@ -233,45 +231,47 @@ def _segments(columns: FloatArray, segment: int) -> ComplexArray:
 def _distortion(
     y: ComplexArray, u: ComplexArray, response: ComplexArray, variance: FloatArray
 ) -> FloatArray:
-    """Variance between records of the single-record response, beyond the noise.
+    """Variance between records of the single-record response, in excess of the noise.
 
-    With one input each record has a response of its own; with more, the residual of the common one
-    is brought to the inputs.
+    With one input, each record has a response of its own. With more inputs, the residual of the
+    common response is divided by the power of the inputs.
     """
     n_in, n_records = u.shape[1:]
     residual = y - response @ u
-    spread = (np.abs(residual) ** 2).sum(axis=2) / (n_records - n_in)
-    power = (np.abs(u) ** 2).mean(axis=2)
-    found = spread[:, :, None] / np.maximum(power[:, None, :], 1e-300)
-    return np.asarray(np.clip(found - n_records * variance, 0.0, None))
+    residual_power = (np.abs(residual) ** 2).sum(axis=2) / (n_records - n_in)
+    input_power = (np.abs(u) ** 2).mean(axis=2)
+    variance_per_record = residual_power[:, :, None] / np.maximum(input_power[:, None, :], 1e-300)
+    return np.asarray(np.clip(variance_per_record - n_records * variance, 0.0, None))
 
 
 def _dip_and_peak(
     frequency: FloatArray, response: ComplexArray, low: float, high: float
 ) -> tuple[float, float]:
-    """Where a response divided by that of a mere inertia has its least, and then its largest."""
+    """Frequencies of the minimum and the following maximum of the response times frequency."""
     inside = np.flatnonzero((frequency >= low) & (frequency <= high))
     if inside.size < _FEW_LINES:
         raise NotIdentifiable("too few spectral lines in the band")
-    rigid = np.abs(response[inside]) * frequency[inside]
-    lines = np.lib.stride_tricks.sliding_window_view(np.log(np.maximum(rigid, 1e-300)), _SMOOTH)
-    smooth = np.median(lines, axis=1)
-    found = frequency[inside][_SMOOTH // 2 : -(_SMOOTH // 2)]
-    best, pair = 0.0, (0, 0)
-    least = 0
-    # the largest rise from a least value to a later one
-    for k, value in enumerate(smooth.tolist()):
-        if value < smooth[least]:
-            least = k
-        if value - smooth[least] > best:
-            best, pair = value - smooth[least], (least, k)
-    if best < np.log(2.0):
+    normalised = np.abs(response[inside]) * frequency[inside]
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.log(np.maximum(normalised, 1e-300)), _SMOOTH
+    )
+    smoothed = np.median(windows, axis=1)
+    frequencies = frequency[inside][_SMOOTH // 2 : -(_SMOOTH // 2)]
+    largest_rise, dip_and_peak = 0.0, (0, 0)
+    lowest = 0
+    # largest increase from a minimum to a later maximum
+    for k, value in enumerate(smoothed.tolist()):
+        if value < smoothed[lowest]:
+            lowest = k
+        if value - smoothed[lowest] > largest_rise:
+            largest_rise, dip_and_peak = value - smoothed[lowest], (lowest, k)
+    if largest_rise < np.log(2.0):
         raise NotIdentifiable("the response has no dip below a peak; raise amplitude or bandwidth")
-    return float(found[pair[0]]), float(found[pair[1]])
+    return float(frequencies[dip_and_peak[0]]), float(frequencies[dip_and_peak[1]])
 
 
 def _pair(coefficients: FloatArray, near: float) -> complex:
-    """The root of positive imaginary part nearest to a frequency."""
+    """Root with positive imaginary part whose modulus is nearest to `near`."""
     roots = np.roots(coefficients[::-1])
     upper = roots[roots.imag > 1e-9]
     if not upper.size:

@@ -1,8 +1,8 @@
-"""Log, ArmModel -> MotorResponse: how the excited motor answers its torque, measured and fitted.
+"""Frequency response of the excited motor, measured and of the fitted arm.
 
-The fitted arm goes through the record again under its voltages, and one estimate is made of both:
-so friction, knees and the window do to one what they do to the other. What the other joints do is
-part of the answer: while they are free to move, a motor sees more modes than while they are held.
+The fitted arm is simulated with the voltages of the record, and both responses are computed in the
+same way. Friction, stiffness curves and the window therefore affect both alike. The response
+depends on the other joints: while they are free, it has more modes than while they are held.
 """
 
 from __future__ import annotations
@@ -28,25 +28,24 @@ from strainwave.numerics.filters import differentiate
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.signals.recorded_input import driven_by_voltage
 
-_SEGMENT = 8.0  # [s] at most of a record in one spectrum
-_LOWEST = 3.0  # lines that the window makes of a constant
-_DAMPED = 0.5  # ratio up to which a mode shows as a dip or a peak
-_ROUNDING = 1e-6  # of the highest frequency, below which there is none
-_SEEN = 1e-4  # of the largest torque density: lines that the excitation leaves out are left out
+_SEGMENT = 8.0  # [s] maximum duration of a Welch segment
+_LOWEST = 3.0  # first line; the window spreads a constant over the lines below
+_DAMPED = 0.5  # maximum damping ratio of a visible dip or peak
+_ROUNDING = 1e-6  # share of the highest frequency below which a frequency is a rounding error
+# minimum share of the largest torque density; lines without excitation are left out
+_SEEN = 1e-4
 
 
 def motor_response(
     log: Log, model: ArmModel, joints: Sequence[JointModel], arm: Arm
 ) -> MotorResponse:
-    """Motor torque to motor velocity in one record, of the rig and of the fitted arm.
+    """Frequency response from motor torque to motor velocity, of the rig and of the fitted arm.
 
-    Cross-spectra S_uw / S_uu by Welch's method over windows of half the record.
+    Cross-spectra S_uw / S_uu by Welch's method over segments of at most half the record. `log` must
+    name its joint. `joints` gives the equivalent stiffness of nonlinear gears.
 
-    `log`: Of an experiment that names its joint.
-    `joints`: For the equivalent stiffness of curves.
-
-    Raises `InvalidInput`: the log lacks a motor's angle or voltage, or names no joint;
-    `NumericalFailure`: the motion left the finite numbers.
+    Raises `InvalidInput` if the log lacks a motor angle or voltage, or names no joint;
+    `NumericalFailure` if the simulated motion is not finite.
     """
     driven, drive = driven_by_voltage(arm, log)
     runs = simulate_arms(
@@ -74,8 +73,8 @@ def motor_response(
     posture = arm.gear_ratios * np.array(
         [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, arm.n_joints + 1)]
     )
-    values, servoed = _one_stiffness(model.values, joints, arm), condition == "others-servoed"
-    zeros, poles = modes_of_motor(values, arm, posture, number, servoed=servoed)
+    values, is_servoed = _one_stiffness(model.values, joints, arm), condition == "others-servoed"
+    zeros, poles = modes_of_motor(values, arm, posture, number, servoed=is_servoed)
     return MotorResponse(
         experiment=log.name,
         joint=number,
@@ -97,19 +96,17 @@ def modes_of_motor(
     *,
     servoed: bool,
 ) -> tuple[FloatArray, FloatArray]:
-    """Anti-resonances and resonances of one motor's response to its torque, about a posture.
+    """Anti-resonances and resonances [Hz] of one motor's response to its torque, about a posture.
 
-    Zeros of torque to velocity are the arm's modes with that motor held, poles those with it free.
-    Servos of other joints act on their motors as a damper e kp and a spring e ki; of an unknown
-    servo it is assumed that it holds its motor.
+    The zeros from torque to velocity are the modes of the arm with that motor held; the poles are
+    the modes with it free. Servos of other joints act on their motors as a damper e kp and a spring
+    e ki. An unknown servo is assumed to hold its motor.
 
-    `values`: (name, joint) -> value, with one `gear_stiffness` a joint.
-    `link_angle` (n_joints,) [rad].
-    `joint`: Whose motor is driven, from 1.
-    `servoed`: Whether the other motors are under their servos, rather than free.
+    `values` maps (name, joint) to a value, with one `gear_stiffness` per joint. `link_angle` is
+    (n_joints,) [rad]; `joint` counts from 1. `servoed` is True if the other motors are under servo
+    control, False if they are free.
 
-    Returns: `anti_resonances, resonances` (n,) [Hz]: Moduli of the lightly damped pairs over 2 pi,
-    ascending.
+    Both results are (n,), ascending: moduli of the lightly damped pairs over 2 pi.
     """
     n, others = arm.n_joints, [i for i in range(arm.n_joints) if i != joint - 1]
     base = np.array([values.get(key, 0.0) for key in arm.base_names])
@@ -131,34 +128,34 @@ def modes_of_motor(
             moving[i] = False
         else:
             dampers[i, i] += per_volt * arm.servo.kp[i]
-            # a position loop's own integral is slower than any mode
+            # the integral action of a position loop is slower than any mode
             outer = 0.0 if arm.servo.position_gain is None else arm.servo.position_gain[i]
             springs[i, i] += per_volt * (arm.servo.ki[i] + outer * arm.servo.kp[i])
-    without = moving.copy()
-    without[joint - 1] = False
+    others_moving = moving.copy()
+    others_moving[joint - 1] = False
     return (
-        _rings(inertia, dampers, springs, without),
+        _rings(inertia, dampers, springs, others_moving),
         _rings(inertia, dampers, springs, moving),
     )
 
 
 def _across(ratio: FloatArray, gear: FloatArray) -> FloatArray:
-    """A spring or damper between every motor and its link: (2 n, 2 n)."""
-    motor, between = np.diag(ratio**2 * gear), -np.diag(ratio * gear)
-    return np.block([[motor, between], [between, np.diag(gear)]])
+    """Matrix (2 n, 2 n) of a spring or damper between each motor and its link."""
+    motor, coupling = np.diag(ratio**2 * gear), -np.diag(ratio * gear)
+    return np.block([[motor, coupling], [coupling, np.diag(gear)]])
 
 
 def _rings(
     inertia: FloatArray, dampers: FloatArray, springs: FloatArray, moving: BoolArray
 ) -> FloatArray:
-    """Frequencies [Hz] of the modes of M s^2 + D s + K that ring, of the coordinates that move."""
-    at, count = np.ix_(moving, moving), int(moving.sum())
-    blocks = np.linalg.solve(inertia[at], np.hstack([-springs[at], -dampers[at]]))
-    upper = np.eye(count, 2 * count, count)
-    roots = np.linalg.eigvals(np.vstack([upper, blocks]))
-    sure = roots.imag > _ROUNDING * np.abs(roots).max()  # not what turns without being held
-    ringing = roots[sure & (-roots.real < _DAMPED * np.abs(roots))]
-    return np.asarray(np.sort(np.abs(ringing)) / (2.0 * np.pi))
+    """Frequencies [Hz] of the lightly damped modes of M s^2 + D s + K in the moving coordinates."""
+    index, count = np.ix_(moving, moving), int(moving.sum())
+    lower_rows = np.linalg.solve(inertia[index], np.hstack([-springs[index], -dampers[index]]))
+    upper_rows = np.eye(count, 2 * count, count)
+    roots = np.linalg.eigvals(np.vstack([upper_rows, lower_rows]))
+    is_oscillating = roots.imag > _ROUNDING * np.abs(roots).max()  # excludes rigid-body modes
+    lightly_damped = roots[is_oscillating & (-roots.real < _DAMPED * np.abs(roots))]
+    return np.asarray(np.sort(np.abs(lightly_damped)) / (2.0 * np.pi))
 
 
 def _condition(log: Log, arm: Arm) -> Condition:
@@ -171,10 +168,10 @@ def _condition(log: Log, arm: Arm) -> Condition:
 def _one_stiffness(
     values: Mapping[tuple[str, int | None], float], joints: Sequence[JointModel], arm: Arm
 ) -> dict[tuple[str, int | None], float]:
-    """Of gears with curves the stiffness that stands for them at the records' amplitude."""
-    found = dict(values)
+    """Values with the equivalent stiffness of nonlinear gears at the records' amplitude."""
+    linear_values = dict(values)
     for joint in joints:
         key = (STIFFNESS, joint.joint)
-        if key not in found or arm.joints[joint.joint - 1].law.is_curved:
-            found[key] = joint.values[STIFFNESS]
-    return found
+        if key not in linear_values or arm.joints[joint.joint - 1].law.is_curved:
+            linear_values[key] = joint.values[STIFFNESS]
+    return linear_values
