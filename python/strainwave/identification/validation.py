@@ -1,4 +1,4 @@
-"""Model and a record -> Prediction: what its torques, or its motion, should have been."""
+"""Predict the torques or the motion of a record with a fitted model, and compare."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from strainwave.identification.whole_arm.parametrisation import COULOMB
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _MIN_PERIODS = 2.5
-"""Periods of the low-pass in a record: its edges take one at either end."""
+"""Minimum number of periods of the low-pass in a record; each edge takes one."""
 
 _STIFFER = 1.2
-"""Stiffness for the question whether a record shows any: an error that validation should see."""
+"""Factor on the stiffness that validation should detect, to test the effect of the stiffness."""
 
 MAX_ERROR = 0.1
-"""Share of a channel's motion that a prediction may be wrong by whatever explains it: less matters
-to no use of the model."""
+"""Maximum RMS error of a prediction, as a share of the channel's motion. Smaller errors are
+accepted whatever their cause."""
 
 MIN_MOTION = 0.25
-"""Share of its largest motion in a fitted record that a channel counts as moving at least: at
-standstill friction decides over any small motion."""
+"""Minimum motion of a channel, as a share of its largest motion in a fitted record. At standstill,
+friction determines any small motion."""
 
 MAX_UNEXPLAINED = 3.0
-"""Standard deviations of all that explains a prediction's error, beyond which none of it does."""
+"""Error above which a prediction is unexplained, in standard deviations of all known causes."""
 
 FRICTION_VARIATION = 0.05
-"""Share by which a good drive's Coulomb friction differs between records, by temperature and
+"""Relative change of Coulomb friction between records of a good drive, due to temperature and
 position."""
 
-_N_DRAWS = 6  # of the parameters by their covariance: their spread to a third of itself
+_N_DRAWS = 6  # samples of the parameters; their standard deviation is accurate to about a third
 
 
 @dataclass(frozen=True, slots=True)
 class _Usual:
-    """What fitted records show of one channel."""
+    """Typical motion and residual of one channel in the fitted records."""
 
-    motion: float  # the largest standard deviation of its signal
-    error: float  # and of its residuals
+    motion: float  # largest standard deviation of the signal
+    error: float  # largest standard deviation of the residual
 
 
 def _unexplained(
@@ -55,59 +55,49 @@ def _unexplained(
     usual: Mapping[str, _Usual],
     varied: Callable[[], Iterator[FloatArray]],
 ) -> Mapping[str, float]:
-    """Errors of channels that are not predicted, over what explains them.
+    """Channels that the model does not predict, with the ratio of error to explained error.
 
-    Two conditions: the error is a large share of the channel's motion, and it is beyond the
-    sensor's noise, (n_channels,), the residuals of fitted records and what friction and the
-    parameters' covariance make of the prediction. `varied` yields changes of it, each of which is
-    one independent standard deviation, (n_samples, n_channels); it is asked only if the rest does
-    not explain an error.
+    A channel is listed under two conditions. Its error is a large share of its motion, and it
+    exceeds the error explained by sensor noise (n_channels,), by the residuals of the fitted
+    records, and by changes of friction and parameters. `varied` yields the changes of the
+    prediction (n_samples, n_channels), each for one independent standard deviation. It is evaluated
+    only if the other causes do not explain an error.
     """
     error = np.sqrt(np.mean((prediction.measured - prediction.predicted) ** 2, axis=0))
-    nothing = _Usual(0.0, 0.0)
-    known = [usual.get(name, nothing) for name in prediction.channels]
+    no_motion = _Usual(0.0, 0.0)
+    typical = [usual.get(name, no_motion) for name in prediction.channels]
     motion = np.maximum(
-        np.std(prediction.measured, axis=0), MIN_MOTION * np.array([each.motion for each in known])
+        np.std(prediction.measured, axis=0),
+        MIN_MOTION * np.array([each.motion for each in typical]),
     )
     moves = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
-    explained = noise**2 + np.array([each.error for each in known]) ** 2
-    large = moves & (error > MAX_ERROR * motion)
-    if not np.any(large & (error > MAX_UNEXPLAINED * np.sqrt(explained))):
+    explained = noise**2 + np.array([each.error for each in typical]) ** 2
+    is_large = moves & (error > MAX_ERROR * motion)
+    if not np.any(is_large & (error > MAX_UNEXPLAINED * np.sqrt(explained))):
         return {}
     for change in varied():
         explained = explained + np.mean(change**2, axis=0)
     ratio = np.divide(error, np.sqrt(explained), out=np.zeros_like(error), where=explained > 0.0)
-    at = np.flatnonzero(large & (ratio > MAX_UNEXPLAINED))
-    return {prediction.channels[k]: float(ratio[k]) for k in at}
+    unexplained = np.flatnonzero(is_large & (ratio > MAX_UNEXPLAINED))
+    return {prediction.channels[k]: float(ratio[k]) for k in unexplained}
 
 
 def predict_rigid(
     model: RigidModel, signals: Signals, arm: Arm, fitted: Sequence[Prediction] = ()
 ) -> Prediction:
-    """Predict a record's drive signals from its motion with the rigid model.
+    """Predict the drive signals of a record from its measured motion with the rigid model.
 
-    The motion is the record's own, measured; only the torques are predicted. `fit_percent` is that
-    within the model's bandwidth, which is as far as a rigid model claims to hold;
-    `unfiltered_fit_percent` compares with the torques as logged, noise and vibration included.
-    Both are NaN for a motor that stands for most of the record. Where a motor stands for a while,
-    the model predicts a set of torques, and the member next to the measured one is returned.
+    Channels are as logged, torques or voltages. `fit_percent` is the fit within the model's
+    bandwidth, where a rigid model is valid. `unfiltered_fit_percent` compares with the logged
+    signals, including noise and vibration. Both are NaN for a motor that does not move in most of
+    the record. During stiction the model predicts an interval of torques, and the value nearest to
+    the measured torque is returned.
 
-    Parameters
-    ----------
-    model : RigidModel
-    signals : Signals
-        From `signals.motor_side`.
-    arm : Arm
+    `signals` is from `signals.motor_side`. With predictions of the fitted records in `fitted`,
+    `unexplained` lists the channels that the model does not predict.
 
-    Returns
-    -------
-    Prediction
-        Channels as logged: torques, or voltages where those were logged.
-
-    Raises
-    ------
-    NotIdentifiable
-        The model has no determined parameter at all, or the record is shorter than its filter.
+    Raises `NotIdentifiable` if the model has no identified parameter or the record is shorter than
+    the filter.
     """
     if model.status == "not-identifiable":
         raise NotIdentifiable("a rigid model without a single known parameter predicts nothing")
@@ -152,24 +142,24 @@ def predict_rigid(
             )
             yield (other.predicted - band.predicted) / per_channel
 
-    usual = {
+    typical = {
         name: _Usual(
             max(float(np.std(each.measured[:, k])) for each in fitted),
             max(float(np.std(each.measured[:, k] - each.predicted[:, k])) for each in fitted),
         )
         for k, name in enumerate(names if fitted else ())
     }
-    errors = _unexplained(prediction, np.zeros(len(names)), usual, varied) if fitted else {}
+    errors = _unexplained(prediction, np.zeros(len(names)), typical, varied) if fitted else {}
     return replace(prediction, unexplained=errors)
 
 
 def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
-    """The model's solution with other friction, and with errors of its covariance."""
+    """Solutions with changed friction, and with samples of the parameter covariance."""
     for k, p in enumerate(model.parameters):
         if p.name == COULOMB:
-            other = model.solution.copy()
-            other[k] *= 1.0 + FRICTION_VARIATION
-            yield other
+            solution = model.solution.copy()
+            solution[k] *= 1.0 + FRICTION_VARIATION
+            yield solution
     covariance = np.nan_to_num(model.covariance, nan=0.0, posinf=0.0)
     rng = np.random.default_rng(0)
     for draw in rng.multivariate_normal(np.zeros(len(covariance)), covariance, _N_DRAWS):
@@ -177,87 +167,96 @@ def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
 
 
 def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
-    """Predict a record's motion with the whole arm, by simulating it under its servo.
+    """Predict the motion of a record with the whole arm by a simulation with its servo.
 
-    The channels are motor velocities and, where there are accelerometers, accelerations. The fit of
-    a channel whose signal hardly exceeds its noise is NaN, and a warning says so.
-    `stiffness_effect` says whether the record exercises each elastic gear, `unexplained` which
-    channels the model does not predict. Raises InvalidInput if the log or the study lacks something
-    that simulating it needs.
+    The channels are motor velocities and, with accelerometers, accelerations. The fit of a channel
+    that hardly exceeds its noise is NaN, with a warning. `stiffness_effect` reports whether the
+    record excites each elastic gear; `unexplained` lists the channels that the model does not
+    predict. Raises `InvalidInput` if the log or the study lacks data that the simulation needs.
     """
     values, observed = dict(model.values), observe(log, arm)
     motion = observed.simulated(as_known(arm, values), values)
     prediction = prediction_of(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
-    usual, noise = _usual(model), observed.noise
+    typical, noise = _usual(model), observed.noise
 
     def varied() -> Iterator[FloatArray]:
         for other in _variations(model):
             try:
                 yield observed.simulated(as_known(arm, other), other) - motion
-            except (InvalidInput, NumericalFailure):  # no arm can be so
+            except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
-    errors = _unexplained(prediction, noise, usual, varied)
-    servo = bool(errors) and not _unexplained(
-        _by_voltage(observed, values, arm), noise, usual, varied
+    errors = _unexplained(prediction, noise, typical, varied)
+    is_servo_at_fault = bool(errors) and not _unexplained(
+        _by_voltage(observed, values, arm), noise, typical, varied
     )
     return replace(
-        prediction, stiffness_effect=effects, unexplained=errors, is_servo_at_fault=servo
+        prediction,
+        stiffness_effect=effects,
+        unexplained=errors,
+        is_servo_at_fault=is_servo_at_fault,
     )
 
 
 def _by_voltage(observed: Observed, values: Values, arm: Arm) -> Prediction:
-    """The same prediction with the recorded voltages in place of the servo."""
+    """The same prediction with the recorded voltages instead of the servo."""
     driven, drive = driven_by_voltage(arm, observed.log)
-    other = replace(observed, drive=drive)
-    return prediction_of(other, other.simulated(as_known(driven, values), values))
+    driven_observation = replace(observed, drive=drive)
+    return prediction_of(
+        driven_observation, driven_observation.simulated(as_known(driven, values), values)
+    )
 
 
 def _usual(model: ArmModel) -> Mapping[str, _Usual]:
-    """Largest motion and residual of each channel in the records of the fit."""
-    usual: dict[str, _Usual] = {}
+    """Largest motion and residual of each channel in the fitted records."""
+    typical: dict[str, _Usual] = {}
     for test in model.criticism.residuals if model.criticism else ():
         fit = model.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
-        spread = test.deviation / (1.0 - 0.01 * fit) if fit < 100.0 else 0.0
-        known = usual.get(test.channel, _Usual(0.0, 0.0))
-        usual[test.channel] = _Usual(max(known.motion, spread), max(known.error, test.deviation))
-    return usual
+        motion = test.deviation / (1.0 - 0.01 * fit) if fit < 100.0 else 0.0
+        previous = typical.get(test.channel, _Usual(0.0, 0.0))
+        typical[test.channel] = _Usual(
+            max(previous.motion, motion), max(previous.error, test.deviation)
+        )
+    return typical
 
 
 def _variations(model: ArmModel) -> Iterator[Values]:
-    """The model's values with other friction, and with errors of its covariance."""
+    """Values with changed friction, and with samples of the parameter covariance."""
     values = dict(model.values)
     for key, value in values.items():
         if key[0] == COULOMB:
             yield {**values, key: value * (1.0 + FRICTION_VARIATION)}
-    own = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
-    covariance = model.covariance[np.ix_(own, own)]
+    indices = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
+    covariance = model.covariance[np.ix_(indices, indices)]
     rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(np.zeros(len(own)), covariance, _N_DRAWS, check_valid="ignore")
+    draws = rng.multivariate_normal(
+        np.zeros(len(indices)), covariance, _N_DRAWS, check_valid="ignore"
+    )
     for draw in draws / math.sqrt(_N_DRAWS):
-        other = dict(values)
-        for k, change in zip(own, draw.tolist(), strict=True):
+        changed = dict(values)
+        for k, change in zip(indices, draw.tolist(), strict=True):
             p = model.parameters[k]
-            other[p.name, p.joint] += change
-        yield other
+            changed[p.name, p.joint] += change
+        yield changed
 
 
 def _stiffness_effect(
     prediction: Prediction, observed: Observed, joint: int, values: Values, arm: Arm
 ) -> float:
-    """Largest change of a channel by a fifth more stiffness of one gear, in its spreads.
+    """Largest relative change of a channel for 20 % more stiffness of one gear.
 
-    A motion too slow to load a gear is predicted as well with any stiffness: it says nothing of
-    the elastic model.
+    The change is relative to the standard deviation of the channel. If the motion is too slow to
+    load the gear, any stiffness predicts it equally well, and the record does not validate the
+    elastic model.
     """
     stiffer = {
         (name, number): value * (_STIFFER if number == joint and "stiffness" in name else 1.0)
         for (name, number), value in values.items()
     }
-    other = observed.simulated(as_known(arm, stiffer), stiffer)
-    judged = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
-    change = np.sqrt(np.mean((other - prediction.predicted) ** 2, axis=0))
-    spread = np.std(prediction.measured, axis=0)
-    return float(np.max(change[judged] / spread[judged], initial=0.0))
+    stiffer_motion = observed.simulated(as_known(arm, stiffer), stiffer)
+    has_fit = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
+    change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
+    motion_std = np.std(prediction.measured, axis=0)
+    return float(np.max(change[has_fit] / motion_std[has_fit], initial=0.0))
