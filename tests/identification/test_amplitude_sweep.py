@@ -1,4 +1,4 @@
-"""Amplitude sweeps: the verdict follows from the slope and its standard error."""
+"""Amplitude sweeps: the trend follows from the slope and its standard error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ EMPTY: FloatArray = np.zeros((0, 2))
 def record(
     amplitude: float, hz: float, std: float, *, servoed: bool = False, use: Use = "sweep"
 ) -> RecordModel:
-    """A record whose joint 1 has its anti-resonance at `hz`."""
+    """Record in which the anti-resonance of joint 1 is at `hz`."""
     experiment = Experiment(
         f"{amplitude:g} V",
         "x.csv",
@@ -69,11 +69,11 @@ def record(
 
 
 def test_a_hardening_spring() -> None:
-    (found,) = sweep.sweeps([record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)])
-    assert found.joint == 1
-    assert [point.amplitude for point in found.points] == [2.0, 4.0, 6.0, 8.0]
-    assert found.verdict == "hardening"
-    for point in found.points:
+    (result,) = sweep.sweeps([record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)])
+    assert result.joint == 1
+    assert [point.amplitude for point in result.points] == [2.0, 4.0, 6.0, 8.0]
+    assert result.verdict == "hardening"
+    for point in result.points:
         w = 2.0 * np.pi * (10.0 + 0.3 * point.amplitude)
         assert point.squared_anti_resonance == pytest.approx(w**2)
         assert point.squared_anti_resonance_std == pytest.approx(2.0 * w * 2.0 * np.pi * 0.05)
@@ -82,15 +82,15 @@ def test_a_hardening_spring() -> None:
 
 
 def test_the_slope_of_a_line_and_its_standard_error() -> None:
-    """Squared anti-resonance 4000 + 100 a: the slope and the standard error of a weighted line."""
+    """Squared anti-resonance 4000 + 100 a: slope and standard error of a weighted line."""
     amplitudes = np.array([2.0, 4.0, 6.0, 8.0])
     squared = 4000.0 + 100.0 * amplitudes
     hz = np.sqrt(squared) / (2.0 * np.pi)
     # the standard deviation of the squared anti-resonance is 10 at every amplitude
     std = 10.0 / (2.0 * np.sqrt(squared) * 2.0 * np.pi)
-    (found,) = sweep.sweeps([record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)])
-    assert found.slope == pytest.approx(100.0)
-    assert found.slope_std == pytest.approx(10.0 / np.sqrt(np.sum((amplitudes - 5.0) ** 2)))
+    (result,) = sweep.sweeps([record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)])
+    assert result.slope == pytest.approx(100.0)
+    assert result.slope_std == pytest.approx(10.0 / np.sqrt(np.sum((amplitudes - 5.0) ** 2)))
 
 
 def test_a_linear_spring_has_no_trend() -> None:
@@ -107,14 +107,14 @@ def test_a_softening_spring() -> None:
 def test_two_amplitudes_are_no_sweep_and_servoed_records_are_left_out() -> None:
     two = [record(2.0, 12.0, 0.1), record(4.0, 13.0, 0.1)]
     assert sweep.sweeps(two) == ()
-    held = record(10.0, 14.0, 0.1, servoed=True, use="frequency")
-    assert sweep.sweeps([*two, held]) == ()
-    free = record(10.0, 14.0, 0.1, use="frequency")
-    assert len(sweep.sweeps([*two, free])[0].points) == 3
+    servoed = record(10.0, 14.0, 0.1, servoed=True, use="frequency")
+    assert sweep.sweeps([*two, servoed]) == ()
+    open_loop = record(10.0, 14.0, 0.1, use="frequency")
+    assert len(sweep.sweeps([*two, open_loop])[0].points) == 3
 
 
 def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
-    """A stiffness that saturates has a trend, although the points lie far from a line."""
+    """A saturating stiffness has a trend, although the points are far from a line."""
     records = [
         record(a, hz, 0.01) for a, hz in ((2.0, 10.0), (3.0, 11.6), (4.0, 12.0), (10.0, 12.2))
     ]
@@ -124,8 +124,8 @@ def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
     std = np.array([point.squared_anti_resonance_std for point in result.points])
     line = np.polyfit(x, y, 1, w=1.0 / std)
     scatter = np.sum(((y - np.polyval(line, x)) / std) ** 2) / 2.0
-    about_a_line = result.slope_std * np.sqrt(scatter)
-    assert abs(result.slope) < 3.0 * about_a_line  # scatter about a line hides the trend
+    std_about_line = result.slope_std * np.sqrt(scatter)
+    assert abs(result.slope) < 3.0 * std_about_line  # the scatter about a line hides the trend
     assert result.verdict == "hardening"
 
 

@@ -1,4 +1,4 @@
-"""Interaction torques: each joint alone is a two-inertia system."""
+"""Decoupling: with the interaction torque, each joint is a two-inertia system."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def torques(study: Study, model: RigidModel, run: Trajectory) -> FloatArray:
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None:
-    """m_L ddq = T + D_G ddelta - d_L dq + tau, with the true quantities, to rounding."""
+    """m_L ddq = T + D_G ddelta - d_L dq + tau holds to rounding for the true quantities."""
     study, run = run_of(gravity)
     values = rig_values(study)
     tau = torques(study, true_model(study, values), run)
@@ -52,10 +52,10 @@ def test_alpha_cancels() -> None:
     study, run = run_of(None)
     base = interaction.base_parameters(true_model(study, rig_values(study)), Arm.of(study.arm))
     motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
-    other = base.copy()
-    other[0] += 7.0
+    changed = base.copy()
+    changed[0] += 7.0
     first, second = (
-        interaction.interaction_torques(Arm.of(study.arm), b, *motion) for b in (base, other)
+        interaction.interaction_torques(Arm.of(study.arm), b, *motion) for b in (base, changed)
     )
     assert first == pytest.approx(second, abs=1e-10 * np.abs(first).max())
 
@@ -83,39 +83,41 @@ def test_the_closed_form_of_a_two_link_arm() -> None:
 @cache
 def decoupled(gravity: float | None = None, both: bool = False) -> tuple[Decoupled, ...]:
     study, run = run_of(gravity, both)
-    seen = links.link_side(log_of(run, seed=2), Arm.of(study.arm))
-    return decoupling.decouple(seen, true_model(study, rig_values(study)), Arm.of(study.arm))
+    link_signals = links.link_side(log_of(run, seed=2), Arm.of(study.arm))
+    return decoupling.decouple(
+        link_signals, true_model(study, rig_values(study)), Arm.of(study.arm)
+    )
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_inputs_explain_the_motor_and_the_link(gravity: float | None) -> None:
-    """Both equations of the two inertias, in the motors' sum, from noisy sensors:
+    """The sum of motor and link equation holds for noisy sensors, on the motor side:
 
-    m_M ddtheta_M + n m_L ddq + d_M dtheta_M + n d_L dq = u + n tau.
+    m_M ddtheta_M + n m_L ddq + d_M dtheta_M + n d_L dq = u + n tau
     """
     study, _ = run_of(gravity)
     values = rig_values(study)
-    for one in decoupled(gravity):
-        n = study.arm.joints[one.joint - 1].gear_ratio
-        motor_inertia = values["motor_inertia", one.joint]
-        assert one.total_inertia is not None
-        link_inertia = (one.total_inertia - motor_inertia) / n**2
-        # momenta, so that no velocity needs differentiating
-        momentum = one.outputs @ np.array([motor_inertia, n * link_inertia])
+    for joint in decoupled(gravity):
+        n = study.arm.joints[joint.joint - 1].gear_ratio
+        motor_inertia = values["motor_inertia", joint.joint]
+        assert joint.total_inertia is not None
+        link_inertia = (joint.total_inertia - motor_inertia) / n**2
+        # momenta require no derivative of velocities
+        momentum = joint.outputs @ np.array([motor_inertia, n * link_inertia])
         viscous = np.array(
             [
-                values["motor_viscous_friction", one.joint],
-                n * values["link_viscous_friction", one.joint],
+                values["motor_viscous_friction", joint.joint],
+                n * values["link_viscous_friction", joint.joint],
             ]
         )
-        force = one.inputs @ np.array([1.0, n]) - one.outputs @ viscous
-        gained = np.cumsum(force) * one.sample_time
+        force = joint.inputs @ np.array([1.0, n]) - joint.outputs @ viscous
+        impulse = np.cumsum(force) * joint.sample_time
         inner = slice(400, 8000)
-        line = np.polynomial.Polynomial.fit(one.time[inner], (momentum - gained)[inner], 1)
-        left = (momentum - gained)[inner] - line(one.time[inner])
-        # one count of the encoder is 3 rad/s between two samples, a tenth of the motor's share
-        moved = momentum[inner].std() + motor_inertia * 3.0
-        assert left.std() < (0.05 if one.joint == 1 else 0.12) * moved, one.joint
+        line = np.polynomial.Polynomial.fit(joint.time[inner], (momentum - impulse)[inner], 1)
+        residual = (momentum - impulse)[inner] - line(joint.time[inner])
+        # one encoder count is 3 rad/s between two samples, a tenth of the motor's part
+        momentum_scale = momentum[inner].std() + motor_inertia * 3.0
+        assert residual.std() < (0.05 if joint.joint == 1 else 0.12) * momentum_scale, joint.joint
 
 
 def test_the_record_says_what_a_model_must_know() -> None:
@@ -123,8 +125,8 @@ def test_the_record_says_what_a_model_must_know() -> None:
     values = rig_values(study)
     first, second = decoupled()
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
-    whole = values["motor_inertia", 1] + 1e-4 * (alpha + beta + 2.0 * gamma)
-    assert first.total_inertia == pytest.approx(whole)
+    total_inertia = values["motor_inertia", 1] + 1e-4 * (alpha + beta + 2.0 * gamma)
+    assert first.total_inertia == pytest.approx(total_inertia)
     assert second.total_inertia == pytest.approx(values["motor_inertia", 2] + 1e-4 * beta)
     assert first.total_viscous_friction == pytest.approx(2.5e-4)
     assert first.inputs.shape == first.outputs.shape
@@ -154,30 +156,32 @@ def test_checks_have_verdicts() -> None:
 
 
 def test_two_sequences_show_more_than_one() -> None:
-    alone, together = (np.median(decoupled(None, both)[0].richness) for both in (False, True))
-    assert together > 10.0 * alone
+    single_richness, joint_richness = (
+        np.median(decoupled(None, both)[0].richness) for both in (False, True)
+    )
+    assert joint_richness > 10.0 * single_richness
 
 
 def test_a_band_may_be_set() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), Arm.of(study.arm))
+    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
     model = true_model(study, rig_values(study))
-    found = decoupling.decouple(
-        seen, model, Arm.of(study.arm), decoupling.DecouplingOptions((8.0, 25.0))
+    joints = decoupling.decouple(
+        link_signals, model, Arm.of(study.arm), decoupling.DecouplingOptions((8.0, 25.0))
     )
-    assert found[0].richness_hz[0] >= 8.0
-    assert found[0].richness_hz[-1] <= 25.0
+    assert joints[0].richness_hz[0] >= 8.0
+    assert joints[0].richness_hz[-1] <= 25.0
 
 
 def test_much_swing_is_reported() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), Arm.of(study.arm))
-    swing = seen.link_angle.copy()
+    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
+    swing = link_signals.link_angle.copy()
     swing[:, 1] += np.linspace(0.0, 2.0, len(swing))
     model = true_model(study, rig_values(study))
-    found = decoupling.decouple(replace(seen, link_angle=swing), model, Arm.of(study.arm))
-    assert "constant-inertia" in {w.code for w in found[0].warnings}
-    assert all(c.passed for c in found[1].checks if c.name == "constant-inertia")
+    joints = decoupling.decouple(replace(link_signals, link_angle=swing), model, Arm.of(study.arm))
+    assert "constant-inertia" in {w.code for w in joints[0].warnings}
+    assert all(c.passed for c in joints[1].checks if c.name == "constant-inertia")
 
 
 @pytest.mark.parametrize(("gravity", "inputs"), [(None, 1), (9.81, 2)])
@@ -188,9 +192,9 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
     two_link = rig()
     study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
     run = prbs_run(two_link)
-    seen = links.link_side(log_of(run), Arm.of(two_link.arm))
-    one = {
-        name: getattr(seen, name)[:, :1]
+    sensor_signals = links.link_side(log_of(run), Arm.of(two_link.arm))
+    columns = {
+        name: getattr(sensor_signals, name)[:, :1]
         for name in (
             "motor_torque",
             "motor_angle",
@@ -202,7 +206,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
             "valid",
         )
     }
-    seen = replace(seen, **one, held=(False,), fusion=(None,))
+    sensor_signals = replace(sensor_signals, **columns, held=(False,), fusion=(None,))
     model = true_model(two_link, rig_values(two_link))
     parameters = tuple(
         replace(model.parameters[0], name=name, joint=number, value=value)
@@ -214,28 +218,32 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
             ("friction_offset", 1, 0.01),
         )
     )
-    (found,) = decoupling.decouple(seen, replace(model, parameters=parameters), Arm.of(study.arm))
-    assert found.inputs.shape[1] == inputs
-    assert found.total_inertia == pytest.approx(0.2)
-    assert found.gear_ratio == 0.5
+    (decoupled_joint,) = decoupling.decouple(
+        sensor_signals, replace(model, parameters=parameters), Arm.of(study.arm)
+    )
+    assert decoupled_joint.inputs.shape[1] == inputs
+    assert decoupled_joint.total_inertia == pytest.approx(0.2)
+    assert decoupled_joint.gear_ratio == 0.5
     if gravity is not None:
-        assert found.inputs[:, 1] == pytest.approx(-3.0 * np.cos(seen.link_angle[:, 0]))
-    friction = seen.motor_torque[:, 0] - found.inputs[:, 0]
-    assert friction == pytest.approx(0.05 * seen.direction[:, 0] + 0.01)
+        assert decoupled_joint.inputs[:, 1] == pytest.approx(
+            -3.0 * np.cos(sensor_signals.link_angle[:, 0])
+        )
+    friction = sensor_signals.motor_torque[:, 0] - decoupled_joint.inputs[:, 0]
+    assert friction == pytest.approx(0.05 * sensor_signals.direction[:, 0] + 0.01)
 
 
 def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
     study, run = run_of(None)
-    seen = links.link_side(log_of(run), Arm.of(study.arm))
+    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match="rigid model"):
-        decoupling.decouple(seen, None, Arm.of(study.arm))
+        decoupling.decouple(link_signals, None, Arm.of(study.arm))
 
 
 def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    seen = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
-    (found,) = decoupling.decouple(seen, None, Arm.of(study.arm))
-    assert found.inputs == pytest.approx(seen.motor_torque)
+    link_signals = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    (found,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
+    assert found.inputs == pytest.approx(link_signals.motor_torque)
     assert found.total_inertia is None
     assert found.total_viscous_friction is None
 
@@ -258,11 +266,11 @@ def test_lab_records_pass_their_checks(shared_data: Path) -> None:
     model = rigid.fit(
         [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
     )
-    found = decoupling.decouple(
+    joints = decoupling.decouple(
         links.link_side(read_log(study, named["prbs-j1"]), Arm.of(study.arm)),
         model,
         Arm.of(study.arm),
     )
-    assert all(check.passed for check in found[0].checks)
-    # 1.5e-4 + 1e-4 * 3.82895 of truth.json
-    assert found[0].total_inertia == pytest.approx(5.32895e-4, rel=2e-3)
+    assert all(check.passed for check in joints[0].checks)
+    # 1.5e-4 + 1e-4 * 3.82895 from truth.json
+    assert joints[0].total_inertia == pytest.approx(5.32895e-4, rel=2e-3)

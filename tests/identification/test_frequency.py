@@ -1,4 +1,4 @@
-"""Frequency responses of known systems, their noise and distortion, and their resonances."""
+"""Frequency responses of known systems, with noise, distortion and resonances."""
 
 from __future__ import annotations
 
@@ -41,22 +41,24 @@ def noisy_periods(
 
 
 def test_whole_periods_give_the_exact_response() -> None:
-    found = frequency.by_periods([noisy_periods(0, 0.0)], 1.0, PERIOD, 1)
-    # the rest of the start after one period is 0.7^500
-    assert found.response[:, 0, 0] == pytest.approx(true_response(found.frequencies_hz), abs=1e-9)
-    assert found.coherence == pytest.approx(1.0)
-    assert found.n_averages == 5
-    assert found.distortion_variance is None
+    estimate = frequency.by_periods([noisy_periods(0, 0.0)], 1.0, PERIOD, 1)
+    # after one period, the transient is 0.7^500
+    assert estimate.response[:, 0, 0] == pytest.approx(
+        true_response(estimate.frequencies_hz), abs=1e-9
+    )
+    assert estimate.coherence == pytest.approx(1.0)
+    assert estimate.n_averages == 5
+    assert estimate.distortion_variance is None
 
 
 def test_the_noise_variance_is_that_of_the_errors() -> None:
     squares = []
     for seed in range(30):
-        found = frequency.by_periods([noisy_periods(seed, 0.05)], 1.0, PERIOD, 1)
-        error = np.abs(found.response[:, 0, 0] - true_response(found.frequencies_hz)) ** 2
-        assert found.noise_variance is not None
-        squares.append(np.median(error / found.noise_variance[:, 0, 0]))
-    # |error|^2 over an estimate with 2 x 4 degrees of freedom: F(2, 8), of median 0.757
+        estimate = frequency.by_periods([noisy_periods(seed, 0.05)], 1.0, PERIOD, 1)
+        error = np.abs(estimate.response[:, 0, 0] - true_response(estimate.frequencies_hz)) ** 2
+        assert estimate.noise_variance is not None
+        squares.append(np.median(error / estimate.noise_variance[:, 0, 0]))
+    # |error|^2 / variance estimate with 2 x 4 degrees of freedom is F(2, 8), with median 0.757
     assert np.mean(squares) == pytest.approx(0.757, rel=0.1)
 
 
@@ -67,23 +69,26 @@ def test_two_inputs_come_apart_over_two_records() -> None:
         u = np.tile(rng.normal(size=(PERIOD, 2)), (3, 1))
         y = np.column_stack([lfilter(B, A, u[:, 0]) + 3.0 * u[:, 1], u[:, 1] - u[:, 0]])
         pairs.append((u, y))
-    found = frequency.by_periods(pairs, 1.0, PERIOD, 1)
-    truth = true_response(found.frequencies_hz)
-    assert found.response[:, 0, 0] == pytest.approx(truth, abs=1e-7)
-    assert found.response[:, 0, 1] == pytest.approx(3.0, abs=1e-7)
-    assert found.response[:, 1] == pytest.approx(np.tile([-1.0, 1.0], (len(truth), 1)), abs=1e-7)
+    estimate = frequency.by_periods(pairs, 1.0, PERIOD, 1)
+    truth = true_response(estimate.frequencies_hz)
+    assert estimate.response[:, 0, 0] == pytest.approx(truth, abs=1e-7)
+    assert estimate.response[:, 0, 1] == pytest.approx(3.0, abs=1e-7)
+    assert estimate.response[:, 1] == pytest.approx(np.tile([-1.0, 1.0], (len(truth), 1)), abs=1e-7)
 
 
 def test_distortion_is_what_records_differ_by_beyond_noise() -> None:
-    same = frequency.by_periods([noisy_periods(k, 0.05) for k in range(6)], 1.0, PERIOD, 1)
+    linear = frequency.by_periods([noisy_periods(k, 0.05) for k in range(6)], 1.0, PERIOD, 1)
     scales = 1.0 + 0.2 * np.array([-1.0, -0.6, -0.2, 0.2, 0.6, 1.0])
     pairs = [noisy_periods(k, 0.05, scale=float(s)) for k, s in enumerate(scales)]
-    other = frequency.by_periods(pairs, 1.0, PERIOD, 1)
-    assert same.distortion_variance is not None
-    assert other.distortion_variance is not None
-    relative = other.distortion_variance[:, 0, 0] / np.abs(true_response(other.frequencies_hz)) ** 2
+    nonlinear = frequency.by_periods(pairs, 1.0, PERIOD, 1)
+    assert linear.distortion_variance is not None
+    assert nonlinear.distortion_variance is not None
+    relative = (
+        nonlinear.distortion_variance[:, 0, 0]
+        / np.abs(true_response(nonlinear.frequencies_hz)) ** 2
+    )
     assert np.median(relative) == pytest.approx(np.var(scales, ddof=1), rel=0.5)
-    assert np.median(same.distortion_variance) < 0.1 * np.median(other.distortion_variance)
+    assert np.median(linear.distortion_variance) < 0.1 * np.median(nonlinear.distortion_variance)
 
 
 # --- Welch ------------------------------------------------------------------------------------
@@ -94,15 +99,15 @@ def test_welch_comes_near_with_the_coherence_the_noise_leaves() -> None:
     u = rng.normal(size=(60000, 2))
     clean = lfilter(B, A, u[:, 0]) + 0.5 * u[:, 1]
     y = clean + 0.3 * rng.normal(size=len(u))
-    found = frequency.by_welch([(u, y[:, None])], 1.0, 512)
-    truth = true_response(found.frequencies_hz)
-    error = np.abs(found.response[:, 0, 0] - truth) ** 2
-    assert found.noise_variance is not None
-    assert np.mean(error / found.noise_variance[:, 0, 0]) == pytest.approx(1.0, rel=0.25)
-    share = (np.abs(truth) ** 2 + 0.25) / (np.abs(truth) ** 2 + 0.25 + 0.09)
-    assert found.coherence is not None
-    assert found.coherence[:, 0] == pytest.approx(share, abs=0.1)
-    assert found.method == "welch"
+    estimate = frequency.by_welch([(u, y[:, None])], 1.0, 512)
+    truth = true_response(estimate.frequencies_hz)
+    error = np.abs(estimate.response[:, 0, 0] - truth) ** 2
+    assert estimate.noise_variance is not None
+    assert np.mean(error / estimate.noise_variance[:, 0, 0]) == pytest.approx(1.0, rel=0.25)
+    expected_coherence = (np.abs(truth) ** 2 + 0.25) / (np.abs(truth) ** 2 + 0.25 + 0.09)
+    assert estimate.coherence is not None
+    assert estimate.coherence[:, 0] == pytest.approx(expected_coherence, abs=0.1)
+    assert estimate.method == "welch"
 
 
 # --- resonances -------------------------------------------------------------------------------
@@ -118,27 +123,26 @@ def two_inertias(f: FloatArray) -> ComplexArray:
 
 def test_resonances_of_a_known_joint_to_rounding() -> None:
     f = np.arange(1.0, 80.0, 0.25)
-    found = frequency.resonance(f, two_inertias(f))
-    whole = 1.5e-4 + 3.829e-4
+    estimate = frequency.resonance(f, two_inertias(f))
+    total_inertia = 1.5e-4 + 3.829e-4
     anti = np.sqrt(25000.0 / 3.829)
-    assert found.anti_resonance_hz == pytest.approx(anti / (2.0 * np.pi), rel=1e-9)
-    assert found.anti_resonance_damping == pytest.approx(20.0 / (2.0 * 3.829 * anti), rel=1e-7)
-    ratio = found.resonance_hz / found.anti_resonance_hz
-    assert ratio == pytest.approx(np.sqrt(whole / 1.5e-4), rel=1e-3)  # d_M moves it a little
+    assert estimate.anti_resonance_hz == pytest.approx(anti / (2.0 * np.pi), rel=1e-9)
+    assert estimate.anti_resonance_damping == pytest.approx(20.0 / (2.0 * 3.829 * anti), rel=1e-7)
+    ratio = estimate.resonance_hz / estimate.anti_resonance_hz
+    # D_M changes it slightly.
+    assert ratio == pytest.approx(np.sqrt(total_inertia / 1.5e-4), rel=1e-3)
 
 
 def test_noise_and_weights_move_a_resonance_little() -> None:
     f = np.arange(1.0, 80.0, 0.5)
     truth = two_inertias(f)
     rng = np.random.default_rng(0)
-    deviation = 0.02 * np.median(np.abs(truth)) * np.ones(len(f))
-    noise = deviation * (rng.normal(size=len(f)) + 1j * rng.normal(size=len(f))) / np.sqrt(2.0)
-    found = frequency.resonance(
-        f, np.asarray(truth + noise, dtype=complex), deviation**2, (4.0, 60.0)
-    )
+    std = 0.02 * np.median(np.abs(truth)) * np.ones(len(f))
+    noise = std * (rng.normal(size=len(f)) + 1j * rng.normal(size=len(f))) / np.sqrt(2.0)
+    estimate = frequency.resonance(f, np.asarray(truth + noise, dtype=complex), std**2, (4.0, 60.0))
     exact = frequency.resonance(f, truth)
-    assert found.anti_resonance_hz == pytest.approx(exact.anti_resonance_hz, rel=0.01)
-    assert found.resonance_hz == pytest.approx(exact.resonance_hz, rel=0.01)
+    assert estimate.anti_resonance_hz == pytest.approx(exact.anti_resonance_hz, rel=0.01)
+    assert estimate.resonance_hz == pytest.approx(exact.resonance_hz, rel=0.01)
 
 
 def test_a_flat_response_has_no_resonance() -> None:
@@ -157,28 +161,33 @@ def test_a_flat_response_has_no_resonance() -> None:
 def joint_records(joint: int) -> tuple[Decoupled, ...]:
     study = rig()
     model = true_model(study, rig_values(study))
-    found = []
+    records = []
     for excited in (1, 2):
         run = prbs_run(study, excited)
-        seen = links.link_side(log_of(run, excited, seed=excited), Arm.of(study.arm))
-        found.append(decoupling.decouple(seen, model, Arm.of(study.arm))[joint - 1])
-    return tuple(found)
+        link_signals = links.link_side(log_of(run, excited, seed=excited), Arm.of(study.arm))
+        records.append(decoupling.decouple(link_signals, model, Arm.of(study.arm))[joint - 1])
+    return tuple(records)
 
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_the_decoupled_joint_rings_like_a_two_inertia_system(joint: int) -> None:
-    found = frequency.respond(joint_records(joint))
-    assert found.method == "periods"
-    assert found.noise_variance is not None
-    ringing = frequency.resonance(
-        found.frequencies_hz, found.response[:, 0, 0], found.noise_variance[:, 0, 0], (5.0, 45.0)
+    estimate = frequency.respond(joint_records(joint))
+    assert estimate.method == "periods"
+    assert estimate.noise_variance is not None
+    resonances = frequency.resonance(
+        estimate.frequencies_hz,
+        estimate.response[:, 0, 0],
+        estimate.noise_variance[:, 0, 0],
+        (5.0, 45.0),
     )
     values = rig_values(rig())
     m_L = [3.82895, 0.64425][joint - 1]
     k, m_M = values["gear_stiffness", joint], values["motor_inertia", joint]
     anti = np.sqrt(k / m_L) / (2.0 * np.pi)
-    assert ringing.anti_resonance_hz == pytest.approx(anti, rel=0.01)
-    assert ringing.resonance_hz == pytest.approx(anti * np.sqrt(1.0 + 1e-4 * m_L / m_M), rel=0.02)
+    assert resonances.anti_resonance_hz == pytest.approx(anti, rel=0.01)
+    assert resonances.resonance_hz == pytest.approx(
+        anti * np.sqrt(1.0 + 1e-4 * m_L / m_M), rel=0.02
+    )
 
 
 def test_options_choose_inputs_and_segments() -> None:
@@ -217,17 +226,17 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
     records = []
     for experiment in study.experiments:
         if experiment.use == "frequency":
-            seen = links.link_side(read_log(study, experiment), Arm.of(study.arm))
-            records.append(decoupling.decouple(seen, model, Arm.of(study.arm)))
-    # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) of truth.json, over 2 pi
+            link_signals = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            records.append(decoupling.decouple(link_signals, model, Arm.of(study.arm)))
+    # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) from truth.json, divided by 2 pi
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):
-        found = frequency.respond([r[i] for r in records])
-        assert found.noise_variance is not None
-        ringing = frequency.resonance(
-            found.frequencies_hz,
-            found.response[:, 0, 0],
-            found.noise_variance[:, 0, 0],
+        estimate = frequency.respond([r[i] for r in records])
+        assert estimate.noise_variance is not None
+        resonances = frequency.resonance(
+            estimate.frequencies_hz,
+            estimate.response[:, 0, 0],
+            estimate.noise_variance[:, 0, 0],
             (5.0, 45.0),
         )
-        assert ringing.anti_resonance_hz == pytest.approx(anti, rel=0.01)
-        assert ringing.resonance_hz == pytest.approx(res, rel=0.02)
+        assert resonances.anti_resonance_hz == pytest.approx(anti, rel=0.01)
+        assert resonances.resonance_hz == pytest.approx(res, rel=0.02)

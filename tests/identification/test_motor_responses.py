@@ -1,4 +1,4 @@
-"""The driven motor's response: closed forms of its modes, and the truth beside its own record."""
+"""Response of the driven motor: closed forms of its modes, and the true arm against its record."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _arm_model(values: Values) -> ArmModel:
 
 @pytest.fixture(scope="module")
 def recorded() -> tuple[Study, Values, Log]:
-    """A record of joint 1 with joint 2 free, and the arm that made it."""
+    """Record of joint 1 with motor 2 free, and the arm that produced it."""
     study = rig()
     return study, rig_values(study), log_of(prbs_run(study), seed=1)
 
@@ -49,7 +49,7 @@ def recorded() -> tuple[Study, Values, Log]:
 def test_one_joint_rings_as_in_closed_form(
     ring: float, share: float, inertia: float, ratio: float
 ) -> None:
-    """Zeros sqrt(k / m_L), poles sqrt(k (1 / m_L + n^2 / m_M)), without damping."""
+    """Without damping, zeros are sqrt(k / m_L) and poles sqrt(k (1 / m_L + n^2 / m_M))."""
     joint = Joint(spring="linear", gear_ratio=ratio, torque_per_volt=0.1)
     study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
     link, motor = (1.0 - share) * inertia, share * inertia * ratio**2
@@ -67,7 +67,7 @@ def test_one_joint_rings_as_in_closed_form(
 
 
 def test_modes_of_the_rig_are_those_of_its_linear_motion() -> None:
-    """The coupled modes of the arm with 5 kg: worked out by an independent tool."""
+    """Coupled modes of the arm with 5 kg, computed by an independent tool."""
     study = rig()
     zeros, poles = modes_of_motor(
         rig_values(study), Arm.of(study.arm), np.zeros(2), 1, servoed=False
@@ -77,13 +77,13 @@ def test_modes_of_the_rig_are_those_of_its_linear_motion() -> None:
 
 
 def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
-    """No servo is a free motor, a very stiff one holds it, and both differ."""
+    """Zero gains give a free motor and very high gains a held motor."""
     study = rig()
     assert study.arm.servo is not None
     first = []
     for factor in (0.0, 1.0, 100.0, None):
         servo = study.arm.servo
-        stiffer = (
+        scaled_servo = (
             None
             if factor is None
             else replace(
@@ -94,7 +94,7 @@ def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
         )
         zeros, _ = modes_of_motor(
             rig_values(study),
-            Arm.of(replace(study, arm=replace(study.arm, servo=stiffer)).arm),
+            Arm.of(replace(study, arm=replace(study.arm, servo=scaled_servo)).arm),
             np.zeros(2),
             1,
             servoed=True,
@@ -111,32 +111,36 @@ def test_the_true_arm_answers_as_its_record_and_another_does_not(
     recorded: tuple[Study, Values, Log],
 ) -> None:
     study, values, log = recorded
-    seen = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
+    response = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
     softer = motor_response(
         log,
         _arm_model({**values, ("gear_stiffness", 1): 0.8 * values["gear_stiffness", 1]}),
         (),
         Arm.of(study.arm),
     )
-    ring = (seen.frequencies_hz > 5.0) & (seen.frequencies_hz < 40.0)
+    near_resonance = (response.frequencies_hz > 5.0) & (response.frequencies_hz < 40.0)
 
     def left(fitted: np.ndarray) -> float:
-        apart = np.abs(seen.measured - fitted)[ring] / np.abs(seen.measured[ring])
-        return float(np.median(apart))
+        relative_error = np.abs(response.measured - fitted)[near_resonance] / np.abs(
+            response.measured[near_resonance]
+        )
+        return float(np.median(relative_error))
 
-    assert seen.condition == "others-free"
-    assert left(seen.fitted) < 0.01
+    assert response.condition == "others-free"
+    assert left(response.fitted) < 0.01
     assert left(softer.fitted) > 0.05
-    dip = seen.frequencies_hz[ring][np.argmin(np.abs(seen.measured[ring]))]
-    assert seen.anti_resonances_hz[0] == pytest.approx(dip, rel=0.15)
+    dip = response.frequencies_hz[near_resonance][
+        np.argmin(np.abs(response.measured[near_resonance]))
+    ]
+    assert response.anti_resonances_hz[0] == pytest.approx(dip, rel=0.15)
 
 
 def test_the_figure_shows_both_and_marks_the_modes(recorded: tuple[Study, Values, Log]) -> None:
     study, values, log = recorded
-    seen = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
-    drawn = motors.motor_figure(seen)
-    names = {mark.name for mark in drawn.marks if isinstance(mark, Line | Markers)}
+    response = motor_response(log, _arm_model(values), (), Arm.of(study.arm))
+    figure = motors.motor_figure(response)
+    names = {mark.name for mark in figure.marks if isinstance(mark, Line | Markers)}
     assert {"measured", "fitted arm, simulated"} <= names
-    at = [one.x for one in drawn.uprights]
-    assert set(at) == {*seen.anti_resonances_hz, *seen.resonances_hz}
-    assert f"{seen.anti_resonances_hz[0]:.4g}" in motors.describe(seen)
+    positions = [line.x for line in figure.uprights]
+    assert set(positions) == {*response.anti_resonances_hz, *response.resonances_hz}
+    assert f"{response.anti_resonances_hz[0]:.4g}" in motors.describe(response)

@@ -40,8 +40,8 @@ def test_fit_percent_is_the_contracts() -> None:
 def test_an_exact_model_predicts_another_record_exactly() -> None:
     study, model, _ = fitted()
     motion = exact_motion(1, 7)
-    other = exact_signals(motion, torque_of(motion, np.sign(motion[2])))
-    prediction = validation.predict_rigid(model, other, Arm.of(study.arm))
+    exact = exact_signals(motion, torque_of(motion, np.sign(motion[2])))
+    prediction = validation.predict_rigid(model, exact, Arm.of(study.arm))
     assert prediction.channels == ("torque1",)
     assert prediction.fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
     assert prediction.unfiltered_fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
@@ -53,29 +53,31 @@ def test_the_fit_is_that_of_the_arrays_it_comes_with() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.1, exact.motor_torque.shape)
     noisy = replace(exact, motor_torque=exact.motor_torque + noise)
     prediction = validation.predict_rigid(model, noisy, Arm.of(study.arm))
-    again = fit_percent(prediction.measured, prediction.predicted)
-    assert prediction.fit_percent["torque1"] == pytest.approx(again[0])
+    expected = fit_percent(prediction.measured, prediction.predicted)
+    assert prediction.fit_percent["torque1"] == pytest.approx(expected[0])
 
 
 def test_a_record_of_another_load_is_not_predicted() -> None:
-    """Half the inertia more; the errors of the fitted record show what is usual."""
+    """Inertia 50 % higher than in the fitted record, whose errors are the reference."""
     study, model, exact = fitted()
     arm = Arm.of(study.arm)
-    own = validation.predict_rigid(model, exact, arm)
+    reference = validation.predict_rigid(model, exact, arm)
     motion = exact_motion(1, 7)
-    usual = torque_of(motion, np.sign(motion[2]))
-    same = validation.predict_rigid(model, exact_signals(motion, usual), arm, (own,))
-    assert same.unexplained == {}
-    heavier = usual + 0.5 * INERTIA * motion[3]
-    other = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (own,))
-    assert other.unexplained["torque1"] > validation.MAX_UNEXPLAINED
-    # friction that is 5 % higher is no other arm
-    warm = usual + 0.05 * COULOMB * np.sign(motion[2])
-    assert not validation.predict_rigid(model, exact_signals(motion, warm), arm, (own,)).unexplained
-    # and errors as large in the fitted record are no news
-    noisy = replace(own, predicted=0.5 * own.predicted)
-    same = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (noisy,))
-    assert same.unexplained == {}
+    unloaded = torque_of(motion, np.sign(motion[2]))
+    unchanged = validation.predict_rigid(model, exact_signals(motion, unloaded), arm, (reference,))
+    assert unchanged.unexplained == {}
+    heavier = unloaded + 0.5 * INERTIA * motion[3]
+    changed = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (reference,))
+    assert changed.unexplained["torque1"] > validation.MAX_UNEXPLAINED
+    # 5 % more friction is not a change of the arm
+    warm = unloaded + 0.05 * COULOMB * np.sign(motion[2])
+    assert not validation.predict_rigid(
+        model, exact_signals(motion, warm), arm, (reference,)
+    ).unexplained
+    # errors as large in the fitted record are not reported
+    noisy = replace(reference, predicted=0.5 * reference.predicted)
+    unchanged = validation.predict_rigid(model, exact_signals(motion, heavier), arm, (noisy,))
+    assert unchanged.unexplained == {}
 
 
 def test_logged_voltages_are_predicted_in_volts() -> None:
@@ -93,15 +95,15 @@ def test_logged_voltages_are_predicted_in_volts() -> None:
 def test_a_standing_motor_takes_any_torque_within_its_friction() -> None:
     study, model, _ = fitted()
     time, angle, velocity, acceleration = exact_motion(1, 5)
-    held = slice(4000, 7000)
+    standstill = slice(4000, 7000)
     for signal in (velocity, acceleration):
-        signal[held] = 0.0
+        signal[standstill] = 0.0
     direction = np.sign(velocity)
     torque = torque_of((time, angle, velocity, acceleration), direction)
-    torque[held, 0] = OFFSET + COULOMB * np.sin(2.0 * time[held])
+    torque[standstill, 0] = OFFSET + COULOMB * np.sin(2.0 * time[standstill])
     record = exact_signals((time, angle, velocity, acceleration), torque, direction)
     assert validation.predict_rigid(model, record, Arm.of(study.arm)).fit_percent["torque1"] > 99.0
-    torque[held, 0] = OFFSET + 6.0 * COULOMB  # more than friction can hold
+    torque[standstill, 0] = OFFSET + 6.0 * COULOMB  # more than friction can balance
     impossible = exact_signals((time, angle, velocity, acceleration), torque, direction)
     assert (
         validation.predict_rigid(model, impossible, Arm.of(study.arm)).fit_percent["torque1"] < 90.0
@@ -131,11 +133,11 @@ def test_an_unknown_model_predicts_nothing() -> None:
 
 def test_a_record_shorter_than_the_low_pass_is_refused() -> None:
     study, model, exact = fitted()
-    lasts = len(exact.time) * exact.sample_time
-    slow = replace(model, bandwidth_hz=2.0 / lasts)
+    duration = len(exact.time) * exact.sample_time
+    slow = replace(model, bandwidth_hz=2.0 / duration)
     with pytest.raises(NotIdentifiable, match="too short to be predicted"):
         validation.predict_rigid(slow, exact, Arm.of(study.arm))
-    enough = validation.predict_rigid(
-        replace(model, bandwidth_hz=3.0 / lasts), exact, Arm.of(study.arm)
+    long_enough = validation.predict_rigid(
+        replace(model, bandwidth_hz=3.0 / duration), exact, Arm.of(study.arm)
     )
-    assert len(enough.time) > 0
+    assert len(long_enough.time) > 0

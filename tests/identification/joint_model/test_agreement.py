@@ -1,4 +1,4 @@
-"""Where the physical model and the measured response differ, a warning says so."""
+"""Warnings for differences between the physical model and the measured response."""
 
 from __future__ import annotations
 
@@ -18,30 +18,37 @@ def codes(found: FrequencyResponse | None) -> list[str]:
 
 
 def test_noise_and_distortion_make_a_point_doubtful() -> None:
-    """Each alone is a quarter of the response, together a third."""
-    found = replace(measured(), coherence=None)
-    quarter = (0.25 * np.abs(found.response)) ** 2
-    assert agreement.trusted(found).all()
-    assert agreement.trusted(replace(found, noise_variance=quarter)).all()
-    assert agreement.trusted(replace(found, distortion_variance=quarter)).all()
-    both = replace(found, noise_variance=quarter, distortion_variance=quarter)
-    assert not agreement.trusted(both).any()
+    """Noise and distortion of a quarter of the response each: a third together."""
+    response = replace(measured(), coherence=None)
+    quarter = (0.25 * np.abs(response.response)) ** 2
+    assert agreement.trusted(response).all()
+    assert agreement.trusted(replace(response, noise_variance=quarter)).all()
+    assert agreement.trusted(replace(response, distortion_variance=quarter)).all()
+    noisy_and_distorted = replace(response, noise_variance=quarter, distortion_variance=quarter)
+    assert not agreement.trusted(noisy_and_distorted).any()
 
 
 def test_model_and_points_that_differ_are_a_warning() -> None:
-    """Twice as large is 6 dB; a tenth of that is none, nor is what the points' own noise explains."""
-    at = measured()
-    assert codes(None) == codes(at) == codes(replace(at, response=1.07 * at.response)) == []
-    twice = replace(at, response=2.0 * at.response)
-    (said,) = compared(joint_model(), RATIO, twice).warnings
-    assert (said.code, said.where) == ("response-apart", "joint 1")
-    assert "on 100 % of the lines, by 6 dB near" in said.message
-    noise = np.abs(twice.response) ** 2 * 0.29**2  # of points that still count as trusted
+    """A factor of 2, 6 dB, gives a warning; 7 % or a difference within the noise does not."""
+    response = measured()
+    assert (
+        codes(None)
+        == codes(response)
+        == codes(replace(response, response=1.07 * response.response))
+        == []
+    )
+    twice = replace(response, response=2.0 * response.response)
+    (warning,) = compared(joint_model(), RATIO, twice).warnings
+    assert (warning.code, warning.where) == ("response-apart", "joint 1")
+    assert "on 100 % of the lines, by 6 dB near" in warning.message
+    noise = np.abs(twice.response) ** 2 * 0.29**2  # of points that are still trusted
     assert codes(replace(twice, noise_variance=noise)) == []
-    assert codes(replace(twice, coherence=np.zeros((len(at.response), 2)))) == []  # none to trust
+    # No trusted point.
+    assert codes(replace(twice, coherence=np.zeros((len(response.response), 2)))) == []
 
 
 def test_the_models_own_doubt_counts_as_well() -> None:
+    """The uncertainty of the model also explains a difference."""
     twice = replace(measured(), response=2.0 * measured().response)
     vague = replace(joint_model(), covariance=np.diag((0.6 * JOINT.vector) ** 2))
     assert compared(vague, RATIO, twice).warnings == ()

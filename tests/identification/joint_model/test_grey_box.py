@@ -1,4 +1,4 @@
-"""Physical parameters straight from the equations of motion."""
+"""Physical parameters of a joint by regression on the equations of motion."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ def models() -> list[tuple[Case, JointModel]]:
 
 def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]) -> None:
     for one, model in models:
-        off = vector_of(model) / one.truth.vector - 1.0
-        # the rigid model is off by 0.1 %, three times over by chance
-        assert np.abs(off[WELL_IDENTIFIED]).max() < 0.005
-        assert abs(off[NAMES.index("gear_damping")]) < 0.06
+        relative_error = vector_of(model) / one.truth.vector - 1.0
+        # the error of the rigid model is 0.1 %, by chance up to three times as large
+        assert np.abs(relative_error[WELL_IDENTIFIED]).max() < 0.005
+        assert abs(relative_error[NAMES.index("gear_damping")]) < 0.06
         friction = one.values["motor_coulomb_friction", one.decoupled.joint]
         assert model.values["motor_coulomb_friction"] == pytest.approx(friction, rel=0.02)
         total = next(p for p in model.parameters if p.name == "total_viscous_friction")
-        wanted = one.truth.motor_viscous_friction + 1e-4 * one.truth.link_viscous_friction
-        assert total.value == pytest.approx(wanted, rel=0.05)
+        expected = one.truth.motor_viscous_friction + 1e-4 * one.truth.link_viscous_friction
+        assert total.value == pytest.approx(expected, rel=0.05)
         assert model.status != "implausible"
 
 
 def test_deviations_are_those_of_the_errors(models: list[tuple[Case, JointModel]]) -> None:
-    """Twelve normalised errors: their mean square is near one if the covariance is honest."""
+    """The mean square of twelve normalised errors is near one."""
     normalised = []
     for one, model in models:
         std = np.sqrt(np.diag(model.covariance))[: len(NAMES)]
         normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_IDENTIFIED])
     size = float(np.sqrt(np.mean(np.square(normalised))))
-    # errors of the three go together, so that there are some four independent ones
+    # errors of the three parameters are correlated: about four are independent
     assert 0.2 < size < 2.0
 
 
@@ -95,34 +95,36 @@ def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
     ((signals, decoupled),) = one.records
     name = signals.experiment.name
     again = replace(signals, experiment=replace(signals.experiment, name="again"))
-    both = fit_joint([(signals, decoupled), (again, decoupled)], one.model, Arm.of(one.study.arm))
-    alone = found_in(one)
+    fit = fit_joint([(signals, decoupled), (again, decoupled)], one.model, Arm.of(one.study.arm))
+    reference = found_in(one)
     for each in (name, "again"):
-        found = both.of_record(each)
-        assert found.experiments == (each,)
-        std = np.sqrt(np.diag(alone.covariance))
-        assert np.abs((vector_of(found) - vector_of(alone)) / std[: len(NAMES)]).max() < 0.1
-        np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.1)
+        record_model = fit.of_record(each)
+        assert record_model.experiments == (each,)
+        std = np.sqrt(np.diag(reference.covariance))
+        assert (
+            np.abs((vector_of(record_model) - vector_of(reference)) / std[: len(NAMES)]).max() < 0.1
+        )
+        np.testing.assert_allclose(np.sqrt(np.diag(record_model.covariance)), std, rtol=0.1)
     single = fit_joint(one.records, one.model, Arm.of(one.study.arm))
     assert single.of_record(name) is single.model
 
 
 def test_the_rigid_models_errors_are_counted() -> None:
-    """beta is in tau of joint 2: where it is less certain, so is what follows."""
+    """The uncertainty of beta enters the interaction torque of joint 2, and so its estimates."""
     one = case(3, 2)
     doubtful = replace(one.model, covariance=25.0 * one.model.covariance)
-    sure, unsure = (
+    certain_fit, uncertain_fit = (
         identify_joint(one.records, model, Arm.of(one.study.arm)) for model in (one.model, doubtful)
     )
     k = NAMES.index("link_inertia")
-    assert unsure.covariance[k, k] > 4.0 * sure.covariance[k, k]
+    assert uncertain_fit.covariance[k, k] > 4.0 * certain_fit.covariance[k, k]
 
 
 def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
-    """k D of a sensor's delay reads as gear damping; where none was taken off, nothing is added."""
+    """A sensor delay D acts like gear damping k D: the uncertainty of a removed delay is added."""
     one = case(1)
     number = one.decoupled.joint
-    at = NAMES.index("gear_damping")
+    index = NAMES.index("gear_damping")
 
     def having_removed(value: float) -> JointModel:
         delays = tuple(Delay(value if j == number else 0.0, 3e-5) for j in (1, 2))
@@ -133,14 +135,14 @@ def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     np.testing.assert_array_equal(none.covariance, plain.covariance)
     added = removed.covariance - plain.covariance
     expected = (plain.values["gear_stiffness"] * 3e-5) ** 2
-    assert added[at, at] == pytest.approx(expected, rel=1e-9)
+    assert added[index, index] == pytest.approx(expected, rel=1e-9)
     assert np.count_nonzero(added) == 1
     reported = next(p for p in removed.parameters if p.name == "gear_damping")
-    assert reported.std == pytest.approx(np.sqrt(removed.covariance[at, at]))
+    assert reported.std == pytest.approx(np.sqrt(removed.covariance[index, index]))
 
 
 def test_slow_sampling_biases_nothing() -> None:
-    """Of ideal sensors at 1 kHz; straight lines between the samples took 1 % of motor inertia."""
+    """Ideal sensors at 1 kHz; linear interpolation would bias the motor inertia by 1 %."""
     study = rig(counts=None)
     values = rig_values(study)
     run = prbs_run(study, both=True)
@@ -151,16 +153,16 @@ def test_slow_sampling_biases_nothing() -> None:
     )
     model = true_model(study, values)
     decoupled = decoupling.decouple(signals, model, Arm.of(study.arm))[0]
-    found = vector_of(identify_joint([(signals, decoupled)], model, Arm.of(study.arm)))
-    off = found / truth_of(values, 1).vector - 1.0
-    assert np.abs(off[WELL_IDENTIFIED]).max() < 0.002
-    assert abs(off[NAMES.index("gear_damping")]) < 0.01
+    estimate = vector_of(identify_joint([(signals, decoupled)], model, Arm.of(study.arm)))
+    relative_error = estimate / truth_of(values, 1).vector - 1.0
+    assert np.abs(relative_error[WELL_IDENTIFIED]).max() < 0.002
+    assert abs(relative_error[NAMES.index("gear_damping")]) < 0.01
 
 
 def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Reversals within an encoder's counts: were friction there taken alike, nothing would join."""
+    """Uncertain friction at reversals within an encoder count increases standard deviations."""
     one = case(*CASES[0])
     plain = np.sqrt(np.diag(found_in(one).covariance))
     monkeypatch.setattr(grey_box, "_TAKEN", grey_box._STANDING)
@@ -181,10 +183,10 @@ def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -
     near = identify_joint(
         one.records, one.model, Arm.of(one.study.arm), search_from_hz=model.band_hz
     )
-    # bands settle to a twentieth, and the band is a small part of a deviation
+    # the bands agree to 5 %, a small part of a standard deviation
     np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
-    off = np.abs(vector_of(near) - vector_of(model))[WELL_IDENTIFIED]
-    assert (off < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_IDENTIFIED]).all()
+    difference = np.abs(vector_of(near) - vector_of(model))[WELL_IDENTIFIED]
+    assert (difference < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_IDENTIFIED]).all()
     assert near.values != model.values
 
 
@@ -194,15 +196,15 @@ def test_the_rigid_models_equations_may_be_left_out() -> None:
     weight = np.zeros(len(NAMES) + 1)
     weight[NAMES.index("motor_viscous_friction")] = 1.0
     weight[NAMES.index("link_viscous_friction")] = 1e-4
-    spread = [float(weight @ m.covariance @ weight) for m in (with_rigid, without)]
-    assert spread[1] > 2.0 * spread[0]
+    variances = [float(weight @ m.covariance @ weight) for m in (with_rigid, without)]
+    assert variances[1] > 2.0 * variances[0]
 
 
 def test_without_a_rigid_model_the_data_speak_alone() -> None:
     one = case(1, 1)
     model = identify_joint(one.records, None, Arm.of(one.study.arm))
-    off = vector_of(model) / one.truth.vector - 1.0
-    assert np.abs(off[WELL_IDENTIFIED]).max() < 0.01
+    relative_error = vector_of(model) / one.truth.vector - 1.0
+    assert np.abs(relative_error[WELL_IDENTIFIED]).max() < 0.01
 
 
 def test_a_link_without_sensor_is_refused() -> None:
@@ -217,12 +219,12 @@ def test_what_is_hardly_identified_or_impossible_is_said() -> None:
     values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
     covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
     reported = (True,) * 5 + (False,)
-    said = {p.name: p.value for p in parameters_of(values, covariance, reported, joint, 1)}
-    assert said["motor_viscous_friction"] is None  # to 90 %
-    assert said["link_viscous_friction"] == 0.5  # to 2 %
-    assert said["gear_damping"] is None
-    assert said["link_inertia"] == -3.0
-    assert said["total_viscous_friction"] == pytest.approx(1.5e-4)
+    estimates = {p.name: p.value for p in parameters_of(values, covariance, reported, joint, 1)}
+    assert estimates["motor_viscous_friction"] is None  # standard deviation 90 %
+    assert estimates["link_viscous_friction"] == 0.5  # standard deviation 2 %
+    assert estimates["gear_damping"] is None
+    assert estimates["link_inertia"] == -3.0
+    assert estimates["total_viscous_friction"] == pytest.approx(1.5e-4)
     codes = {
         (c.code, c.where.split()[0])
         for c in warnings_of(values, covariance, reported, joint, 1, "x")
@@ -244,21 +246,21 @@ def test_units() -> None:
 
 
 def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
-    """Against plain least squares over the parameters and every unknown of free friction."""
+    """Elimination agrees with least squares over the parameters and all friction unknowns."""
     one = case(1, 1)
     signals = [one.signals]
     known = rigid_knowledge(one.model, Arm.of(one.study.arm), one.decoupled.joint, signals)
     weighted = grey_box.solve(one.records, Arm.of(one.study.arm), known, (5.0, 45.0)).own
     equations, root = weighted.equations, weighted.root
-    free = np.zeros((len(root), len(equations.local_deviation)))
-    free[equations.local[0].rows] = equations.local[0].columns.dense()
+    friction_columns = np.zeros((len(root), len(equations.local_deviation)))
+    friction_columns[equations.local[0].rows] = equations.local[0].columns.dense()
     scale = np.linalg.norm(equations.shared * root[:, None], axis=0)
-    columns = np.hstack([equations.shared / scale, free * equations.local_deviation])
+    columns = np.hstack([equations.shared / scale, friction_columns * equations.local_deviation])
     priors = np.eye(columns.shape[1])[len(scale) :]
     target = np.concatenate([equations.target * root, np.zeros(len(priors))])
     plain = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
     factor = ls.factorise(equations, root)
-    assert free.shape[1] > 100
+    assert friction_columns.shape[1] > 100
     np.testing.assert_allclose(factor.value, plain[:7] / scale, rtol=1e-7)
     np.testing.assert_allclose(
         factor.local, plain[7:] * equations.local_deviation, atol=1e-7 * np.abs(plain).max()
@@ -266,7 +268,7 @@ def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
 
 
 def longer(one: Case, times: int) -> tuple[LinkSignals, Decoupled]:
-    """A record that goes through the same again and again."""
+    """Record repeated several times."""
     n = len(one.signals.time)
 
     def tiled(columns: LinkSignals | Decoupled) -> dict[str, Any]:
@@ -284,7 +286,7 @@ def longer(one: Case, times: int) -> tuple[LinkSignals, Decoupled]:
 
 
 def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
-    """Numbers held by the equations of records twice and four times as long."""
+    """Size of the equations for records two and four times as long."""
     one = case(1, 1)
     sizes = []
     for times in (2, 4):

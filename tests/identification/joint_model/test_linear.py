@@ -37,20 +37,20 @@ def model_of(seed: int, joint: int) -> StateSpace:
 
 
 def frequencies(model: StateSpace) -> tuple[float, float]:
-    found = modes_of(model)
-    assert found.anti_resonance is not None
-    assert found.resonance is not None
-    return found.anti_resonance.frequency_hz, found.resonance.frequency_hz
+    mode_pair = modes_of(model)
+    assert mode_pair.anti_resonance is not None
+    assert mode_pair.resonance is not None
+    return mode_pair.anti_resonance.frequency_hz, mode_pair.resonance.frequency_hz
 
 
 @pytest.mark.parametrize("which", CASES)
 def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
     model, truth = model_of(*which), case(*which).truth
-    assert model.order in (3, 4)  # the band's edge takes a state of its own
+    assert model.order in (3, 4)  # the low-pass may add one state
     assert model.status == "converged"
-    # a third of what was asked for: stiction, quantisation and one second of record
-    wanted = (anti_resonance(truth).frequency_hz, resonance(truth).frequency_hz)
-    assert frequencies(model) == pytest.approx(wanted, rel=0.007)
+    # a third of the requirement: stiction, quantisation and a record of one second
+    expected = (anti_resonance(truth).frequency_hz, resonance(truth).frequency_hz)
+    assert frequencies(model) == pytest.approx(expected, rel=0.007)
     assert min(model.fit_percent) > 85.0
     assert model.output_names == ("motor_velocity", "link_velocity")
 
@@ -67,9 +67,9 @@ def test_only_uninterrupted_valid_stretches_are_used() -> None:
     gap = len(one.valid) // 2
     valid = one.valid.copy()
     valid[gap : gap + 10] = False
-    spoilt = one.outputs.copy()
-    spoilt[gap : gap + 10] = 1e6
-    model = state_space_of(replace(one, valid=valid, outputs=spoilt))
+    disturbed = one.outputs.copy()
+    disturbed[gap : gap + 10] = 1e6
+    model = state_space_of(replace(one, valid=valid, outputs=disturbed))
     assert len(model.initial_states) == 2
     assert frequencies(model) == pytest.approx(frequencies(model_of(1, 1)), rel=0.01)
 
@@ -100,11 +100,11 @@ def test_the_closed_form_is_of_the_physical_order() -> None:
 
 
 def test_leaving_the_interaction_out_is_wrong() -> None:
-    """The paper's point: without tau the arm's coupled modes are found."""
+    """Without the interaction torque, the model has the coupled modes of the arm."""
     one = case(1, 1)
-    wanted = anti_resonance(one.truth).frequency_hz
+    expected = anti_resonance(one.truth).frequency_hz
     low, _ = frequencies(state_space_of(one.decoupled, LinearOptions(inputs="motor")))
-    assert abs(low / wanted - 1.0) > 0.05
+    assert abs(low / expected - 1.0) > 0.05
 
 
 def test_no_stretch_is_long_enough() -> None:
@@ -126,7 +126,7 @@ def test_records_that_do_not_belong_together() -> None:
 
 @pytest.mark.parametrize("order", [1, 2])
 def test_the_fusion_is_undone(order: int) -> None:
-    """(10) forward, then back: the identity."""
+    """Equation (10) and its inverse give the identity."""
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     record: Decoupled = replace(case(1, 1).decoupled, fusion=fusion)
     f = np.geomspace(0.5, 100.0, 7)
@@ -152,36 +152,36 @@ def test_the_band() -> None:
 
 
 def test_an_alternating_pole_is_a_gain_in_the_band() -> None:
-    """What is left of a model with a pole at -0.6 answers slow inputs as before."""
+    """Without a pole at -0.6, the model has the same response at low frequencies."""
     joint = TwoInertia().sampled()
     A = np.zeros((4, 4))
     A[:3, :3], A[3, 3] = joint.A, -0.6
     rng = np.random.default_rng(1)
     small = 1e-2 * rng.standard_normal(2)
-    whole = state_space(
+    full_model = state_space(
         A, np.vstack([joint.B, small]), np.hstack([joint.C, [[1.0], [1e-3]]]), joint.D
     )
-    turn = rng.standard_normal((4, 4)) + 3.0 * np.eye(4)
-    inverse = np.linalg.inv(turn)
-    turned = replace(
-        whole,
-        A=turn @ whole.A @ inverse,
-        B=turn @ whole.B,
-        C=whole.C @ inverse,
-        K=turn @ whole.K,
-        initial_states=whole.initial_states @ turn.T,
+    T = rng.standard_normal((4, 4)) + 3.0 * np.eye(4)
+    inverse = np.linalg.inv(T)
+    transformed = replace(
+        full_model,
+        A=T @ full_model.A @ inverse,
+        B=T @ full_model.B,
+        C=full_model.C @ inverse,
+        K=T @ full_model.K,
+        initial_states=full_model.initial_states @ T.T,
     )
-    shorter = without_alternating(turned)
-    assert shorter.order == 3
-    assert np.linalg.eigvals(shorter.A) == pytest.approx(np.linalg.eigvals(joint.A), rel=1e-9)
+    reduced = without_alternating(transformed)
+    assert reduced.order == 3
+    assert np.linalg.eigvals(reduced.A) == pytest.approx(np.linalg.eigvals(joint.A), rel=1e-9)
     f = np.array([2.0, 10.0, 30.0])
-    before, after = (frequency_response(m, f).response for m in (turned, shorter))
+    before, after = (frequency_response(m, f).response for m in (transformed, reduced))
     assert after == pytest.approx(before, rel=0.02)
     assert without_alternating(joint) is joint
 
 
 def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
-    """Against models drawn from the covariance, each reduced by itself."""
+    """Standard deviations against the scatter of models drawn from the covariance and reduced."""
     joint = TwoInertia().sampled()
     A = np.zeros((4, 4))
     A[:3, :3], A[3, 3] = joint.A, -0.6
@@ -194,7 +194,7 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
     entries = np.concatenate([getattr(whole, name).ravel() for name in names])
     std = 1e-5 * np.abs(entries)
     known = replace(whole, covariance=np.diag(std**2))
-    found = modes_of(known)
+    reduced_modes = modes_of(known)
 
     def drawn() -> list[float]:
         values = entries + std * rng.standard_normal(len(std))
@@ -209,15 +209,18 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
         return [near.resonance.frequency_hz, near.anti_resonance.frequency_hz]
 
     scatter = np.std([drawn() for _ in range(300)], axis=0)
-    assert found.resonance is not None
-    assert found.anti_resonance is not None
-    said = [found.resonance.frequency_std_hz, found.anti_resonance.frequency_std_hz]
-    assert said == pytest.approx(scatter, rel=0.2)  # 300 draws scatter by 4 %
+    assert reduced_modes.resonance is not None
+    assert reduced_modes.anti_resonance is not None
+    reported_std = [
+        reduced_modes.resonance.frequency_std_hz,
+        reduced_modes.anti_resonance.frequency_std_hz,
+    ]
+    assert reported_std == pytest.approx(scatter, rel=0.2)  # 300 draws: standard error of 4 %
 
 
 @pytest.mark.parametrize("which", CASES[:2])
 def test_held_out_data_are_predicted_and_feedback_is_seen(which: tuple[int, int]) -> None:
-    """One step ahead on the last quarter; the interaction torque is feedback, and shows as such."""
+    """One-step prediction of the last quarter; the interaction torque is reported as feedback."""
     check = judge(fit_linear(case(*which).decoupled))
     assert min(check.prediction_fit_percent) > 90.0
     verdicts = {test.name: test.passed for test in check.tests}
@@ -227,6 +230,6 @@ def test_held_out_data_are_predicted_and_feedback_is_seen(which: tuple[int, int]
 def test_a_model_that_does_not_ring_is_not_judged() -> None:
     fit = fit_linear(case(1, 1).decoupled)
     model = fit.model
-    dull = replace(model, A=np.diag(np.linspace(0.5, 0.7, model.order)))
+    not_oscillating = replace(model, A=np.diag(np.linspace(0.5, 0.7, model.order)))
     with pytest.raises(NotIdentifiable, match="does not ring"):
-        judge(replace(fit, model=dull))
+        judge(replace(fit, model=not_oscillating))

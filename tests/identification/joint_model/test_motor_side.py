@@ -1,4 +1,4 @@
-"""Gears from the motors' own responses: the impedance, the search, and starts without records."""
+"""Gears from motor responses: impedance, search, and starting values without records."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ BASE = ("alpha", "beta", "gamma")
 
 
 def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
-    """Any arm: positive parameters over two decades, a positive definite inertia, any gravity."""
-    spread = np.exp(rng.uniform(-2.3, 2.3, (6, n)))
-    root, pull = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    """Random arm: parameters over two decades, positive definite inertia, arbitrary gravity."""
+    factors = np.exp(rng.uniform(-2.3, 2.3, (6, n)))
+    root, gravity = rng.normal(size=(n, n)), rng.normal(size=(n, n))
     return LinearArm(
         gear_ratio=rng.uniform(0.005, 0.1, n),
-        motor_inertia=1e-4 * spread[0],
-        motor_viscous_friction=1e-4 * spread[1],
-        link_viscous_friction=0.3 * spread[2],
-        gear_stiffness=1e4 * spread[3],
-        gear_damping=10.0 * spread[4],
+        motor_inertia=1e-4 * factors[0],
+        motor_viscous_friction=1e-4 * factors[1],
+        link_viscous_friction=0.3 * factors[2],
+        gear_stiffness=1e4 * factors[3],
+        gear_damping=10.0 * factors[4],
         inertia=root @ root.T + 0.1 * np.eye(n),
-        gravity=5.0 * (pull + pull.T),
+        gravity=5.0 * (gravity + gravity.T),
     )
 
 
 def response(arm: LinearArm, s: complex) -> ComplexArray:
-    """Motor velocities over torques by the state space [theta_M, q_L, dtheta_M, dq_L]: (n, n)."""
+    """Response (n, n) of motor velocities to torques, from [theta_M, q_L, dtheta_M, dq_L]."""
     n = len(arm.gear_ratio)
     N, K, D = (np.diag(x) for x in (arm.gear_ratio, arm.gear_stiffness, arm.gear_damping))
     mass = np.block(
@@ -54,8 +54,10 @@ def response(arm: LinearArm, s: complex) -> ComplexArray:
     spring = np.block([[N @ K @ N, -N @ K], [-K @ N, K + arm.gravity]])
     damper = np.block([[N @ D @ N, -N @ D], [-D @ N, D + np.diag(arm.link_viscous_friction)]])
     damper[:n, :n] += np.diag(arm.motor_viscous_friction)
-    one, nothing = np.eye(2 * n), np.zeros((2 * n, 2 * n))
-    A = np.block([[nothing, one], [-np.linalg.solve(mass, spring), -np.linalg.solve(mass, damper)]])
+    identity, zeros = np.eye(2 * n), np.zeros((2 * n, 2 * n))
+    A = np.block(
+        [[zeros, identity], [-np.linalg.solve(mass, spring), -np.linalg.solve(mass, damper)]]
+    )
     B = np.vstack([np.zeros((2 * n, n)), np.linalg.solve(mass, np.eye(2 * n, n))])
     C = np.hstack([np.zeros((n, 2 * n)), np.eye(n, 2 * n)])
     return np.asarray(C @ np.linalg.solve(s * np.eye(4 * n) - A, B))
@@ -68,7 +70,7 @@ def test_the_impedance_is_the_inverse_of_the_state_space_response(
     arm = linear_arm(n, np.random.default_rng(seed))
     s = np.array([2j * np.pi * hz], dtype=np.complex128)
     product = arm.impedance(s)[0] @ response(arm, complex(s[0]))
-    # inverses of matrices whose entries span the gear ratio squared, some 1e5
+    # entries of the inverted matrices differ by the squared gear ratio, about 1e5
     np.testing.assert_allclose(product, np.eye(n), atol=1e-6)
 
 
@@ -81,8 +83,8 @@ def test_a_motor_s_velocity_follows_whatever_the_other_motors_do(seed: int, n: i
     Z = arm.impedance(s)
     torque = np.einsum("lij,lj->li", Z, motion)
     for i in range(n):
-        found = velocities(Z, torque[:, i], motion, i)
-        np.testing.assert_allclose(found, motion[:, i], rtol=1e-8)
+        velocity = velocities(Z, torque[:, i], motion, i)
+        np.testing.assert_allclose(velocity, motion[:, i], rtol=1e-8)
 
 
 def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
@@ -90,7 +92,7 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexA
 
 
 def known_family(study: Study, values: Values) -> Family:
-    """All arms that agree with a drawn one's rigid parameters, which are exact."""
+    """Arms with the rigid parameters of a drawn arm, which are exact."""
     arm = Arm.of(study.arm)
     known, n = derived(values, arm), arm.gear_ratios
     motor = np.array([known["motor_inertia", i] for i in (1, 2)])
@@ -109,7 +111,7 @@ def known_family(study: Study, values: Values) -> Family:
 
 
 def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generator) -> Piece:
-    """Spectra of a stretch in which one motor is driven and slides, without noise."""
+    """Noise-free spectra of a record section in which one motor is driven and slides."""
     known = derived(values, family.arm)
     angle = rng.uniform(-1.5, 1.5, 2)
 
@@ -143,7 +145,7 @@ def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
     study, values = draw_arm(seed)  # linear gears
     for i, n in enumerate(
         Arm.of(study.arm).gear_ratios, start=1
-    ):  # the split that a search takes for given
+    ):  # the ratio of the viscous frictions that the search assumes
         values["link_viscous_friction", i] = values["motor_viscous_friction", i] / n**2
     rng = np.random.default_rng(seed)
     family = known_family(study, values)
@@ -151,7 +153,7 @@ def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
     best = minima(family, records, [thinned(piece, 40) for piece in records])[0]
     parts = family.parts(best.point)
     for i in (0, 1):
-        # all but the split of the viscous friction, which is fixed, is as in the truth
+        # all parameters are exact, except the fixed ratio of the viscous frictions
         for name, close in (("gear_stiffness", 0.01), ("gear_damping", 0.05)):
             assert parts[name][i] == pytest.approx(values[name, i + 1], rel=close), name
         assert parts["motor_inertia"][i] == pytest.approx(values["motor_inertia", i + 1], rel=0.01)
@@ -182,9 +184,9 @@ def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
 
 
 def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:
-    own = next(e for e in study.experiments if e.use == "frequency")
+    experiment = next(e for e in study.experiments if e.use == "frequency")
     return LinkSignals(
-        experiment=own,
+        experiment=experiment,
         time=np.asarray(2.5e-4 * np.arange(n), dtype=np.float64),
         sample_time=2.5e-4,
         motor_torque=still,

@@ -1,4 +1,4 @@
-"""Physical parameters on logs of arms with known parameters, and on a real flexible arm."""
+"""Physical parameters from simulated logs of known arms, and from a measured flexible arm."""
 
 from __future__ import annotations
 
@@ -24,31 +24,33 @@ WELL_IDENTIFIED = ("motor_inertia", "link_inertia", "gear_stiffness")
 
 @cache
 def records_of(folder: Path) -> dict[str, RecordModel]:
-    """Every frequency record of a lab arm."""
+    """Models of all frequency records of a lab arm."""
     study = read_study(folder / "study.toml")
     named = {e.name: e for e in study.experiments}
     model = rigid.fit(
         [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
     )
-    found = {}
+    models = {}
     for experiment in study.experiments:
         if experiment.use == "frequency":
             assert experiment.joint is not None
-            seen = links.link_side(read_log(study, experiment), Arm.of(study.arm))
-            joint = decoupling.decouple(seen, model, Arm.of(study.arm))[experiment.joint - 1]
-            found[experiment.name] = identify_record(seen, joint, model, Arm.of(study.arm))
-    return found
+            link_signals = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            joint = decoupling.decouple(link_signals, model, Arm.of(study.arm))[
+                experiment.joint - 1
+            ]
+            models[experiment.name] = identify_record(link_signals, joint, model, Arm.of(study.arm))
+    return models
 
 
 def truth_of(folder: Path, joint: int, slope: int = 0) -> TwoInertia:
-    known = json.loads((folder / "truth.json").read_text())["joints"][joint - 1]
+    parameters = json.loads((folder / "truth.json").read_text())["joints"][joint - 1]
     return TwoInertia(
-        motor_inertia=known["motor_inertia"],
-        motor_viscous_friction=known["motor_viscous_friction"],
-        link_inertia=known["link_inertia"],
-        link_viscous_friction=known["link_viscous_friction"],
-        gear_stiffness=known["gear_stiffness"][slope],
-        gear_damping=known["gear_damping"],
+        motor_inertia=parameters["motor_inertia"],
+        motor_viscous_friction=parameters["motor_viscous_friction"],
+        link_inertia=parameters["link_inertia"],
+        link_viscous_friction=parameters["link_viscous_friction"],
+        gear_stiffness=parameters["gear_stiffness"][slope],
+        gear_damping=parameters["gear_damping"],
         gear_ratio=0.01,
     )
 
@@ -66,8 +68,8 @@ def test_linear_arms_come_back(shared_data: Path, arm: str, asked: float, given:
         assert linear is not None, name
         for key in WELL_IDENTIFIED:
             true = getattr(truth, key)
-            # both sides of the gear give much more than was asked for; under gravity the second
-            # motor's inertia has a deviation of 0.9 %
+            # sensors on both sides of the gear allow less; under gravity, the inertia of motor 2
+            # has a standard deviation of 0.9 %
             assert grey.values[key] == pytest.approx(true, rel=given), (name, key)
             assert linear.values[key] == pytest.approx(true, rel=asked), (name, key)
         assert grey.values["gear_damping"] == pytest.approx(truth.gear_damping, rel=0.05), name
@@ -81,7 +83,7 @@ def test_linear_arms_come_back(shared_data: Path, arm: str, asked: float, given:
 
 
 def test_deviations_hold_the_truth(shared_data: Path) -> None:
-    """Inertias and stiffness of the six linear records: eighteen normalised errors."""
+    """Normalised errors of inertias and stiffness in six linear records: 18 values."""
     normalised = []
     for arm in ("scara-linear-5kg", "vertical-linear-0kg"):
         folder = shared_data / "lab" / arm
@@ -105,20 +107,25 @@ def test_a_three_slope_gear_lies_between_its_slopes(shared_data: Path) -> None:
             for key in ("motor_inertia", "link_inertia"):
                 assert model.values[key] == pytest.approx(getattr(soft, key), rel=0.03), name
             assert soft.gear_stiffness < model.values["gear_stiffness"] < stiff.gear_stiffness
-            for found, of in ((model.anti_resonance, anti_resonance), (model.resonance, resonance)):
-                assert found is not None
-                assert of(soft).frequency_hz < found.frequency_hz < of(stiff).frequency_hz, name
+            for mode, mode_of in (
+                (model.anti_resonance, anti_resonance),
+                (model.resonance, resonance),
+            ):
+                assert mode is not None
+                assert (
+                    mode_of(soft).frequency_hz < mode.frequency_hz < mode_of(stiff).frequency_hz
+                ), name
             assert "equivalent-stiffness" in {w.code for w in model.warnings}
 
 
 def test_a_real_flexible_arm(shared_data: Path) -> None:
-    """Its own README: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
+    """Published values: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    seen = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
-    (joint,) = decoupling.decouple(seen, None, Arm.of(study.arm))
-    found = identify_record(seen, joint, None, Arm.of(study.arm)).modes
-    assert found is not None
-    assert found.anti_resonance is not None
-    assert found.resonance is not None
-    assert 3.4 < found.anti_resonance.frequency_hz < 3.5
-    assert 4.0 < found.resonance.frequency_hz < 4.5
+    link_signals = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    (joint,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
+    mode_pair = identify_record(link_signals, joint, None, Arm.of(study.arm)).modes
+    assert mode_pair is not None
+    assert mode_pair.anti_resonance is not None
+    assert mode_pair.resonance is not None
+    assert 3.4 < mode_pair.anti_resonance.frequency_hz < 3.5
+    assert 4.0 < mode_pair.resonance.frequency_hz < 4.5

@@ -1,4 +1,4 @@
-"""Physical parameters from transfer functions, and both ways together."""
+"""Physical parameters from transfer functions, and both methods together."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WELL_IDENTIFIED = ("motor_inertia", "link_inertia", "gear_stiffness")
 
 
 def known(scale: float = 1.0, std: float = 0.0) -> RigidKnowledge:
-    """The truth about c_1 and c_0 of the exact joint, or a multiple of c_1."""
+    """Exact c_1 and c_0 of the joint, or a multiple of c_1."""
     c1 = scale * (EXACT.motor_inertia + 1e-4 * EXACT.link_inertia)
     c0 = EXACT.motor_viscous_friction + 1e-4 * EXACT.link_viscous_friction
     return RigidKnowledge((c1, std * c1), (c0, std * c0), None)
@@ -43,16 +43,16 @@ def exact_of(model: StateSpace, rigid: RigidKnowledge) -> dict[str, float]:
 
 
 def test_an_exact_model_gives_its_joint_back() -> None:
-    found = exact_of(EXACT.sampled(), known())
+    values = exact_of(EXACT.sampled(), known())
     for name in WELL_IDENTIFIED:
-        assert found[name] == pytest.approx(getattr(EXACT, name), rel=1e-3)
-    assert found["gear_damping"] == pytest.approx(EXACT.gear_damping, rel=1e-2)
+        assert values[name] == pytest.approx(getattr(EXACT, name), rel=1e-3)
+    assert values["gear_damping"] == pytest.approx(EXACT.gear_damping, rel=1e-2)
 
 
 def test_without_a_rigid_model_17_itself_is_inverted() -> None:
-    found = exact_of(EXACT.sampled(), NOTHING)
+    values = exact_of(EXACT.sampled(), NOTHING)
     for name in (*WELL_IDENTIFIED, "gear_damping"):
-        assert found[name] == pytest.approx(getattr(EXACT, name), rel=2e-3)
+        assert values[name] == pytest.approx(getattr(EXACT, name), rel=2e-3)
 
 
 def test_an_error_of_c1_goes_straight_into_the_parameters() -> None:
@@ -66,63 +66,65 @@ def test_the_records_joint_comes_back() -> None:
         one = case(*which)
         rigid = rigid_knowledge(one.model, Arm.of(one.study.arm), which[1])
         model = state_space_of(one.decoupled)
-        found = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid)
+        fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid)
         for name in WELL_IDENTIFIED:
-            assert found.values[name] == pytest.approx(getattr(one.truth, name), rel=0.03)
-        assert found.fit_percent["motor_velocity"] > 85.0
-        assert found.fit_percent["link_velocity"] > 85.0
-        assert found.fit_percent["reciprocity"] > 90.0
-        assert found.anti_resonance is not None
-        assert found.anti_resonance.frequency_std_hz is not None
-        # the closed form's deviations are those of c_1 and of the pairs
+            assert fit.values[name] == pytest.approx(getattr(one.truth, name), rel=0.03)
+        assert fit.fit_percent["motor_velocity"] > 85.0
+        assert fit.fit_percent["link_velocity"] > 85.0
+        assert fit.fit_percent["reciprocity"] > 90.0
+        assert fit.anti_resonance is not None
+        assert fit.anti_resonance.frequency_std_hz is not None
+        # the standard deviations contain those of c_1 and of the pole and zero pairs
         assert rigid.total_inertia is not None
-        unsure = replace(rigid, total_inertia=(rigid.total_inertia[0], 1e-4))
-        wider = from_state_space(model, one.decoupled, Arm.of(one.study.arm), unsure)
+        uncertain = replace(rigid, total_inertia=(rigid.total_inertia[0], 1e-4))
+        uncertain_fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), uncertain)
         k = NAMES.index("link_inertia")
-        assert wider.covariance[k, k] > 2.0 * found.covariance[k, k]
-        # and other models of the record widen them too
-        other = state_space_of(one.decoupled, LinearOptions(band_hz=(4.0, 50.0)))
-        again = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid, [other])
-        assert again.values == found.values
-        assert np.all(np.diag(again.covariance) >= np.diag(found.covariance) * (1.0 - 1e-9))
+        assert uncertain_fit.covariance[k, k] > 2.0 * fit.covariance[k, k]
+        # other models of the record increase them
+        other_model = state_space_of(one.decoupled, LinearOptions(band_hz=(4.0, 50.0)))
+        combined_fit = from_state_space(
+            model, one.decoupled, Arm.of(one.study.arm), rigid, [other_model]
+        )
+        assert combined_fit.values == fit.values
+        assert np.all(np.diag(combined_fit.covariance) >= np.diag(fit.covariance) * (1.0 - 1e-9))
 
 
 def test_a_joint_that_cannot_be_is_reported_and_not_clipped() -> None:
-    """A dip above the peak takes a motor heavier than all that moves: m_L is negative."""
+    """An anti-resonance above the resonance implies a negative link inertia."""
     one = case(1, 1)
     rigid, slow, peak, dip = 5e-4, 2.5e-4, 100.0, 140.0
-    up = [1.0 / dip**2, 0.1 / dip, 1.0]
-    down = np.polymul([rigid, slow], [1.0 / peak**2, 0.1 / peak, 1.0])
-    A, B, C, D, T = cont2discrete(tf2ss(up, down), SAMPLE_TIME, "zoh")
+    numerator = [1.0 / dip**2, 0.1 / dip, 1.0]
+    denominator = np.polymul([rigid, slow], [1.0 / peak**2, 0.1 / peak, 1.0])
+    A, B, C, D, T = cont2discrete(tf2ss(numerator, denominator), SAMPLE_TIME, "zoh")
     assert T == SAMPLE_TIME
     model = state_space(A, B, C, D, hold=("zero",))
-    found = from_state_space(
+    fit = from_state_space(
         model,
         one.decoupled,
         Arm.of(one.study.arm),
         RigidKnowledge((rigid, 1e-6), (slow, 1e-6), None),
     )
     link = (rigid - rigid * dip**2 / peak**2) / one.decoupled.gear_ratio**2
-    assert found.values["link_inertia"] == pytest.approx(link, rel=1e-6)
-    assert found.values["link_inertia"] < 0.0
-    assert found.status == "implausible"
-    assert "link_inertia of joint 1" in {w.where for w in found.warnings if w.code == "implausible"}
+    assert fit.values["link_inertia"] == pytest.approx(link, rel=1e-6)
+    assert fit.values["link_inertia"] < 0.0
+    assert fit.status == "implausible"
+    assert "link_inertia of joint 1" in {w.where for w in fit.warnings if w.code == "implausible"}
 
 
 def test_a_model_without_covariance_has_values_and_no_deviations() -> None:
     one = case(1, 1)
     model = state_space_of(one.decoupled, LinearOptions(method="subspace"))
-    found = from_state_space(
+    fit = from_state_space(
         model,
         one.decoupled,
         Arm.of(one.study.arm),
         rigid_knowledge(one.model, Arm.of(one.study.arm), 1),
     )
-    stiffness = next(p for p in found.parameters if p.name == "gear_stiffness")
+    stiffness = next(p for p in fit.parameters if p.name == "gear_stiffness")
     assert stiffness.value == pytest.approx(one.truth.gear_stiffness, rel=0.1)
     assert stiffness.std is None
-    assert found.anti_resonance is not None
-    assert found.anti_resonance.frequency_std_hz is None
+    assert fit.anti_resonance is not None
+    assert fit.anti_resonance.frequency_std_hz is None
 
 
 def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
@@ -131,18 +133,16 @@ def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
     wrong = replace(sampled, B=sampled.B * [1.0, 3.0], D=sampled.D * [1.0, 3.0])
     codes = []
     for model in (sampled, wrong):
-        found = from_state_space(model, one.decoupled, Arm.of(one.study.arm), known())
-        codes.append({w.code for w in found.warnings})
+        fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), known())
+        codes.append({w.code for w in fit.warnings})
     assert "not-reciprocal" not in codes[0]
     assert "not-reciprocal" in codes[1]
 
 
 def test_a_rigid_model_of_another_arm_is_reported() -> None:
     one = case(1, 1)
-    found = from_state_space(
-        EXACT.sampled(), one.decoupled, Arm.of(one.study.arm), known(scale=1.5)
-    )
-    assert "inertia-mismatch" in {w.code for w in found.warnings}
+    fit = from_state_space(EXACT.sampled(), one.decoupled, Arm.of(one.study.arm), known(scale=1.5))
+    assert "inertia-mismatch" in {w.code for w in fit.warnings}
 
 
 def test_a_model_that_does_not_ring_is_refused() -> None:
@@ -159,26 +159,26 @@ def test_a_model_that_does_not_ring_is_refused() -> None:
 
 def test_a_record_shows_both_ways() -> None:
     one = case(1, 1)
-    found = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm))
-    assert found.physical is not None
-    assert found.transfer is not None
-    assert found.modes is not None
-    assert not found.warnings
+    record_model = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm))
+    assert record_model.physical is not None
+    assert record_model.transfer is not None
+    assert record_model.modes is not None
+    assert not record_model.warnings
     for name in WELL_IDENTIFIED:
-        grey, linear = found.physical.values[name], found.transfer.values[name]
+        grey, linear = record_model.physical.values[name], record_model.transfer.values[name]
         assert linear == pytest.approx(grey, rel=0.03)
 
 
 def test_what_fails_is_a_warning() -> None:
-    """No link sensor: no torsion. And a band in which no stretch is long enough: no model."""
+    """Without a link sensor there is no torsion; a band with too short sections gives no model."""
     one = case(1, 1)
     blind = replace(one.signals, sources=("motor", "motor"))
     options = RecordOptions(linear=LinearOptions(band_hz=(0.5, 60.0)))
-    found = identify_record(blind, one.decoupled, one.model, Arm.of(one.study.arm), options)
-    assert found.physical is None
-    assert found.state_space is None
-    assert found.transfer is None
-    assert [w.code for w in found.warnings] == ["grey-box-failed", "state-space-failed"]
+    record_model = identify_record(blind, one.decoupled, one.model, Arm.of(one.study.arm), options)
+    assert record_model.physical is None
+    assert record_model.state_space is None
+    assert record_model.transfer is None
+    assert [w.code for w in record_model.warnings] == ["grey-box-failed", "state-space-failed"]
 
 
 def test_options_reach_both_ways() -> None:
@@ -186,8 +186,10 @@ def test_options_reach_both_ways() -> None:
     options = RecordOptions(
         physical=PhysicalOptions(band_hz=(5.0, 45.0)), linear=LinearOptions(method="subspace")
     )
-    found = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm), options)
-    assert found.physical is not None
-    assert found.physical.band_hz == (5.0, 45.0)
-    assert found.state_space is not None
-    assert found.state_space.method == "subspace"
+    record_model = identify_record(
+        one.signals, one.decoupled, one.model, Arm.of(one.study.arm), options
+    )
+    assert record_model.physical is not None
+    assert record_model.physical.band_hz == (5.0, 45.0)
+    assert record_model.state_space is not None
+    assert record_model.state_space.method == "subspace"

@@ -1,4 +1,4 @@
-"""The rigid step: exact recovery, calibrated deviations, and what cannot be reported."""
+"""Rigid step: exact recovery, calibrated standard deviations, and refusals."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ DRIVE_TRUTH = {
 
 
 def torque_of(study: Study, values: Values, motion: tuple[FloatArray, ...]) -> FloatArray:
-    """The core's inverse dynamics of a motion behind rigid gears."""
+    """Inverse dynamics of a motion with rigid gears, computed by the core."""
     arm = Arm.of(study.arm)
     links = (x * arm.gear_ratios for x in motion[1:])
     return arm.inverse_dynamics(arm.parameter_vector(values), *links)
@@ -80,7 +80,8 @@ def test_inverse_dynamics_come_back_exactly(seed: int, gravity: float | None) ->
     for p in model.parameters:
         scale = truth["motor_coulomb_friction", p.joint] if "offset" in p.name else None
         expected = truth[p.name, p.joint]
-        # the filters' rounding and what the motion has beyond its own, times a condition of a hundred
+        # rounding of the filters and finite bandwidth of the motion, times a condition number of
+        # 100
         assert p.value == pytest.approx(expected, rel=1e-8, abs=1e-8 * scale if scale else None)
 
 
@@ -110,7 +111,7 @@ def test_units_follow_the_motion() -> None:
 
 
 def test_records_combine() -> None:
-    # neither record alone moves both ways; together they separate Coulomb friction and offset
+    # each record moves in one direction; both together separate Coulomb friction and offset
     study = rigid_drive()
     time, angle, velocity, acceleration = exact_motion(1, 3)
     fast = velocity + 1.2 * np.abs(velocity).max()
@@ -127,11 +128,11 @@ def test_records_combine() -> None:
 
 
 def test_deviations_are_calibrated_under_coloured_noise() -> None:
-    """Normalised errors over seeds: the interval holds the truth 95 times of 100.
+    """Coverage of 95 % intervals over 200 seeds.
 
-    800 values from 200 seeds: the share inside has a deviation of about 1 % (parameters of one seed
-    are correlated); 20 blocks of errors that reach from one into the next cost two or three. The
-    chi-square per value lies near that of Student's t with 19 degrees of freedom, 19/17 = 1.1.
+    800 values: the coverage has a standard error of about 1 %, because parameters of one seed are
+    correlated. Errors correlated across the 20 blocks cost 2 to 3 %. The mean squared normalised
+    error is near that of Student's t with 19 degrees of freedom, 19/17 = 1.1.
     """
     study = rigid_drive()
     inside, squares = [], []
@@ -154,11 +155,11 @@ def test_deviations_are_calibrated_under_coloured_noise() -> None:
 
 @pytest.mark.parametrize(("gravity", "tolerance"), [(None, 0.015), (9.81, 0.05)])
 def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: float) -> None:
-    """Servoed motion of arms with elastic gears, sticking friction and encoder counts.
+    """Servoed motion of arms with elastic gears, stiction and encoder counts.
 
-    Four arms of ten or twelve parameters: errors (friction offsets: of the Coulomb friction) stay
-    below a tolerance, wider under gravity, whose torque leaves the inertias a small part of the
-    whole; the intervals hold the truth in at least 85 of 100, three deviations below 95.
+    Four arms with ten or twelve parameters. Errors stay below a tolerance, relative to the true
+    value (friction offset: to Coulomb friction). The tolerance is wider under gravity, because
+    inertias then cause a small part of the torque. The coverage of 95 % intervals is at least 85 %.
     """
     inside = []
     for seed in range(4):
@@ -181,29 +182,29 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
 
 
 def test_the_compliance_is_taken_out() -> None:
-    """Declared rigid, the same arm's gamma is several per cent off; declared elastic, it is not."""
+    """With rigid gears, gamma has an error of several per cent; with elastic gears, it has not."""
     study = scara.study(Path("nowhere"), "linear")
     values = scara.parameters(5, "linear")
-    seen = signals.motor_side(motion_log(study, values, 0), Arm.of(study.arm))
+    motor_signals = signals.motor_side(motion_log(study, values, 0), Arm.of(study.arm))
     stiff = replace(
         study,
         arm=replace(study.arm, joints=tuple(replace(j, spring="rigid") for j in study.arm.joints)),
     )
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     gamma = values["gamma", None]
-    naive = rigid.fit([seen], Arm.of(stiff.arm), options).value("gamma")
-    honest = rigid.fit([seen], Arm.of(study.arm), options).value("gamma")
-    assert naive is not None
-    assert honest is not None
-    assert abs(naive / gamma - 1.0) > 0.01
-    assert abs(honest / gamma - 1.0) < 0.005
+    rigid_gamma = rigid.fit([motor_signals], Arm.of(stiff.arm), options).value("gamma")
+    elastic_gamma = rigid.fit([motor_signals], Arm.of(study.arm), options).value("gamma")
+    assert rigid_gamma is not None
+    assert elastic_gamma is not None
+    assert abs(rigid_gamma / gamma - 1.0) > 0.01
+    assert abs(elastic_gamma / gamma - 1.0) < 0.005
 
 
 @pytest.mark.parametrize("cut", [slice(7, None), slice(None, -10)])
 def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
-    """A few samples less, a tenth of a row's distance, move nothing: no row has heard of the ends.
+    """Cutting a few samples, a tenth of the row distance, changes nothing: rows exclude the ends.
 
-    Rows one period of the cut-off from the ends would move by half a deviation.
+    Rows one period of the cut-off from the ends would change by half a standard deviation.
     """
     study = scara.study(Path("nowhere"), "linear")
     log = motion_log(study, scara.parameters(5, "linear"), 0)
@@ -213,8 +214,8 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
         rigid.fit([signals.motor_side(each, Arm.of(study.arm))], Arm.of(study.arm), options)
         for each in (log, replace(log, time=log.time[cut], channels=channels))
     )
-    deviation = np.sqrt(np.diag(whole.covariance))
-    assert np.max(np.abs(shorter.solution - whole.solution) / deviation) < 0.1
+    std = np.sqrt(np.diag(whole.covariance))
+    assert np.max(np.abs(shorter.solution - whole.solution) / std) < 0.1
 
 
 def test_gross_errors_hardly_matter() -> None:
@@ -222,12 +223,12 @@ def test_gross_errors_hardly_matter() -> None:
     motion = exact_motion(1, 0)
     rng = np.random.default_rng(0)
     torque = drive_torque(motion) + rng.normal(0.0, 0.02, motion[1].shape)
-    broken = torque.copy()
-    broken[4000:4080] += 5.0
+    disturbed = torque.copy()
+    disturbed[4000:4080] += 5.0
     options = rigid.RigidOptions(bandwidth_hz=5.0)
-    clean = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm), options)
-    spoilt = rigid.fit([exact_signals(motion, broken)], Arm.of(study.arm), options)
-    for a, b in zip(clean.parameters, spoilt.parameters, strict=True):
+    clean_fit = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm), options)
+    outlier_fit = rigid.fit([exact_signals(motion, disturbed)], Arm.of(study.arm), options)
+    for a, b in zip(clean_fit.parameters, outlier_fit.parameters, strict=True):
         assert a.value is not None
         assert b.value is not None
         assert abs(b.value - a.value) < 0.05 * max(abs(a.value), 0.1)
@@ -237,7 +238,7 @@ def test_invalid_samples_are_left_out() -> None:
     study = rigid_drive()
     motion = exact_motion(1, 0)
     torque = drive_torque(motion)
-    torque[5000:6000] = 1.0  # a drive at its limit
+    torque[5000:6000] = 1.0  # a saturated drive
     exact = exact_signals(motion, torque)
     exact.valid[5000:6000] = False
     model = rigid.fit([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=10.0))
@@ -291,8 +292,8 @@ def test_a_joint_that_stands_is_reported() -> None:
         exact.motor_velocity.copy(),
         exact.motor_acceleration.copy(),
     )
-    for still in (angle, velocity, acceleration):
-        still[:, 1] = 0.0
+    for signal in (angle, velocity, acceleration):
+        signal[:, 1] = 0.0
     motion = (time, angle, velocity, acceleration)
     values = values_of(study, 0)
     model = rigid.fit([exact_signals(motion, torque_of(study, values, motion))], Arm.of(study.arm))
@@ -309,7 +310,8 @@ def test_a_joint_that_stands_is_reported() -> None:
 def test_one_posture_confounds_the_inertias() -> None:
     study = rigid_two_link()
     values = values_of(study, 0)
-    time, angle, velocity, acceleration = exact_motion(2, 0, amplitude=0.02)  # q2 within 1e-3 rad
+    # Q2 varies by less than 1e-3 rad.
+    time, angle, velocity, acceleration = exact_motion(2, 0, amplitude=0.02)
     motion = (time, angle, velocity, acceleration)
     rng = np.random.default_rng(0)
     torque = torque_of(study, values, motion)
@@ -371,13 +373,13 @@ _DRIVES = {
 
 @pytest.mark.parametrize("seed", [141, 241])
 def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
-    """An upright arm of which some rounds, each going all the way, would never end."""
+    """An arm under gravity for which full steps of the iteration would oscillate."""
     study = scara.study(tmp_path, "linear")
     motion = tuple(e for e in study.experiments if e.use == "motion")
     study = replace(study, arm=replace(study.arm, gravity=9.81), experiments=motion)
     values: Values = {(name, None): value for name, value in _BODY.items()}
-    for name, both in _DRIVES.items():
-        values |= {(name, joint): value for joint, value in enumerate(both, start=1)}
+    for name, per_joint in _DRIVES.items():
+        values |= {(name, joint): value for joint, value in enumerate(per_joint, start=1)}
     noise = simulation.SensorNoise()
     simulate_study(study, values, tmp_path, seed=seed, noise=noise, as_recorded=False)
     written = read_study(tmp_path / "study.toml")
@@ -389,7 +391,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
 
 
 def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
-    """A drawn arm whose first band, 0.9 Hz, takes 60 times the compliance for certain."""
+    """An arm for which a first bandwidth of 0.9 Hz would give 60 times the true compliance."""
     study, values = draw_arm(12)
     motion = tuple(e for e in study.experiments if e.use == "motion")
     simulate_study(

@@ -1,4 +1,4 @@
-"""The rigid step on measured data and on logs of arms with known parameters."""
+"""Rigid step on measured data, and on simulated logs of arms with known parameters."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def load(path: Path, *names: str) -> tuple[Study, list[Signals]]:
 
 
 def truth_of(path: Path) -> dict[tuple[str, int | None], float]:
-    known: dict[str, Any] = json.loads((path / "truth.json").read_text())
-    first = known["joints"][0]
+    parameters: dict[str, Any] = json.loads((path / "truth.json").read_text())
+    first = parameters["joints"][0]
     truth: dict[tuple[str, int | None], float] = {
-        ("rigid_inertia", 1): known["alpha"] + first["motor_inertia"] / 0.01**2,
-        ("motor_inertia", 2): known["joints"][1]["motor_inertia"],
-        ("beta", None): known["beta"],
-        ("gamma", None): known["gamma"],
+        ("rigid_inertia", 1): parameters["alpha"] + first["motor_inertia"] / 0.01**2,
+        ("motor_inertia", 2): parameters["joints"][1]["motor_inertia"],
+        ("beta", None): parameters["beta"],
+        ("gamma", None): parameters["gamma"],
     }
     for name in ("gravity_torque_1", "gravity_torque_2"):
-        if name in known:
-            truth[name, None] = known[name]
-    for number, joint in enumerate(known["joints"], start=1):
+        if name in parameters:
+            truth[name, None] = parameters[name]
+    for number, joint in enumerate(parameters["joints"], start=1):
         for name in ("total_viscous_friction", "motor_coulomb_friction"):
             truth[name, number] = joint[name]
         truth["friction_offset", number] = 0.0
@@ -57,7 +57,7 @@ def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) 
     truth = truth_of(shared_data / "lab" / arm)
     model = rigid.fit(motion, Arm.of(study.arm))
     assert model.status == "determined"
-    # asked for: 3 % of inertias, 4 % of Coulomb friction; the sensors allow much less
+    # required: 3 % for inertias, 4 % for Coulomb friction; the sensors allow less
     assert max(abs(e) for e in errors(model, truth).values()) < 1.0
     for p in model.parameters:
         assert p.ci95 is not None
@@ -68,7 +68,7 @@ def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) 
 
 
 def test_emps_agrees_with_the_published_values(shared_data: Path) -> None:
-    """A. Janot, M. Gautier, M. Brunot, nonlinearbenchmark.org, 2019: IDIM-LS of the EMPS."""
+    """EMPS by IDIM-LS: A. Janot, M. Gautier, M. Brunot, nonlinearbenchmark.org, 2019."""
     study, motion = load(shared_data / "real" / "emps", "estimation")
     model = rigid.fit(motion, Arm.of(study.arm))
     assert model.value("inertia", 1) == pytest.approx(95.1089, rel=0.005)
@@ -80,27 +80,27 @@ def test_emps_agrees_with_the_published_values(shared_data: Path) -> None:
 
 
 def test_dfki_beats_the_published_model(shared_data: Path) -> None:
-    """DFKI's double pendulum A.0, model 2.0: both models under the same filter, band and signs."""
+    """DFKI's double pendulum A.0, model 2.0: same filter, bandwidth and signs for both models."""
     folder = shared_data / "real" / "dfki-double-pendulum"
     study, (long,) = load(folder, "long")
     model = rigid.fit([long], Arm.of(study.arm))
-    ours = validation.predict_rigid(model, long, Arm.of(study.arm)).fit_percent
-    assert ours["torque1"] >= 90.0
-    assert ours["torque2"] >= 84.0
-    theirs = validation.predict_rigid(
+    fit = validation.predict_rigid(model, long, Arm.of(study.arm)).fit_percent
+    assert fit["torque1"] >= 90.0
+    assert fit["torque2"] >= 84.0
+    published_fit = validation.predict_rigid(
         published_dfki(folder, model), long, Arm.of(study.arm)
     ).fit_percent
-    assert ours["torque1"] > theirs["torque1"]
-    assert ours["torque2"] > theirs["torque2"]
-    for name in ("a", "b"):  # swings that are faster than anything in the fitted record
+    assert fit["torque1"] > published_fit["torque1"]
+    assert fit["torque2"] > published_fit["torque2"]
+    for name in ("a", "b"):  # swings faster than those of the fitted record
         _, (check,) = load(folder, name)
-        ours, theirs = (
+        fit, published_fit = (
             validation.predict_rigid(each, check, Arm.of(study.arm)).fit_percent
             for each in (model, published_dfki(folder, model))
         )
-        print(f"{name}: ours {ours}, published {theirs}")
-        assert ours["torque1"] > 77.0  # the published model's 84 %: see docs/benchmarks.md
-        assert ours["torque2"] > theirs["torque2"]
+        print(f"{name}: ours {fit}, published {published_fit}")
+        assert fit["torque1"] > 77.0  # published model: 84 %, see docs/benchmarks.md
+        assert fit["torque2"] > published_fit["torque2"]
 
 
 def test_emps_has_no_friction_by_load(shared_data: Path) -> None:

@@ -1,4 +1,4 @@
-"""Coulomb friction that grows with the load: found where it is, and nowhere else."""
+"""Load-dependent Coulomb friction: estimated where present, zero elsewhere."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ SHARES = np.array([0.08, 0.0])
 
 
 def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, FloatArray, Signals]:
-    """An arm under gravity whose friction is that share of the load higher; torques with noise."""
+    """Arm under gravity with load-dependent friction, and a record with torque noise."""
     study = virtual_arms.rigid_two_link(9.81)
     truth = virtual_arms.rigid_truth(study, virtual_arms.values_of(study, arm))
     motion = virtual_arms.exact_motion(2, seed, duration=20.0)
     _, angle, velocity, acceleration = motion
-    own = Arm.of(study.arm)
-    n = own.gear_ratios
-    values = np.array([truth[c.name, c.joint] for c in own.rigid_columns])
-    phi = own.rigid_regressor(angle * n, velocity * n, acceleration * n)
-    body = phi @ values[: own.n_body]
-    viscous, coulomb, offset = values[own.n_body :].reshape(2, 3).T
-    dry = coulomb + shares * np.abs(body)
-    torque = body + viscous * velocity + dry * np.sign(velocity) + offset
+    model = Arm.of(study.arm)
+    n = model.gear_ratios
+    values = np.array([truth[c.name, c.joint] for c in model.rigid_columns])
+    phi = model.rigid_regressor(angle * n, velocity * n, acceleration * n)
+    body = phi @ values[: model.n_body]
+    viscous, coulomb, offset = values[model.n_body :].reshape(2, 3).T
+    coulomb_friction = coulomb + shares * np.abs(body)
+    torque = body + viscous * velocity + coulomb_friction * np.sign(velocity) + offset
     noise = np.random.default_rng(seed).normal(0.0, 2e-3, torque.shape)
     return study, values, virtual_arms.exact_signals(motion, torque + noise)
 
@@ -47,18 +47,19 @@ def test_it_is_found_where_it_is() -> None:
 
 def test_it_predicts_what_a_model_without_it_does_not() -> None:
     study, _, signals = loaded(SHARES)
-    _, _, other = loaded(SHARES, seed=2)
+    _, _, other_signals = loaded(SHARES, seed=2)
     models = [
         rigid.fit([signals], Arm.of(study.arm), RigidOptions(load_friction=o))
         for o in (None, False)
     ]
     fits = [
-        validation.predict_rigid(m, other, Arm.of(study.arm)).fit_percent["torque1"] for m in models
+        validation.predict_rigid(m, other_signals, Arm.of(study.arm)).fit_percent["torque1"]
+        for m in models
     ]
     assert models[1].load_friction == ()
     assert fits[0] > 97.0 > fits[1]
-    own = validation.predict_rigid(models[0], signals, Arm.of(study.arm)).fit_percent
-    assert models[0].fit_percent["motion"] == own
+    expected = validation.predict_rigid(models[0], signals, Arm.of(study.arm)).fit_percent
+    assert models[0].fit_percent["motion"] == expected
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])

@@ -1,4 +1,4 @@
-"""Motions that repeat a period: found, and fitted as what one period says."""
+"""Periodic motions: detection of the period, and fits with the information of one period."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PERIOD = 4.0
 
 
 def multisine(period: float, seed: int) -> FloatArray:
-    """Velocities of one period, harmonics up to 2 Hz: (n_samples, 2) [rad/s] of the motors."""
+    """Motor velocities [rad/s] of one period with harmonics up to 2 Hz: (n_samples, 2)."""
     rng = np.random.default_rng(seed)
     time: FloatArray = CLOCK * np.arange(round(period / CLOCK), dtype=np.float64)
     columns = []
@@ -34,25 +34,25 @@ def multisine(period: float, seed: int) -> FloatArray:
 
 
 def repeated_log(study: Study, values: Values, seed: int, periods: int) -> Log:
-    """Servoed motion, the same period again and again."""
+    """Log of a servoed periodic motion."""
     reference = np.tile(multisine(PERIOD, seed), (periods, 1))
     reference[:200] *= np.linspace(0.0, 1.0, 200)[:, None]
     return virtual_arms.servoed_log(study, values, reference)
 
 
 def moving(velocity: FloatArray) -> Signals:
-    """Signals of which only the velocities count."""
+    """Signals with the given velocities; the other channels are zero."""
     time: FloatArray = CLOCK * np.arange(len(velocity), dtype=np.float64)
-    still = np.zeros_like(velocity)
-    return virtual_arms.exact_signals((time, still, velocity, still), still)
+    zeros = np.zeros_like(velocity)
+    return virtual_arms.exact_signals((time, zeros, velocity, zeros), zeros)
 
 
 @pytest.mark.parametrize("periods", [1.6, 2.0, 3.4, 40.0])
 def test_a_period_is_found(periods: float) -> None:
-    one = multisine(PERIOD, 1)
-    velocity = np.tile(one, (41, 1))[: round(periods * len(one))]
+    one_period = multisine(PERIOD, 1)
+    velocity = np.tile(one_period, (41, 1))[: round(periods * len(one_period))]
     velocity = velocity + np.random.default_rng(0).normal(0.0, 1.0, velocity.shape)
-    assert period_of(moving(velocity)) == pytest.approx(len(one), abs=3.0)
+    assert period_of(moving(velocity)) == pytest.approx(len(one_period), abs=3.0)
 
 
 def test_a_period_between_samples_is_found() -> None:
@@ -70,13 +70,13 @@ def test_what_does_not_repeat_has_no_period() -> None:
     once_more = np.concatenate([np.tile(velocity[:3000], (4, 1)), 2.0 * velocity[::-1]])
     assert period_of(moving(once_more)) == len(once_more)
     one_joint = np.tile(velocity[:3000], (4, 1))
-    one_joint[:, 1] = velocity[: len(one_joint), 1]  # the other goes on
+    one_joint[:, 1] = velocity[: len(one_joint), 1]  # joint 2 is not periodic
     assert period_of(moving(one_joint)) == len(one_joint)
 
 
 @pytest.mark.parametrize("seed", [2, 4])
 def test_sixteen_periods_say_what_one_says(seed: int) -> None:
-    """Blocks within one of all periods would take 2 Hz, and be off by up to 18 deviations."""
+    """Blocks shorter than a period would allow 2 Hz, with errors of 18 standard deviations."""
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, seed)
     truth = virtual_arms.rigid_truth(study, values)
@@ -91,16 +91,16 @@ def test_sixteen_periods_say_what_one_says(seed: int) -> None:
         ("beta", None),
         ("gamma", None),
     ):
-        (own,) = (p for p in model.parameters if (p.name, p.joint) == (name, joint))
-        assert own.value is not None
-        assert own.std is not None
-        assert abs(own.value - truth[name, joint]) < 3.0 * own.std
+        (parameter,) = (p for p in model.parameters if (p.name, p.joint) == (name, joint))
+        assert parameter.value is not None
+        assert parameter.std is not None
+        assert abs(parameter.value - truth[name, joint]) < 3.0 * parameter.std
 
 
 def test_a_repetition_leaves_the_first_bandwidth() -> None:
-    """Eight lines of the period lie below it, however often it comes."""
-    found = [
+    """The first bandwidth contains eight harmonics, for any number of periods."""
+    bandwidths = [
         next(iter(rigid._bandwidths([(moving(np.tile(multisine(1.0, 1), (n, 1))), 1000.0)], 2.0)))
         for n in (4, 40)
     ]
-    assert found == [8.0, 8.0]
+    assert bandwidths == [8.0, 8.0]
