@@ -57,9 +57,7 @@ def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatA
     `rest` is the cost of the record from standstill. Returns None if initial states do not explain
     enough of it.
     """
-    fixed_space = objective.space.holding(
-        objective.space.values(z)
-    )  # only the record parameters vary
+    fixed_space = objective.space.holding(objective.space.values(z))
     free_start = objective.in_motion(k).only(k).for_unknowns(fixed_space)
     rough_start = replace(free_start, beginning_tolerance=ROUGH_BEGINNING)
     try:

@@ -19,6 +19,7 @@ _REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviation
 _NEAR_END = 0.5  # share of the band above which a resonance is attenuated
 _NO_PEAK = 0.5  # damping ratio above which a resonance has hardly any peak
 _ROUNDING = 0.5  # share of the residual variance above which encoder rounding dominates
+# parameters that need a reason, in addition to the slopes of the gear
 _MAIN = ("gear_damping", "motor_inertia", "link_inertia")
 
 

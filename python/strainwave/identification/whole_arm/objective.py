@@ -25,7 +25,10 @@ from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
 
 LEAST_ERROR = 1e-3
-"""Minimum standard deviation of residuals, as a share of a channel's standard deviation."""
+"""Minimum standard deviation of residuals, as a share of a channel's standard deviation.
+
+The error of the best models is about as large.
+"""
 
 BLOCKS = 10
 """Blocks per record whose errors are assumed independent."""

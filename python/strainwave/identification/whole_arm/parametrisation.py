@@ -42,7 +42,7 @@ SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
 """Starting value [s] of a friction settling time."""
 
-_BASE = ("alpha", "beta", "gamma")
+_BASE = ("alpha", "beta", "gamma")  # base parameters with the range of an inertia
 _LEAST_COULOMB = 0.01  # minimum starting Coulomb friction, as a share of the largest motor torque
 _FAR = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
 _LOWEST, _HIGHEST = -0.8, 1.5  # limits of the relative change of a positive value in one step

@@ -271,7 +271,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
 
 
 def _is_primary(key: Key) -> bool:
-    """Whether a parameter is an inertia, a gravity torque, of a gear, or Coulomb friction."""
+    """Whether a parameter is an inertia, gravity torque, gear parameter or Coulomb friction."""
     excluded = (*VISCOUS, OFFSET, SETTLING)
     of_effects = {name for effect in all_effects() for name in effect.names}
     name = base_name(key[0])

@@ -6,7 +6,7 @@ from strainwave.domain import ArmModel
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import effects_among
 
-_GAIN = "drive-gain"
+_GAIN = "drive-gain"  # effect that a wrong torque constant resembles
 _CLEARLY = 1.2  # minimum ratio of cost reductions, other effect over wrong torque constant
 
 
@@ -14,8 +14,8 @@ def blames_another(model: ArmModel, arm: Arm) -> bool:
     """Whether an effect explains the records clearly better than a wrong torque constant.
 
     `model` is the whole-arm model of a study whose rigid step suspects a torque constant. Returns
-    False if no effect is likely, if the effect is a drive gain, or if the fit reached its iteration
-    limit.
+    False if no effect is fitted or likely, if the effect is a drive gain, or if the fit reached its
+    iteration limit.
     """
     if model.criticism is None or model.status == "iteration-limit":
         return False
