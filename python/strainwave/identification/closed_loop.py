@@ -149,7 +149,7 @@ def predict_closed_loop(
     sides; the default is derived from the record.
 
     The channels are `omega_m{i}` [rad/s] and, with accelerometers, `a{i}` [m/s^2]. The fit of a
-    channel that hardly exceeds its noise is NaN, with a warning.
+    channel that does not clearly exceed its noise is NaN, with a warning.
 
     Raises `InvalidInput` if the log lacks a channel, or a parameter is missing or impossible;
     `NumericalFailure` if the simulated motion is not finite.

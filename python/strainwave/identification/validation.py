@@ -170,9 +170,10 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     """Predict the motion of a record with the whole arm by a simulation with its servo.
 
     The channels are motor velocities and, with accelerometers, accelerations. The fit of a channel
-    that hardly exceeds its noise is NaN, with a warning. `stiffness_effect` reports whether the
-    record excites each elastic gear; `unexplained` lists the channels that the model does not
-    predict. Raises `InvalidInput` if the log or the study lacks data that the simulation needs.
+    that does not clearly exceed its noise is NaN, with a warning. `stiffness_effect` reports
+    whether the record excites each elastic gear; `unexplained` lists the channels that the model
+    does not predict. Raises `InvalidInput` if the log or the study lacks data that the simulation
+    needs.
     """
     values, observed = dict(model.values), observe(log, arm)
     motion = observed.simulated(as_known(arm, values), values)

@@ -96,7 +96,7 @@ class RecordOptions:
     state_space: bool = True  # whether to estimate a state-space model as well
     # True: select the model order from the data, check the model on held-out samples and compute
     # physical parameters from it. False: estimate three states in the band of the equations of
-    # motion, which takes a twentieth of the time
+    # motion, which is 20 times faster
     judged: bool = True
 
 

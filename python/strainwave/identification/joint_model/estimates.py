@@ -64,12 +64,12 @@ def warnings_of(
     ):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
         identified = _is_identified(name, value, std, is_determined)
-        size = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
+        estimate = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
         if value + 2.0 * np.nan_to_num(std) < 0.0 and (identified or name not in _SPLIT):
-            text = f"{size} is impossible: {source} show something that"
+            text = f"{estimate} is impossible: {source} show something that"
             yield Diagnostic("implausible", place, text + " this joint's model has not")
         elif not identified:
-            text = f"{source} identify it only to {size}"
+            text = f"{source} identify it only to {estimate}"
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
             yield Diagnostic("not-identifiable", place, text)

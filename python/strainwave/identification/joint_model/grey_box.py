@@ -158,7 +158,7 @@ class Solved:
     def of_record(self, k: int) -> Solved:
         """Fit record `k` alone, starting from the solution of all records in the same bands.
 
-        If its resonances are elsewhere, the record is solved in bands of its own.
+        If its resonances differ, the equations are solved in new bands.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
         weighted = _settled(self.own.of_record(k, known), known, _SETTLED)
@@ -201,8 +201,8 @@ def solve(
     with_sign_friction = _settled(_as_it_shows(weighted, known), known, _NEARLY)
     in_other_bands = []
     for low, high in () if band_hz else _other_bands(band):
-        other = _equations(records, arm, known, _possible(low, high, records), weighted)
-        in_other_bands.append(_settled(other, known, _NEARLY))
+        neighbouring = _equations(records, arm, known, _possible(low, high, records), weighted)
+        in_other_bands.append(_settled(neighbouring, known, _NEARLY))
     return Solved(
         tuple(records), arm, known, band, weighted, with_sign_friction, tuple(in_other_bands)
     )
@@ -471,7 +471,7 @@ def _assemble(
     pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STANDING
 ) -> ls.Equations:
     """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
-    shared, local, target, group, block, deviation = [], [], [], [], [], []
+    shared, local, target, group, block, free_friction_std = [], [], [], [], [], []
     total = sum(len(p.torque) for p in pieces)
     first_block = n_before = 0
     for number, p in enumerate(pieces):
@@ -493,7 +493,7 @@ def _assemble(
         target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * link_torque]
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
-        deviation += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
+        free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
     prior_rows, prior_values = _knowledge(known, pieces[0].ratio)
     rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
@@ -502,7 +502,7 @@ def _assemble(
         common=np.zeros((len(rows), 0)),
         common_deviation=np.zeros(0),
         local=tuple(local),
-        local_deviation=np.array(deviation),
+        local_deviation=np.array(free_friction_std),
         target=np.concatenate([*target, prior_values]),
         group=np.concatenate([*group, np.full(len(prior_values), ls.KNOWN)]),
         block=np.concatenate([*block, np.full(len(prior_values), ls.KNOWN)]),
@@ -522,9 +522,9 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
         row = np.zeros(len(COLUMNS))
         for column, factor in columns.items():
             row[column] = factor
-        deviation = max(value[1], _SUREST * abs(value[0]))
-        rows.append(row / deviation)
-        values.append(value[0] / deviation)
+        std = max(value[1], _SUREST * abs(value[0]))
+        rows.append(row / std)
+        values.append(value[0] / std)
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
@@ -553,8 +553,8 @@ def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float
     fits = []
     for parity in (0, 1):
         rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
-        size = _size(weighted.pieces, parity)
-        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / size))
+        norm = _size(weighted.pieces, parity)
+        fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / norm))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
     return GreyBoxFit(
         joint=_joint_of(weighted),

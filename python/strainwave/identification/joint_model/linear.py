@@ -49,7 +49,7 @@ from strainwave.statespace import (
 )
 
 BELOW = 3.0  # ratio of the anti-resonance to the lower edge of the band
-# ratio of the upper edge of the band to the resonance; a lower one hardly determines d_G
+# ratio of the upper edge of the band to the resonance; with less, the data do not determine d_G
 ABOVE = 3.0
 # initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
 _FIRST_BAND_HZ = (3.0, 60.0)
@@ -180,10 +180,12 @@ def judge(fit: LinearFit) -> ModelCheck:
     if not _has_resonances(fit.model):
         raise NotIdentifiable("the model does not ring: there is no band to judge it in")
     cuts = [round(_FITTED * len(piece.inputs)) for piece in fit.data]
-    first = [piece.window(0, cut) for piece, cut in zip(fit.data, cuts, strict=True)]
-    last = [piece.window(cut, len(piece.inputs)) for piece, cut in zip(fit.data, cuts, strict=True)]
-    refitted = _fit_near(first, fit.model, fit.options)
-    return check_model(refitted or _fit(first, fit.model.order, fit.options), last)
+    fitted_part = [piece.window(0, cut) for piece, cut in zip(fit.data, cuts, strict=True)]
+    held_out_part = [
+        piece.window(cut, len(piece.inputs)) for piece, cut in zip(fit.data, cuts, strict=True)
+    ]
+    refitted = _fit_near(fitted_part, fit.model, fit.options)
+    return check_model(refitted or _fit(fitted_part, fit.model.order, fit.options), held_out_part)
 
 
 def modes_of(model: StateSpace) -> Modes:
@@ -203,12 +205,19 @@ def without_alternating(model: StateSpace) -> StateSpace:
     if not len(alternating) or len(alternating) == model.order:
         return model
     z, w = float(values[alternating[0]].real), np.linalg.inv(vectors)[alternating[0]].real
-    others = np.linalg.svd(w[None])[2][1:].T  # w'A = z w': `others` is the invariant subspace
-    reduced = _without(z, others, model)
+    complement = np.linalg.svd(w[None])[2][
+        1:
+    ].T  # w'A = z w': `complement` is the invariant subspace
+    reduced = _without(z, complement, model)
 
     def entries(near: StateSpace) -> FloatArray:
-        left = _without(z, others, near)
-        return np.concatenate([each.ravel() for each in (left.A, left.B, left.C, left.D, left.K)])
+        remaining = _without(z, complement, near)
+        return np.concatenate(
+            [
+                each.ravel()
+                for each in (remaining.A, remaining.B, remaining.C, remaining.D, remaining.K)
+            ]
+        )
 
     if model.covariance is not None:
         reduced = replace(reduced, covariance=propagate(model, entries)[1])

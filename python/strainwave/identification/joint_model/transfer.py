@@ -1,9 +1,9 @@
 """Compute physical parameters from the transfer functions of a state-space model, (15)-(18).
 
 The state-space model gives G11, the transfer function from motor torque to motor velocity. Its
-lightly damped zero pair gives b1, b2; its pole pair gives d1, d2. Fast records hardly determine the
-slow pole of (17), so (18) replaces it by c_0 + c_1 s from the rigid model. The physical parameters
-then follow in closed form.
+lightly damped zero pair gives b1, b2; its pole pair gives d1, d2. Fast records contain little
+information on the slow pole of (17), so (18) replaces it by c_0 + c_1 s from the rigid model. The
+physical parameters then follow in closed form.
 """
 
 from __future__ import annotations
@@ -136,9 +136,13 @@ def from_state_space(
 
 def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArray:
     """`_Pairs.vector` for zeros and poles (...,) and lags (2, ...), (..., 10)."""
-    of = [x for r in (zero, pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2.0)]
-    rings = [x for r in (zero, pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))]
-    return np.stack([*of, *lag, *rings], axis=-1)
+    quadratic_coefficients = [
+        x for r in (zero, pole) for x in (-2.0 * r.real / abs(r) ** 2, abs(r) ** -2.0)
+    ]
+    frequencies_and_dampings = [
+        x for r in (zero, pole) for x in (abs(r) / (2.0 * np.pi), -r.real / abs(r))
+    ]
+    return np.stack([*quadratic_coefficients, *lag, *frequencies_and_dampings], axis=-1)
 
 
 def _propagated(model: StateSpace, nominal: _Pairs) -> tuple[FloatArray, FloatArray | None]:
@@ -246,14 +250,14 @@ def _seen_and_missed(
     def measured(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band)[:, None, None] * velocities(f, record))
 
-    reach = 3.0 / band[0]
+    filter_length = 3.0 / band[0]
     rows = np.flatnonzero(record.valid)
     edge = int(1.0 / (band[0] * record.sample_time))
     rows = rows[(rows >= rows[0] + edge) & (rows <= rows[-1] - edge)]
     inputs = np.zeros((len(record.inputs), 2))
     inputs[:, :n_in] = record.inputs
-    y = by_spectrum(record.outputs, measured, record.sample_time, reach)[rows]
-    return y, y - by_spectrum(inputs, modelled, record.sample_time, reach)[rows]
+    y = by_spectrum(record.outputs, measured, record.sample_time, filter_length)[rows]
+    return y, y - by_spectrum(inputs, modelled, record.sample_time, filter_length)[rows]
 
 
 def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | None:
@@ -262,8 +266,8 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
         return None
     f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _LINES)
     G = _response(to_continuous(without_alternating(replace(model, covariance=None))), _s(f))
-    difference, mean = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
-    return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(mean)))
+    difference, average = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
+    return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(average)))
 
 
 def _doubts(

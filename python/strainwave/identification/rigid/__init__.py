@@ -248,7 +248,7 @@ def _torque_ratio_at(arm: Arm, trial: _Trial) -> TorqueRatio | None:
 def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
     """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid."""
     trials: list[_Trial] = []
-    least, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
+    least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
     is_rigid = n_compliances(arm) == 0
     for bandwidth in _bandwidths(motions, _STEP ** (2 if is_rigid else 1)):
         limits = [_surely_elastic(arm, trial) for trial in trials[-2:]]
@@ -260,9 +260,9 @@ def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
         )
         trial = _trial(arm, stretches, start)
         trials.append(trial)
-        has_improved = bool(np.any(trial.spread < least - _GAIN))
+        has_improved = bool(np.any(trial.spread < least_spread - _GAIN))
         n_without_gain = 0 if has_improved else n_without_gain + 1
-        least = np.minimum(least, trial.spread)
+        least_spread = np.minimum(least_spread, trial.spread)
         if n_without_gain >= _FRUITLESS:
             break
     return trials
@@ -334,10 +334,10 @@ def _trial(
         factor = ls.factorise(equations, root)
         previous = factor.value if around is None else around.solution
         change = factor.value - previous
-        size = np.abs(change)
+        change_size = np.abs(change)
         known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        has_converged = iteration > 1 and np.all(size <= _CONVERGED * factor.deviation)
+        has_converged = iteration > 1 and np.all(change_size <= _CONVERGED * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, motor_share)
         if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
             estimate = halfway(around, estimate)
@@ -358,7 +358,7 @@ def _trial(
         factor=factor,
         covariance=covariance,
         determined=identified,
-        last_move=float(np.max((size / standard_deviations)[identified], initial=0.0)),
+        last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
     )
 
 
@@ -412,9 +412,9 @@ def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     model error is largest at high frequencies.
     """
     spread = np.array([trial.spread for trial in trials])
-    least = spread.min(axis=0)
-    identified = np.isfinite(least)
-    regret = np.max(spread[:, identified] - least[identified], axis=1, initial=0.0)
+    least_spread = spread.min(axis=0)
+    identified = np.isfinite(least_spread)
+    regret = np.max(spread[:, identified] - least_spread[identified], axis=1, initial=0.0)
     if not any(joint.elastic for joint in arm.joints):
         return trials[int(np.argmin(regret))]
     return trials[int(np.argmax(regret <= regret.min() + _GAIN))]

@@ -2,7 +2,7 @@
 
 Both sides of the equation of motion pass through the same low-pass filter. During sliding, friction
 is viscous * dq + Coulomb * sgn(dq) + offset; where the motor may be in stiction, the Coulomb torque
-is an unknown of its own. Elastic joints are modelled to first order: the torsion is the gear torque
+is a separate unknown. Elastic joints are modelled to first order: the torsion is the gear torque
 times the compliance, (1) and (2).
 """
 
@@ -92,8 +92,8 @@ class Stretch:
 
     def motion_samples(self) -> IntArray:
         """Sample indices of the motion; they include the rows of the equations."""
-        first = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
-        return np.arange(first, len(self.signals.time), self.motion_step)
+        start = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
+        return np.arange(start, len(self.signals.time), self.motion_step)
 
     def filtered(self, signal: FloatArray) -> FloatArray:
         """Apply the equations' filter to a signal at the motion's samples: (n_rows, ...)."""
@@ -252,7 +252,7 @@ def assemble(
     total = sum(s.duration for s in stretches)
     n_shared, n_of_body = len(arm.rigid_columns), arm.n_body
     shared, common, local, target, group, block = [], [], [], [], [], []
-    deviation: list[float] = []
+    free_friction_std: list[float] = []
     first_block = n_before = 0
     for record, stretch in enumerate(stretches):
         body, lags, torque = _body_equations(arm, stretch, around, record, elastic)
@@ -268,7 +268,7 @@ def assemble(
             X[:, :n_of_body] = body[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
             coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
-            deviation += [max(_STANDING * abs(float(coulomb)), 1e-300)] * free.n_columns
+            free_friction_std += [max(_STANDING * abs(float(coulomb)), 1e-300)] * free.n_columns
             keep = np.flatnonzero(stretch.keep[:, i])
             shared.append(X[keep])
             common.append(
@@ -292,7 +292,7 @@ def assemble(
             ]
         ),
         local=tuple(local),
-        local_deviation=np.array(deviation),
+        local_deviation=np.array(free_friction_std),
         target=np.concatenate(target),
         group=np.concatenate(group),
         block=np.concatenate(block),

@@ -63,7 +63,11 @@ def _correlation(motion: FloatArray) -> FloatArray:
 def _repeats(motion: FloatArray, period: int) -> bool:
     """Whether the whole motion repeats, beyond the samples of the search."""
     step = max(1, len(motion) // _LOOKED_AT)
-    first, second = motion[:-period:step], motion[period::step]
-    squared_difference = np.sum((second - first) ** 2, axis=0)
-    energy = np.sum((first - first.mean(axis=0)) ** 2 + (second - second.mean(axis=0)) ** 2, axis=0)
+    motion_before, motion_after = motion[:-period:step], motion[period::step]
+    squared_difference = np.sum((motion_after - motion_before) ** 2, axis=0)
+    energy = np.sum(
+        (motion_before - motion_before.mean(axis=0)) ** 2
+        + (motion_after - motion_after.mean(axis=0)) ** 2,
+        axis=0,
+    )
     return bool(np.all(squared_difference <= (1.0 - _ALIKE) * energy))

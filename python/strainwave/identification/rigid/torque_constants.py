@@ -73,14 +73,14 @@ def _scaled(
     ratio: float,
 ) -> ls.Equations:
     """Multiply the body torques of joint 2 by a ratio and add a column for its relative change."""
-    second = equations.group == _SECOND
+    is_joint_2 = equations.group == _SECOND
     n = arm.n_body
     shared, common = equations.shared.copy(), equations.common.copy()
-    torque = shared[:, :n] @ solution[:n] * second
+    torque = shared[:, :n] @ solution[:n] * is_joint_2
     lag = common @ compliance if common.shape[1] else np.zeros(len(torque))
-    target = equations.target + (ratio - 1.0) * lag * second
-    shared[second, :n] *= ratio
-    common[second] *= ratio
+    target = equations.target + (ratio - 1.0) * lag * is_joint_2
+    shared[is_joint_2, :n] *= ratio
+    common[is_joint_2] *= ratio
     return replace(
         equations,
         shared=shared,

@@ -41,7 +41,7 @@ class Posture:
 def posture_of(arm: Arm, angle: FloatArray) -> Posture:
     """Inertia matrix and gravity stiffness per base parameter, at link angles (n_joints,) [rad]."""
     unit = np.eye(len(arm.base_names))
-    inertia = np.stack([arm.inertia_matrix(one, angle) for one in unit])
+    inertia = np.stack([arm.inertia_matrix(unit_vector, angle) for unit_vector in unit])
     return Posture(inertia, _gravity_slopes(arm, angle))
 
 
@@ -155,14 +155,14 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         base = np.zeros(len(arm.base_names))
         return Family(arm, ratio, None, None, None, base, unknown, unknown)
     total = total_inertias(model, arm)
-    share, deviation = unknown.copy(), unknown.copy()
+    share, share_std = unknown.copy(), unknown.copy()
     for parameter in model.parameters:
         is_motor_inertia = parameter.name == "motor_inertia" and parameter.joint is not None
         if is_motor_inertia and parameter.value and parameter.value > 0.0:
             i = (parameter.joint or 1) - 1
             share[i] = min(0.95, parameter.value / total[i])
             relative_std = (parameter.std or 0.0) / parameter.value
-            deviation[i] = max(relative_std, _LEAST_DEVIATION)
+            share_std[i] = max(relative_std, _LEAST_DEVIATION)
     return Family(
         arm,
         ratio,
@@ -171,7 +171,7 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         np.array([max(0.0, _value(model, "motor_coulomb_friction", i)) for i in _numbers(n)]),
         base_parameters(model, arm),
         share,
-        deviation,
+        share_std,
     )
 
 
@@ -192,7 +192,7 @@ def _gravity_slopes(arm: Arm, angle: FloatArray) -> FloatArray:
     """Derivative of gravity torques by link angle, per base parameter: (n_base, n, n)."""
     n = arm.n_joints
     shifted = np.concatenate([angle + _STEP * np.eye(n), angle - _STEP * np.eye(n)])
-    still = np.zeros_like(shifted)
-    regressor = arm.base_regressor(shifted, still, still)  # (2n, n, n_base)
+    zero = np.zeros_like(shifted)
+    regressor = arm.base_regressor(shifted, zero, zero)  # (2n, n, n_base)
     slope = (regressor[:n] - regressor[n:]) / (2.0 * _STEP)  # by angle, torque, parameter
     return np.asarray(np.transpose(slope, (2, 1, 0)))

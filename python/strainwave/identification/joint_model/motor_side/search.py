@@ -93,13 +93,15 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
 def _beside(family: Family, best: FloatArray, records: Sequence[Piece]) -> Iterator[FloatArray]:
     """The best point with other stiffnesses of one joint, over the whole band.
 
-    If the motor contributes most of its joint's inertia, its velocity hardly depends on the gear.
-    The anti-resonance is then uncertain over a wide band.
+    If the motor contributes most of its joint's inertia, its velocity depends only weakly on the
+    gear. The anti-resonance is then uncertain over a wide band.
     """
-    lines = np.concatenate([piece.s.imag for piece in records])
+    line_frequencies = np.concatenate([piece.s.imag for piece in records])
     link_inertia = family.parts(best)["link_inertia"]
     for i in range(family.n_joints):
-        for ring in np.geomspace(1.2 * lines.min(), min(0.7 * lines.max(), _HIGHEST), _RINGS):
+        for ring in np.geomspace(
+            1.2 * line_frequencies.min(), min(0.7 * line_frequencies.max(), _HIGHEST), _RINGS
+        ):
             point = best.copy()
             point[PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
             point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING * ring * link_inertia[i])
@@ -109,8 +111,10 @@ def _beside(family: Family, best: FloatArray, records: Sequence[Piece]) -> Itera
 
 def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
     """Grid (n_points, n_coordinates) over gears, motor shares and, if unknown, total inertias."""
-    lines = np.concatenate([piece.s.imag for piece in records])
-    rings = np.geomspace(1.2 * lines.min(), 0.7 * lines.max(), _RINGS)
+    line_frequencies = np.concatenate([piece.s.imag for piece in records])
+    anti_resonances = np.geomspace(
+        1.2 * line_frequencies.min(), 0.7 * line_frequencies.max(), _RINGS
+    )
     shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
     n, rigid = family.n_joints, family.total_inertia
     if rigid is None:
@@ -118,7 +122,7 @@ def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
     else:
         totals = [np.array([known]) for known in rigid]
     points = []
-    for values in product(*([rings] * n), *shares, *totals):
+    for values in product(*([anti_resonances] * n), *shares, *totals):
         ring, share, total = (np.array(values[k * n : (k + 1) * n]) for k in range(3))
         points.append(family.point(ring, share, _DAMPING, None if rigid is not None else total))
     return np.array(points)
@@ -169,14 +173,14 @@ def _valleys(grid: FloatArray, cost: FloatArray, n_joints: int) -> list[FloatArr
     shape = (_RINGS,) * n_joints
     by_ring = cost.reshape(_RINGS**n_joints, -1)
     best_index = np.argmin(by_ring, axis=1)
-    least = np.min(by_ring, axis=1).reshape(shape)
-    padded = np.pad(least, 1, constant_values=np.inf)
-    is_minimum = np.isfinite(least)
+    least_cost = np.min(by_ring, axis=1).reshape(shape)
+    padded = np.pad(least_cost, 1, constant_values=np.inf)
+    is_minimum = np.isfinite(least_cost)
     for step in product((0, 1, 2), repeat=n_joints):
-        is_minimum &= least <= padded[tuple(slice(k, k + _RINGS) for k in step)]
+        is_minimum &= least_cost <= padded[tuple(slice(k, k + _RINGS) for k in step)]
     points = grid.reshape(_RINGS**n_joints, by_ring.shape[1], -1)
     chosen = np.flatnonzero(is_minimum)
-    chosen = chosen[np.argsort(least.ravel()[chosen], kind="stable")][:_STARTS]
+    chosen = chosen[np.argsort(least_cost.ravel()[chosen], kind="stable")][:_STARTS]
     return [points[k, best_index[k]] for k in chosen]
 
 

@@ -47,8 +47,8 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Itera
     frequency = np.fft.rfftfreq(length, T)
     highest = min(_SHARE / T, signals.bandwidth_hz or np.inf)
     inside = np.flatnonzero((frequency >= _LOWEST * frequency[1]) & (frequency <= highest))
-    for first in np.linspace(0, n - length, count).astype(int):
-        chunk = slice(first, first + length)
+    for start in np.linspace(0, n - length, count).astype(int):
+        chunk = slice(start, start + length)
         sliding_share = np.mean(np.abs(signals.direction[chunk]) > 0.5, axis=0)
         torque, direction, velocity = (
             _lines(x[chunk])[inside]
@@ -72,8 +72,8 @@ def thinned(piece: Piece, most_lines: int) -> Piece:
     edges = np.geomspace(piece.s[0].imag, 1.001 * piece.s[-1].imag, most_lines + 1)
     band = np.searchsorted(edges, piece.s.imag, side="right")
     order = np.lexsort((-torque_sum, band))
-    first = np.unique(band[order], return_index=True)[1]
-    chosen = np.sort(order[first]) if n > most_lines else np.arange(n)
+    first_of_band = np.unique(band[order], return_index=True)[1]
+    chosen = np.sort(order[first_of_band]) if n > most_lines else np.arange(n)
     return replace(
         piece,
         s=piece.s[chosen],
@@ -84,5 +84,5 @@ def thinned(piece: Piece, most_lines: int) -> Piece:
 
 
 def _lines(columns: FloatArray) -> ComplexArray:
-    (lines,) = window_spectra(columns, np.hanning(len(columns)), len(columns))
-    return np.asarray(lines)
+    (spectrum,) = window_spectra(columns, np.hanning(len(columns)), len(columns))
+    return np.asarray(spectrum)
