@@ -277,20 +277,12 @@ def _bands(records: Sequence[_Seen]) -> Iterator[FloatArray]:
 
 def _fits(family: Family, point: FloatArray, records: Sequence[_Seen]) -> FloatArray:
     """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|), (n_joints,)."""
-    squared_error, squared_velocity = np.zeros(family.n_joints), np.zeros(family.n_joints)
+    error_sum, total = np.zeros(family.n_joints), np.zeros(family.n_joints)
     for record in records:
         for i, (error, velocity) in zip(
             record[0].rows, _errors(family, point, record), strict=True
         ):
-            squared_error[i] += np.sum(np.abs(error) ** 2)
-            squared_velocity[i] += np.sum(velocity**2)
+            error_sum[i] += np.sum(np.abs(error) ** 2)
+            total[i] += np.sum(velocity**2)
     with np.errstate(invalid="ignore"):
-        return np.asarray(
-            100.0
-            * (
-                1.0
-                - np.sqrt(
-                    squared_error / np.where(squared_velocity > 0.0, squared_velocity, np.nan)
-                )
-            )
-        )
+        return np.asarray(100.0 * (1.0 - np.sqrt(error_sum / np.where(total > 0.0, total, np.nan))))
