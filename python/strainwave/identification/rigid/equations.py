@@ -240,8 +240,8 @@ def assemble(
     """Assemble the equations of all records and joints.
 
     Nuisance parameters are the compliances of elastic joints, common to all rows, and the free
-    friction of each record and joint. Blocks are equal intervals of time, about `_BLOCKS` in all,
-    and equal parts of the period of a repeated motion; both joints share them.
+    friction of each record and joint. Blocks are equal intervals of time, about 20 in all, and
+    equal parts of the period of a repeated motion; both joints share them.
 
     Without `around`, the joints are rigid, the prior of the free friction is the size of the
     torque, and friction does not depend on the load. `loads` adds one share of the load per joint,
