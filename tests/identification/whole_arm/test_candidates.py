@@ -1,4 +1,4 @@
-"""Starts that the records choose among: order does not matter, nor what cannot be simulated."""
+"""Several starting values: independent of their order and of starts that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm import tune
 from tuning_runs import joint_models, rigid_model, shaken
 
-NEAR, FAR = 0.02, 6.0  # relative error of a right start; factor of a wrong one's stiffness
-STIFF = 1e12  # so far above the truth that no step of the integrator follows it
+NEAR, FAR = 0.02, 6.0  # relative error of a good start; stiffness factor of a poor start
+STIFF = 1e12  # stiffness for which the integration fails
 
 
 def starts(factor: float) -> tuple[JointModel, ...]:
-    """Joints near the truth, but for the stiffness of joint 2."""
+    """Joint models near the true values, except for the stiffness of joint 2."""
     study, values, _ = shaken()
-    own = joint_models(study, values, NEAR, np.ones((2, 6)))
-    stiffness = factor * own[1].values["gear_stiffness"]
-    return own[0], replace(own[1], values={**own[1].values, "gear_stiffness": stiffness})
+    joints = joint_models(study, values, NEAR, np.ones((2, 6)))
+    stiffness = factor * joints[1].values["gear_stiffness"]
+    return joints[0], replace(joints[1], values={**joints[1].values, "gear_stiffness": stiffness})
 
 
 def tuned(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmModel:
@@ -33,28 +33,28 @@ def tuned(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmMode
 
 
 def test_the_records_choose_in_any_order() -> None:
-    alone = tuned(starts(1.0))
+    reference = tuned(starts(1.0))
     for order in ((1.0, FAR), (FAR, 1.0)):
-        found = tuned(*(starts(factor) for factor in order))
-        assert found.status == "converged"
-        for p, q in zip(found.parameters, alone.parameters, strict=True):
+        model = tuned(*(starts(factor) for factor in order))
+        assert model.status == "converged"
+        for p, q in zip(model.parameters, reference.parameters, strict=True):
             if p.value is not None and q.value is not None and q.std:
-                # the band follows the resonances that a start has
+                # the bandwidth depends on the resonances of the start
                 assert abs(p.value - q.value) < 0.5 * q.std, p.label
 
 
 def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
     _, values, _ = shaken()
-    found = tuned(starts(FAR), starts(0.9 * FAR))
-    k = found.values["gear_stiffness", 2]
-    assert found.status == "converged"
+    model = tuned(starts(FAR), starts(0.9 * FAR))
+    k = model.values["gear_stiffness", 2]
+    assert model.status == "converged"
     assert k == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
 def test_what_cannot_be_simulated_is_passed_over() -> None:
     _, values, _ = shaken()
-    found = tuned(starts(STIFF), starts(1.0))
-    assert found.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
+    model = tuned(starts(STIFF), starts(1.0))
+    assert model.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
 def test_nothing_that_can_be_simulated_is_said() -> None:

@@ -1,4 +1,4 @@
-"""The likeliest effect that a model lacks: told from its rivals, and taken up where asked to be."""
+"""Likely effect that the model lacks: distinction from rival effects, and automatic addition."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def taken_up(model: ArmModel) -> list[str]:
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
-    """Its size is right, and what it would move is what it has moved."""
+    """The effect has the correct size, and the predicted shifts equal the actual ones."""
     model = tuned((name,), ())
     assert model.criticism is not None
     cause = model.criticism.causes[0]
@@ -36,15 +36,15 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
         return
     assert (cause.joint, cause.effect) == (1, name)
     assert cause.share > SHARES.get(name, 0.1)
-    known = truth()[1]
-    for own in cause.parameters:
-        if own.name in effect_named(name).sizes:
-            assert own.value == pytest.approx(EVERY[own.name, 1], rel=0.1), own
+    true_values = truth()[1]
+    for parameter in cause.parameters:
+        if parameter.name in effect_named(name).sizes:
+            assert parameter.value == pytest.approx(EVERY[parameter.name, 1], rel=0.1), parameter
     for move in cause.shifts:
         if move.name in MENDED and abs(move.deviations) > 5.0:
-            true = known[move.name, move.joint]
-            off = abs(move.without + move.shift - true)
-            assert off < max(0.2 * abs(move.without - true), 0.01 * true), move
+            true = true_values[move.name, move.joint]
+            error = abs(move.without + move.shift - true)
+            assert error < max(0.2 * abs(move.without - true), 0.01 * true), move
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
@@ -52,8 +52,10 @@ def test_what_the_records_demand_is_taken_up(name: str) -> None:
     model = tuned((name,), "auto")
     assert taken_up(model) == [name]
     assert model.status == "converged"
-    for other in MENDED:
-        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
+            parameter
+        )
 
 
 @pytest.mark.parametrize(
@@ -74,16 +76,18 @@ def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float
     assert (first.joint, first.effect) == (1, name)
     cause = model.criticism.causes[0]
     assert (cause.joint, cause.effect) == (1, name)
-    known = EVERY | {(shape, 1): value}
-    for own in cause.parameters:
-        assert own.value == pytest.approx(known[own.name, 1], rel=0.1), own
+    true_values = EVERY | {(shape, 1): value}
+    for parameter in cause.parameters:
+        assert parameter.value == pytest.approx(true_values[parameter.name, 1], rel=0.1), parameter
 
 
 def test_what_is_of_unusual_shape_is_taken_up() -> None:
     model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
     assert taken_up(model) == ["flexible-link"]
-    for other in MENDED:
-        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
+            parameter
+        )
 
 
 POSSIBLE = [
@@ -92,12 +96,12 @@ POSSIBLE = [
     for effect in all_effects()
     if joint == 1 or not effect.first_joint_only
 ]
-"""The effects that each joint may have."""
+"""Joint and effect of each possible hypothesis."""
 
 
 @pytest.fixture
 def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
-    """How many sets of shapes of each effect are tested from here on."""
+    """Counts how many sets of shapes of each effect are tested from here on."""
     columns_of, found = EffectColumns.of, Counter[NamedEffect]()
 
     def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
@@ -121,8 +125,8 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
     counts: Counter[NamedEffect], cutoff_hz: float, below: dict[str, int]
 ) -> None:
     tuned(("hysteresis",), (), cutoff_hz=cutoff_hz)
-    known = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
-    numbers = {one.name: len(one.tested_shapes(known)) for one in all_effects()}
+    joint_parameters = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
+    numbers = {effect.name: len(effect.tested_shapes(joint_parameters)) for effect in all_effects()}
     numbers |= below
     assert counts == {(joint, name): numbers[name] for joint, name in POSSIBLE}
 
@@ -130,14 +134,16 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
 def test_two_effects_are_taken_up_one_after_the_other() -> None:
     model = tuned(("hysteresis", "load-friction"), "auto")
     assert sorted(taken_up(model)) == ["hysteresis", "load-friction"]
-    for other in MENDED:
-        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.01), other
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.01), (
+            parameter
+        )
 
 
 def test_an_arm_without_effects_takes_up_none() -> None:
-    model, plain = tuned((), "auto"), tuned((), ())
+    model, reference = tuned((), "auto"), tuned((), ())
     assert taken_up(model) == []
-    assert model.values == plain.values
+    assert model.values == reference.values
     assert model.criticism is not None
     assert model.criticism.causes == ()
 
@@ -146,24 +152,24 @@ def test_what_a_cause_would_move_is_in_order() -> None:
     model = tuned(("hysteresis",), ())
     assert model.criticism is not None
     for cause in model.criticism.causes:
-        deviations = [abs(move.deviations) for move in cause.shifts]
-        assert deviations == sorted(deviations, reverse=True)
-        assert np.all(np.isfinite(deviations))
+        shift_sizes = [abs(move.deviations) for move in cause.shifts]
+        assert shift_sizes == sorted(shift_sizes, reverse=True)
+        assert np.all(np.isfinite(shift_sizes))
 
 
 def test_rivals_are_fitted_within_their_budget() -> None:
-    """Without effort no effect is fitted, and a warning lists those that might explain much."""
+    """With zero effort no rival effect is fitted, and a warning lists the effects."""
     named = tuned(("hysteresis",), ())
     assert named.criticism is not None
     assert named.criticism.causes
     assert not [w for w in named.warnings if w.code == "causes-not-fitted"]
-    none = tuned(("hysteresis",), (), effort=0.0)
-    assert none.criticism is not None
-    assert none.criticism.causes == ()
-    (warning,) = [w for w in none.warnings if w.code == "causes-not-fitted"]
+    unfitted = tuned(("hysteresis",), (), effort=0.0)
+    assert unfitted.criticism is not None
+    assert unfitted.criticism.causes == ()
+    (warning,) = [w for w in unfitted.warnings if w.code == "causes-not-fitted"]
     assert "hysteresis of joint 1" in warning.message
     assert "rival_effort" in warning.message
-    assert none.values == named.values
+    assert unfitted.values == named.values
 
 
 @pytest.mark.parametrize(
@@ -171,8 +177,8 @@ def test_rivals_are_fitted_within_their_budget() -> None:
     [(0.052, 0.044, "one"), (0.30, 0.10, "many"), (0.10, 0.10, "one")],
 )
 def test_many_sizes_must_explain_more_than_one(many: float, one: float, more_likely: str) -> None:
-    found = {"many": evidence_of(many, 6, 4000.0), "one": evidence_of(one, 1, 4000.0)}
-    assert max(found, key=lambda name: found[name]) == more_likely
+    evidence = {"many": evidence_of(many, 6, 4000.0), "one": evidence_of(one, 1, 4000.0)}
+    assert max(evidence, key=lambda name: evidence[name]) == more_likely
 
 
 def test_an_effect_that_explains_nothing_has_evidence_against_it() -> None:

@@ -1,4 +1,4 @@
-"""Gears of the cubic law: found where the records show it, and linear ones where they do not."""
+"""Cubic gears: estimated where the records determine them, otherwise linear."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ from strainwave.virtual.experiments import derived
 from tuning_runs import joint_models, rigid_model, shaken_study, written_logs
 
 STIFFENING = {1: 6e8, 2: 2e8}
-"""k_3 [N m/rad^3]: a sixth of the linear torque at the largest torsion of the records, and more."""
+"""k_3 [N m/rad^3]: at least a sixth of the linear torque at the largest torsion of the records."""
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
 
 @cache
 def run(cubic: bool, spring: str = "cubic") -> tuple[Values, ArmModel]:
-    study, known, records = shaken(cubic, spring)
-    joints = joint_models(study, known, 0.05, FACTORS)
-    return known, tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
+    study, true_values, records = shaken(cubic, spring)
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    return true_values, tune(
+        records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm)
+    )
 
 
 def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Half a second of either joint in open loop."""
+    """Open-loop records of 0.5 s, one for each joint."""
     study = scara.study(Path("nowhere"), spring)
     values = scara.parameters(5, spring)
     values |= {(CUBIC, joint): k if cubic else 0.0 for joint, k in STIFFENING.items()}
@@ -44,39 +46,39 @@ def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
 
 
 def test_a_gear_that_stiffens_is_found() -> None:
-    known, model = run(True)
+    true_values, model = run(True)
     assert model.status == "converged"
-    found = {(p.name, p.joint): p for p in model.parameters}
+    estimates = {(p.name, p.joint): p for p in model.parameters}
     for joint in (1, 2):
-        for name, share in ((STIFFNESS, 0.005), (CUBIC, 0.1)):
-            p, true = found[name, joint], known[name, joint]
+        for name, tolerance in ((STIFFNESS, 0.005), (CUBIC, 0.1)):
+            p, true = estimates[name, joint], true_values[name, joint]
             assert p.value is not None
             assert p.std is not None
-            assert abs(p.value / true - 1.0) < share, (name, joint)
+            assert abs(p.value / true - 1.0) < tolerance, (name, joint)
             assert abs(p.value - true) < 4.0 * p.std, (name, joint)
-        assert found[CUBIC, joint].unit == "N m/rad^3"
+        assert estimates[CUBIC, joint].unit == "N m/rad^3"
     assert not [w for w in model.warnings if w.code == "not-reached"]
 
 
 def test_a_gear_that_does_not_stiffen_is_linear() -> None:
-    known, model = run(False)
+    true_values, model = run(False)
     assert model.status == "converged"
-    found = {(p.name, p.joint): p for p in model.parameters}
+    estimates = {(p.name, p.joint): p for p in model.parameters}
     for joint in (1, 2):
-        assert found[CUBIC, joint].value is None
+        assert estimates[CUBIC, joint].value is None
         assert model.values[CUBIC, joint] == 0.0
-        p, true = found[STIFFNESS, joint], known[STIFFNESS, joint]
+        p, true = estimates[STIFFNESS, joint], true_values[STIFFNESS, joint]
         assert p.value is not None
         assert p.std is not None
         assert abs(p.value - true) < 4.0 * p.std
-        assert p.std < 0.002 * true  # as if the law had never been another
-    said = [w.where for w in model.warnings if w.code == "not-reached"]
-    assert said == [f"{CUBIC} of joint {joint}" for joint in (1, 2)]
+        assert p.std < 0.002 * true  # as for a linear gear
+    warned_places = [w.where for w in model.warnings if w.code == "not-reached"]
+    assert warned_places == [f"{CUBIC} of joint {joint}" for joint in (1, 2)]
     assert model.covariance.shape == (len(model.parameters),) * 2
 
 
 class Hardening(GearLaw):
-    """A law that the package does not know, with as little said of it as will do."""
+    """Gear law that is not part of the package, with the minimum of definitions."""
 
     name = "hardening"
     core_name = "cubic"
@@ -99,20 +101,20 @@ class Hardening(GearLaw):
 def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
     gear_laws.register(Hardening())
     try:
-        known, model = run(True, "hardening")
+        true_values, model = run(True, "hardening")
         study = scara.study(Path("nowhere"), "hardening")
-        found = replace(elastic_identification(), study=study, tuned=model)
-        drawn = gears.stiffness_curves(found)
-        decided = {p.label: p for p in found.parameters}
+        result = replace(elastic_identification(), study=study, tuned=model)
+        curves = gears.stiffness_curves(result)
+        estimates = {p.label: p for p in result.parameters}
     finally:
         gear_laws.unregister("hardening")
     assert model.status == "converged"
-    assert [curve.law.name for curve in drawn] == ["hardening"] * 2
-    for joint, curve in enumerate(drawn, start=1):
+    assert [curve.law.name for curve in curves] == ["hardening"] * 2
+    for joint, curve in enumerate(curves, start=1):
         assert tuple(curve.values) == (STIFFNESS, CUBIC)
         for name in curve.values:
-            p = decided[f"{name} {joint}"]
+            p = estimates[f"{name} {joint}"]
             assert p.stage == "tuned"
             assert p.value is not None
             assert p.std is not None
-            assert abs(p.value - known[name, joint]) < 4.0 * p.std
+            assert abs(p.value - true_values[name, joint]) < 4.0 * p.std

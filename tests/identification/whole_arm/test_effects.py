@@ -1,7 +1,7 @@
-"""Effects of real gears as unknowns: found where they are, left out where they are not.
+"""Effects of real gears as unknowns: estimated where present, removed where absent.
 
-The arm that makes the records here is the one that is fitted: what is tested is the space and what
-it tells, not whether real gears obey these laws.
+The simulated arm has the same equations as the fitted one. The tests check the parameter space and
+the results, not whether real gears obey these laws.
 """
 
 from __future__ import annotations
@@ -47,26 +47,26 @@ def test_effects_that_are_there_come_back() -> None:
         assert parameter.value == pytest.approx(true, rel=0.05), key
         assert abs(parameter.value - true) < 4.0 * parameter.std, key
     for name in ("motor_inertia", "motor_coulomb_friction", "gear_stiffness"):
-        known = truth()[1][name, 1]
-        assert model.values[name, 1] == pytest.approx(known, rel=0.005), name
+        true_value = truth()[1][name, 1]
+        assert model.values[name, 1] == pytest.approx(true_value, rel=0.005), name
 
 
 def test_without_them_other_parameters_take_their_place() -> None:
     model = tuned(ALL, ())
-    known = truth()[1]
-    off = [model.values[name, 1] / known[name, 1] - 1.0 for name in ("gear_stiffness",)]
-    assert np.abs(off).max() > 0.02
+    known_values = truth()[1]
+    errors = [model.values[name, 1] / known_values[name, 1] - 1.0 for name in ("gear_stiffness",)]
+    assert np.abs(errors).max() > 0.02
     with_them = tuned(ALL, ALL)
     for name, fits in with_them.fit_percent.items():
         assert all(fits[channel] > model.fit_percent[name][channel] for channel in fits)
 
 
 def test_an_arm_without_effects_gets_none() -> None:
-    model, plain = tuned((), ALL), tuned((), ())
+    model, reference = tuned((), ALL), tuned((), ())
     assert reported_out(model) == list(ALL)
     assert not any(key in model.values for key in SIZES)
-    assert model.values == plain.values
-    assert model.iterations > plain.iterations  # they were named_effects
+    assert model.values == reference.values
+    assert model.iterations > reference.iterations  # the effects were fitted first
 
 
 def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
@@ -87,40 +87,41 @@ def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, begin = with_effects(
+    space, z = with_effects(
         base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, LOADS
     )
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
-        space.parameters(begin), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0, 2.0]
+        space.parameters(z), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0, 2.0]
     )
     np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(7)]])
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad", "1"]
     assert [unknown.unit for unknown in space.unknowns[2:]] == units
     assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
-    less = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
-    assert less.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
-    assert less.prior.rows.shape == (1, 4)
+    reduced = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
+    assert reduced.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
+    assert reduced.prior.rows.shape == (1, 4)
 
 
 def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
     arm = Arm.of(rig(ALL).arm)
-    known: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, z = with_effects(empty, named_effects(arm), arm, known, LOADS)
-    z[-3:-1] = 2.0  # both parts of the kinematic error at 2e-4 rad
+    values_of_joint: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
+    space, z = with_effects(empty, named_effects(arm), arm, values_of_joint, LOADS)
+    z[-3:-1] = 2.0  # both coefficients of the kinematic error are 2e-4 rad
     values = space.parameters(z)
-    sure = np.diag((values / 5.0) ** 2)
-    assert list(idle(space, z, sure)) == []
-    unsure = sure.copy()
-    unsure[2, 2] *= 4.0  # the hysteresis torque, now at two and a half deviations
-    unsure[1, 1] *= 100.0  # a velocity says nothing of whether the friction is there
-    assert list(idle(space, z, unsure)) == [(1, "hysteresis")]
-    # one part of the error within its deviation does not matter where the other is not
-    unsure[4, 4] *= 100.0
-    assert list(idle(space, z, unsure)) == [(1, "hysteresis")]
-    unsure[5, 5] *= 100.0
-    assert list(idle(space, z, unsure)) == [(1, "hysteresis"), (1, "kinematic-error")]
+    small_covariance = np.diag((values / 5.0) ** 2)
+    assert list(idle(space, z, small_covariance)) == []
+    large_covariance = small_covariance.copy()
+    large_covariance[2, 2] *= 4.0  # the hysteresis torque is now 2.5 standard deviations
+    # The Stribeck velocity does not decide whether the friction is present.
+    large_covariance[1, 1] *= 100.0
+    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis")]
+    # one insignificant coefficient does not matter if the other is significant
+    large_covariance[4, 4] *= 100.0
+    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis")]
+    large_covariance[5, 5] *= 100.0
+    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis"), (1, "kinematic-error")]
 
 
 def test_an_arm_is_known_as_far_as_its_values_go() -> None:
@@ -135,12 +136,12 @@ def test_an_arm_is_known_as_far_as_its_values_go() -> None:
 
 def test_records_are_run_with_the_effects_that_are_known() -> None:
     study, _, logs = records(ALL)
-    plain = with_known_effects(Arm.of(study.arm), ())
-    record = dataset_of(logs[0], plain, 100.0)
+    without_effects = with_known_effects(Arm.of(study.arm), ())
+    record = dataset_of(logs[0], without_effects, 100.0)
     assert records_with([record], Arm.of(study.arm), ())[0] == record
-    (given,) = records_with([record], Arm.of(study.arm), SIZES)
-    assert [joint.effects for joint in given.arm.joints] == [ALL, ()]
-    assert given.arm.joints[0].encoder_counts is None
+    (record_with_effects,) = records_with([record], Arm.of(study.arm), SIZES)
+    assert [joint.effects for joint in record_with_effects.arm.joints] == [ALL, ()]
+    assert record_with_effects.arm.joints[0].encoder_counts is None
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
@@ -151,7 +152,7 @@ def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
     assert first.evident
     assert first.effect in ALIKE.get(name, ()) or (first.joint, first.effect) == (1, name)
     (likely,) = (w.code for w in model.warnings if w.code.endswith("-likely"))
-    assert likely in [effect_named(one).warning_code for one in (name, *ALIKE.get(name, ()))]
+    assert likely in [effect_named(effect).warning_code for effect in (name, *ALIKE.get(name, ()))]
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
@@ -159,20 +160,22 @@ def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str)
     model = tuned((name,), (name,))
     assert model.status == "converged"
     reported = {(p.name, p.joint): p for p in model.parameters}
-    for own in effect_named(name).names:
-        parameter = reported[own, 1]
+    for size in effect_named(name).names:
+        parameter = reported[size, 1]
         assert parameter.value is not None
         assert parameter.std is not None
-        assert abs(parameter.value - EVERY[own, 1]) < 4.0 * parameter.std, own
-        assert parameter.value == pytest.approx(EVERY[own, 1], rel=0.1), own
-    for other in ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping"):
-        assert model.values[other, 1] == pytest.approx(truth()[1][other, 1], rel=0.005), other
+        assert abs(parameter.value - EVERY[size, 1]) < 4.0 * parameter.std, size
+        assert parameter.value == pytest.approx(EVERY[size, 1], rel=0.1), size
+    for parameter_name in ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping"):
+        assert model.values[parameter_name, 1] == pytest.approx(
+            truth()[1][parameter_name, 1], rel=0.005
+        ), parameter_name
 
 
 def test_a_gain_of_a_single_joint_is_neither_evident_nor_fitted() -> None:
     model = single_tuned(("drive-gain",), ())
     assert model.criticism is not None
-    (gain,) = (one for one in model.criticism.score_tests if one.effect == "drive-gain")
+    (gain,) = (test for test in model.criticism.score_tests if test.effect == "drive-gain")
     assert not gain.evident
     assert reported_out(single_tuned(("drive-gain",), ("drive-gain",))) == ["drive-gain"]
 
@@ -180,5 +183,5 @@ def test_a_gain_of_a_single_joint_is_neither_evident_nor_fitted() -> None:
 def test_a_tilt_of_an_upright_joint_is_one_with_its_gravity() -> None:
     model = single_tuned(("tilt",), ("tilt",))
     torque = model.values["gravity_torque_1", None] + model.values.get(("tilt_cos", 1), 0.0)
-    # half a second within a fifth of a radian shows it no better than to a few percent
+    # 0.5 s of motion within 0.2 rad determines the torque to a few per cent
     assert torque == pytest.approx(15.0 + EVERY["tilt_cos", 1], rel=0.04)

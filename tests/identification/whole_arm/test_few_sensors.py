@@ -1,4 +1,4 @@
-"""Whole runs on drawn arms, and on the lab's, with few or mixed sensors."""
+"""Complete runs on drawn arms and lab arms with few or mixed sensors."""
 
 from __future__ import annotations
 
@@ -18,29 +18,29 @@ from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived, simulate_study
 
-SEED = 2  # of the drawn arm: linear gears
-_OF_NO_ONE = ("motor_viscous_friction", "link_viscous_friction")  # their sum is identified
+SEED = 2  # seed of the drawn arm, which has linear gears
+_OF_NO_ONE = ("motor_viscous_friction", "link_viscous_friction")  # only their sum is identified
 
 
 def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identification, Values]:
-    """A drawn arm's logs with a set of sensors, identified, and its truth."""
-    own = with_sensors(draw_rig(seed), sensors)
+    """Result for logs of a drawn arm with a set of sensors, and the true values."""
+    rig = with_sensors(draw_rig(seed), sensors)
     simulate_study(
-        own.study,
-        own.values,
+        rig.study,
+        rig.values,
         folder,
         seed=seed,
-        noise=own.noise,
+        noise=rig.noise,
         as_recorded=False,
-        sample_time=own.sample_time,
+        sample_time=rig.sample_time,
     )
-    remove_channels(folder, own, sensors)
+    remove_channels(folder, rig, sensors)
     study = read_study(folder / "study.toml")
-    return identify(folder / "study.toml"), derived(own.values, study.arm)
+    return identify(folder / "study.toml"), derived(rig.values, study.arm)
 
 
 def check(found: Identification, known: Values, close: float) -> None:
-    """Determined, and springs, inertias and dry friction as close as asked."""
+    """Check that the result is determined, and that stiffness and inertia errors are small."""
     assert found.verdict.status == "determined", found.verdict.reasons
     assert found.tuned is not None
     errors = {
@@ -55,11 +55,11 @@ def check(found: Identification, known: Values, close: float) -> None:
         for p in found.tuned.parameters
         if p.ci95 is not None and (p.name, p.joint) in known and p.name not in _OF_NO_ONE
     ]
-    # of some twenty intervals of 95 %, more than four miss once in four hundred runs
+    # of about twenty 95 % intervals, more than four miss the true value with a probability of 1/400
     assert np.sum(~np.array(inside)) <= 4
 
 
-# errors that such sensors leave on the built-in rig's kind of arm, with room to twice as much
+# tolerances: twice the errors that such sensors give for the built-in arm
 @pytest.mark.parametrize(
     ("sensors", "method", "close"),
     [
@@ -76,33 +76,33 @@ def check(found: Identification, known: Values, close: float) -> None:
 def test_each_set_of_sensors_identifies_a_drawn_arm(
     tmp_path: Path, sensors: tuple[str, ...], method: str, close: float
 ) -> None:
-    found, known = run(tmp_path, sensors)
-    assert [joint.method for joint in found.joints] == [method] * 2
-    check(found, known, close)
+    result, true_values = run(tmp_path, sensors)
+    assert [joint.method for joint in result.joints] == [method] * 2
+    check(result, true_values, close)
 
 
 def test_steps_and_motions_alone_identify_a_drawn_arm(tmp_path: Path) -> None:
-    found, known = run(tmp_path, ("none", "steps"))
-    assert not found.joints  # nothing but the whole-arm fit had gears to go by
-    check(found, known, 0.01)
+    result, true_values = run(tmp_path, ("none", "steps"))
+    assert not result.joints  # only the whole-arm fit estimates gears
+    check(result, true_values, 0.01)
 
 
 @pytest.mark.parametrize("arm", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"])
 def test_lab_arms_without_link_sensors(tmp_path: Path, shared_data: Path, arm: str) -> None:
     folder = shared_data / "lab" / arm
     without_link_sensors(folder, tmp_path)
-    found = identify(tmp_path / "study.toml")
+    result = identify(tmp_path / "study.toml")
     study = read_study(tmp_path / "study.toml")
-    known = derived(read_parameters(folder / "truth.json"), study.arm)
-    assert found.verdict.status == "determined", found.verdict.reasons
-    assert found.tuned is not None
-    assert all(joint.method == "motor-response" for joint in found.joints)
-    springs = [p for p in found.tuned.parameters if p.name.startswith("gear_stiffness")]
+    true_values = derived(read_parameters(folder / "truth.json"), study.arm)
+    assert result.verdict.status == "determined", result.verdict.reasons
+    assert result.tuned is not None
+    assert all(joint.method == "motor-response" for joint in result.joints)
+    springs = [p for p in result.tuned.parameters if p.name.startswith("gear_stiffness")]
     for p in springs:
-        assert p.value == pytest.approx(known[p.name, p.joint], rel=0.005), p.label
+        assert p.value == pytest.approx(true_values[p.name, p.joint], rel=0.005), p.label
     inside = [
-        p.ci95[0] <= known[p.name, p.joint] <= p.ci95[1]
-        for p in found.tuned.parameters
-        if p.ci95 is not None and (p.name, p.joint) in known
+        p.ci95[0] <= true_values[p.name, p.joint] <= p.ci95[1]
+        for p in result.tuned.parameters
+        if p.ci95 is not None and (p.name, p.joint) in true_values
     ]
     assert np.sum(~np.array(inside)) <= 2

@@ -1,4 +1,4 @@
-"""Records whose motors turn back as they begin: at standstill by their angles, in motion by the fit."""
+"""Records that start at a reversal of the motor: the fit detects the motion of the links."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tuning_runs import beginning, joint_models, later, rig_logs, rigid_model, s
 
 CUTOFF = 80.0
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
-TURNS = [(1, 1300), (2, 500)]  # joint and sample at which its motor turns back, shaken
+TURNS = [(1, 1300), (2, 500)]  # joint and sample of a reversal of its motor in `shaken`
 
 
 def cut() -> list[Log]:
@@ -26,33 +26,33 @@ def cut() -> list[Log]:
 
 
 def arm(logs: Sequence[Log], wrong: float = 0.0) -> tuple[Objective, FloatArray]:
-    """The true arm, or one whose stiffness is wrong, with weights as the records then show them."""
-    study, known, _ = shaken()
-    joints = joint_models(study, known, 0.05, FACTORS)
+    """Objective and coordinates of the true arm, or of an arm with a wrong stiffness."""
+    study, true_values, _ = shaken()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
     space = space_of(
-        rigid_model(study, known, 0.01),
+        rigid_model(study, true_values, 0.01),
         joints,
         Arm.of(study.arm),
         largest_voltage=[10.0, 10.0],
         floor=0.002,
     )
     objective = Objective.of(space, [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs])
-    stiff = {key: v * (1.0 + wrong) for key, v in known.items() if key[0] == "gear_stiffness"}
-    z = space.coordinates(known | stiff)
+    stiff = {key: v * (1.0 + wrong) for key, v in true_values.items() if key[0] == "gear_stiffness"}
+    z = space.coordinates(true_values | stiff)
     return objective.reweighted(z), z
 
 
 @pytest.mark.parametrize(("joint", "first"), TURNS)
 def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> None:
-    study, known, logs = shaken()
+    study, true_values, logs = shaken()
     log = logs[joint - 1]
     objective, z = arm([later(log, first)])
-    assert not objective.records[0].moving  # the motors' angles do not show it
-    found = in_motion(objective, z)
-    assert found.records[0].moving
-    true = beginning(study, known, log, first)
-    # the links' angles, by which the gears are loaded
-    np.testing.assert_allclose(found.memory.own[0][2:4], true[2:4], atol=2e-4)
+    assert not objective.records[0].moving  # the motor angles do not show the motion
+    corrected = in_motion(objective, z)
+    assert corrected.records[0].moving
+    true = beginning(study, true_values, log, first)
+    # link angles, which determine the gear torques
+    np.testing.assert_allclose(corrected.memory.own[0][2:4], true[2:4], atol=2e-4)
     assert np.max(np.abs(true[2:4])) > 0.01
 
 
@@ -64,13 +64,13 @@ def test_records_from_rest_stay_at_rest(wrong: float) -> None:
 
 
 def test_records_from_turning_points_are_fitted() -> None:
-    study, known, _ = shaken()
-    joints = joint_models(study, known, 0.05, FACTORS)
-    start = (rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
+    study, true_values, _ = shaken()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    start = (rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
     model = tune(cut(), *start)
     assert model.status == "converged"
-    # taken for records from standstill they give 0.3 to 2 %, and fits of 68 to 93 %
+    # a start at standstill gives errors of 0.3 to 2 %, and fits of 68 to 93 %
     for name, joint in model.values:
         if name in ("alpha", "beta", "gamma", "motor_inertia", "gear_stiffness"):
-            assert model.values[name, joint] == pytest.approx(known[name, joint], rel=0.002)
+            assert model.values[name, joint] == pytest.approx(true_values[name, joint], rel=0.002)
     assert all(min(fits.values()) > 97.0 for fits in model.fit_percent.values())

@@ -1,4 +1,4 @@
-"""A measured elastic joint, with its torsion sensor and without: both must agree.
+"""Measured elastic joint: the results with and without its torsion sensor agree.
 
 `pytest tests/identification/whole_arm/test_ist_joint.py -s` prints the table of docs/benchmarks.md.
 """
@@ -27,14 +27,14 @@ PRIMARY = (
 def both(
     shared_data: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Identification, Identification]:
-    """Identified from all channels, and from those of the motor alone."""
+    """Results from all channels, and from the motor channels alone."""
     measured = shared_data / "real" / "ist-flexible-arm"
     folder = tmp_path_factory.mktemp("ist")
     for name in ("PRBS.csv", "square.csv"):
         (folder / name).symlink_to(measured / name)
     lines = (measured / "study.toml").read_text().splitlines()
-    bare = [line for line in lines if not line.startswith("deflection1")]
-    (folder / "study.toml").write_text("\n".join(bare) + "\n")
+    motor_lines = [line for line in lines if not line.startswith("deflection1")]
+    (folder / "study.toml").write_text("\n".join(motor_lines) + "\n")
     return identify(measured / "study.toml"), identify(folder / "study.toml")
 
 
@@ -47,14 +47,14 @@ def test_what_the_motor_alone_says_is_what_both_say(
     both: tuple[Identification, Identification],
 ) -> None:
     for name in PRIMARY:
-        full, alone = (_tuned(found, name) for found in both)
+        full, alone = (_tuned(result, name) for result in both)
         print(f"| {name} | {_cell(full)} | {_cell(alone)} |")
         if alone.value is None or full.value is None:
             continue
         assert alone.std is not None
         assert full.std is not None
-        apart = abs(alone.value - full.value) / np.hypot(alone.std, full.std)
-        assert apart < 3.0, name
+        difference = abs(alone.value - full.value) / np.hypot(alone.std, full.std)
+        assert difference < 3.0, name
     stiffness = _tuned(both[1], "gear_stiffness")
     assert stiffness.value is not None
     assert stiffness.std is not None
@@ -64,11 +64,11 @@ def test_what_the_motor_alone_says_is_what_both_say(
 def test_its_anti_resonance_is_where_the_dip_was_measured(
     both: tuple[Identification, Identification],
 ) -> None:
-    """3.4 to 3.5 Hz in the publisher's notes; without the sensor as well."""
-    for found in both:
-        (seen,) = found.motor_responses
-        assert seen.condition == "alone"
-        assert seen.anti_resonances_hz[0] == pytest.approx(3.45, abs=0.12)
+    """Published value 3.4 to 3.5 Hz, with and without the sensor."""
+    for result in both:
+        (response,) = result.motor_responses
+        assert response.condition == "alone"
+        assert response.anti_resonances_hz[0] == pytest.approx(3.45, abs=0.12)
 
 
 def _cell(parameter: Parameter) -> str:
