@@ -48,10 +48,12 @@ BEGINNING = 0.02
 """Time [s] from the start in which initial velocity and standstill are estimated."""
 
 _SHORTER = 4.0  # factor of shorter steps with negligible step error
-_SHORT_STEPS = 120.0  # steps per period of the cut-off (600 per resonance period): negligible error
+# steps per period of the cut-off (600 per resonance period): negligible error
+_SHORT_STEPS = 120.0
 _WIDER = 1e-3  # relative change of a bandwidth for its numerical derivative
 Key = tuple[str, int | None]
-_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")  # sensors with a bandwidth
+# sensors with a bandwidth
+_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,8 +18,10 @@ from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
 
-_EVIDENT = 28.0  # minimum cost reduction: chi-square of 6 initial states, probability 1e-4
-_SHARE = 0.5  # minimum share of the record's cost that initial states explain; model errors persist
+# minimum cost reduction: chi-square of 6 initial states, probability 1e-4
+_EVIDENT = 28.0
+# minimum share of the record's cost that initial states explain; model errors persist
+_SHARE = 0.5
 
 
 def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:

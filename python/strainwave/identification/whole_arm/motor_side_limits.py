@@ -14,7 +14,8 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import VISCOUS, Key
 from strainwave.numerics.filters import signal_band
 
-_POOR = 0.1  # half-width of a confidence interval, relative to its value, that needs a reason
+# half-width of a confidence interval, relative to its value, that needs a reason
+_POOR = 0.1
 _REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _NEAR_END = 0.5  # share of the band above which a resonance is attenuated
 _NO_PEAK = 0.5  # damping ratio above which a resonance has hardly any peak

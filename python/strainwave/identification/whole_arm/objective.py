@@ -37,9 +37,12 @@ _MOVES = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
 _FIRST = 0.1  # initial standard deviation of residuals, as a share of the channel's
 _ROBUST = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
-_ROUNDS = 6  # maximum updates of the robust weights in the solution for record parameters
-_STAYS = 1e-3  # change of residuals, in standard deviations, at which these updates end
-_BEGUN = 0.1  # predicted cost reduction at which the search for initial states ends
+# maximum updates of the robust weights in the solution for record parameters
+_ROUNDS = 6
+# change of residuals, in standard deviations, at which these updates end
+_STAYS = 1e-3
+# predicted cost reduction at which the search for initial states ends
+_BEGUN = 0.1
 ROUGH_BEGINNING = 0.2
 """Relative cost reduction at which an approximate search for initial states ends."""
 _BEGINNINGS = 12  # maximum evaluations of a search for initial states

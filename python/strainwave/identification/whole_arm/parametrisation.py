@@ -43,11 +43,15 @@ SETTLING_START = 1e-4
 """Starting value [s] of a friction settling time."""
 
 _BASE = ("alpha", "beta", "gamma")  # base parameters with the range of an inertia
-_LEAST_COULOMB = 0.01  # minimum starting Coulomb friction, as a share of the largest motor torque
+# minimum starting Coulomb friction, as a share of the largest motor torque
+_LEAST_COULOMB = 0.01
 _FAR = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
-_LOWEST, _HIGHEST = -0.8, 1.5  # limits of the relative change of a positive value in one step
-_TO_NOTHING = -0.99  # lower limit of the relative change of a settling time, which may be zero
-_VERY_FAR = np.log(30.0)  # range of the logarithm of friction, damping and other gear parameters
+# limits of the relative change of a positive value in one step
+_LOWEST, _HIGHEST = -0.8, 1.5
+# lower limit of the relative change of a settling time, which may be zero
+_TO_NOTHING = -0.99
+# range of the logarithm of friction, damping and other gear parameters
+_VERY_FAR = np.log(30.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,7 +25,8 @@ from strainwave.signals.recorded_input import (
 )
 
 _STEP = 2.5e-4  # [s] integrator step; its error is below a quarter of the sensor noise
-_REST = 3.0  # encoder counts, or standard deviations of noise, within which a joint stands still
+# encoder counts, or standard deviations of noise, within which a joint stands still
+_REST = 3.0
 STEPS_PER_PERIOD = 8.0
 """Integrator steps per period of the cut-off if the step error is corrected or acceptable."""
 _SAME_STEP = 1.0 + 1e-9  # tolerance of step comparisons, for rounding

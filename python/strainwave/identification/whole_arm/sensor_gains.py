@@ -31,7 +31,8 @@ _GYRO_DENSITY = float(np.radians(0.01))  # [rad/s/sqrt(Hz)] noise density of a t
 _LINK_COUNTS = 2**17  # counts per turn of a typical link encoder
 _DISTANCE = 0.3  # [m] of an accelerometer from the axis if the study gives no length
 _ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
-_NAMES = ("gear_", "motor_inertia", "link_inertia")  # prefixes of the reported parameters
+# prefixes of the reported parameters
+_NAMES = ("gear_", "motor_inertia", "link_inertia")
 
 
 @dataclass(frozen=True, slots=True)

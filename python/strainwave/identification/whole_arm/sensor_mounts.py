@@ -31,7 +31,8 @@ _FREQUENCIES = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 
 _DAMPINGS = (0.05, 0.12)  # damping ratios of the tested mounts, at each frequency
 _BEYOND_BAND = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4 change in the band
 _FALSE_ALARMS = 1e-4  # false alarm probability over all tested mounts
-_SHARE = 0.1  # minimum cost reduction of a linear step, as a share of the sensor's cost
+# minimum cost reduction of a linear step, as a share of the sensor's cost
+_SHARE = 0.1
 _STARTS = 3  # starting mounts of a fit
 _TRIAL = 12  # maximum evaluations per start
 _GAIN = 0.1  # predicted cost reduction at which a trial ends

@@ -46,22 +46,27 @@ from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
 
-_EVIDENT = 4.0  # standard deviations from which a constant joins: no false alarm in 8 candidates
-_MATTERS_COARSELY = 0.1  # minimum cost reduction in long steps, relative: these have step errors
-_STANDS_OUT = 1.0  # minimum drift at the ends of a record, in standard deviations of the residual
+# standard deviations from which a constant joins: no false alarm in 8 candidates
+_EVIDENT = 4.0
+# minimum cost reduction in long steps, relative: these have step errors
+_MATTERS_COARSELY = 0.1
+# minimum drift at the ends of a record, in standard deviations of the residual
+_STANDS_OUT = 1.0
 _STAYS = 3.0  # standard deviations below which the fine fit removes a constant
 
 _AT_END = 0.99  # share of its range from which a constant is at a bound
 _SIZE = 0.1  # [m or 1] minimum scale of the coordinates of a mounting
 _NEAREST = 1e-3  # [m] minimum starting distance from the axis
 _FAR = 30.0  # range of mounting coordinates, in units of their scale
-_WIDE = float(np.log(30.0))  # range of the logarithm of a distance, bandwidth or mount constant
+# range of the logarithm of a distance, bandwidth or mount constant
+_WIDE = float(np.log(30.0))
 _FASTEST = 1e4  # [m/s^3 or rad/s^2] range of drifts
 _LARGEST_TILT = 0.5  # [rad] range of the tilt of a tangential accelerometer
 _SHORTEST = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
 _SHARE = 0.5  # share of a delay that the starting bandwidth explains
 _WORTH_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
-_WORTH_SCALE = 0.01  # minimum scale error of a warning: typical tolerance of a data sheet
+# minimum scale error of a warning: typical tolerance of a data sheet
+_WORTH_SCALE = 0.01
 
 
 def with_sensors(

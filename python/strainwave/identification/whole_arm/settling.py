@@ -13,7 +13,8 @@ from strainwave.identification.whole_arm.parametrisation import (
 from strainwave.identification.whole_arm.selection import EVIDENT, TRIAL, Selection, better, trial
 from strainwave.identification.whole_arm.solver import fine_search
 
-_NOTHING = 0.99  # share of the lower bound of its logarithm from which a settling time is zero
+# share of the lower bound of its logarithm from which a settling time is zero
+_NOTHING = 0.99
 
 
 def with_settling_times(fit: Fit, selection: Selection) -> Fit:

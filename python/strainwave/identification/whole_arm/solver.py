@@ -17,15 +17,16 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.numerics.trust_region import Linearised, minimise
 
-COARSE_GAIN, COARSE_SHARE = (
-    1.0,
-    2e-3,
-)  # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
-_FINE, _GUESSED = 1e-2, 2e-2  # absolute, of the fine search; relative, with initial weights
+# predicted cost reduction at which a coarse search ends, absolute and relative to the cost
+COARSE_GAIN, COARSE_SHARE = 1.0, 2e-3
+# the same: absolute for the fine search, relative for a search with initial weights
+_FINE, _GUESSED = 1e-2, 2e-2
 _ROUNDS = 4  # maximum updates of the weights; the third rarely changes the result
 _ROUGH_ROUNDS = 8  # maximum updates of the weights in the coarse search
-_SETTLED = 0.2  # maximum change of log standard deviations at which the weights have converged
-_SMALLER = 0.7  # ratio of new to old standard deviations below which another search follows
+# maximum change of log standard deviations at which the weights have converged
+_SETTLED = 0.2
+# ratio of new to old standard deviations below which another search follows
+_SMALLER = 0.7
 _NEAR = 1e-8  # initial damping near the minimum
 
 

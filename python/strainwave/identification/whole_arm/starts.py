@@ -26,9 +26,11 @@ COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 
 _LEAST_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
-_ANTI_RESONANCE_HZ = 15.0  # typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
+# typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
+_ANTI_RESONANCE_HZ = 15.0
 _DAMPING = 0.03  # typical damping ratio of strain-wave gears
-_RATIOS = (0.01, 0.5)  # range of starting damping ratios, as search ranges are relative to them
+# range of starting damping ratios, as search ranges are relative to them
+_RATIOS = (0.01, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
