@@ -325,8 +325,9 @@ def _data(
     if not stretches:
         raise NotIdentifiable(
             f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
-            f"{_SLOWEST:g} periods of {band_hz[0] or band_hz[1] / _SHORTEST:.3g} Hz: record for "
-            "longer, or lower the amplitude"
+            f"{_SLOWEST:g} periods of "
+            f"{band_hz[0] or band_hz[1] / _SHORTEST:.3g} Hz: record for longer, "
+            "or lower the amplitude"
         )
     return tuple(stretches)
 
