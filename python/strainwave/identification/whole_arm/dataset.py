@@ -337,6 +337,7 @@ class Dataset:
         return tables
 
     def _axes(self) -> list[Axis]:
+        """Sensor axes of unknown mounting."""
         return [channel.axis for channel in self.channels if channel.axis is not None]
 
     def sensor_scales(self, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
@@ -463,6 +464,7 @@ class Dataset:
     def _mount(
         self, channel: Channel, values: Mapping[tuple[str, int | None], float]
     ) -> MountResonance | None:
+        """Mount resonance of a channel's sensor; None if it has none."""
         return mount_resonance(channel.sensor, channel.joint, values)
 
     def _rings(self, values: Mapping[tuple[str, int | None], float]) -> bool:

@@ -68,6 +68,7 @@ def motor_side_limits(
 
 
 def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
+    """Whether a parameter is at a bound, unidentified, or has a wide confidence interval."""
     if (p.name, p.joint) in at_bounds:
         return True
     if p.value is None or p.std is None:
@@ -108,6 +109,7 @@ def _anti_resonance(fit: Fit, arm: Arm, joint: int) -> float:
 
 
 def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
+    """Reasons why the motor encoder does not determine the gear: stiffness, damping, resolution."""
     stiffness, damping, s = _mobility(fit, arm, joint)
     resonance = float(np.sqrt(stiffness * s) / (2.0 * np.pi))
     records = fit.objective.records

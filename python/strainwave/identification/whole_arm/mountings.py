@@ -105,6 +105,7 @@ def cost_of(objective: Objective, z: FloatArray) -> float:
 
 
 def _is_flat(space: ParameterSpace, joint: int) -> bool:
+    """Whether the IMU of a joint is assumed to lie in the plane of motion."""
     return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
 
 
@@ -135,6 +136,7 @@ def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
 
 
 def _axes_on(objective: Objective, joint: int) -> list[Axis]:
+    """Sensor axes of unknown mounting on the link of a joint, over all records."""
     all_axes = (c.axis for record in objective.records for c in record.channels)
     return list(dict.fromkeys(a for a in all_axes if a and a.joint == joint))
 
@@ -182,6 +184,7 @@ def _with(
 def _holding(
     objective: Objective, z: FloatArray, held: Mapping[Key, float]
 ) -> tuple[Objective, FloatArray]:
+    """Objective and point with some unknowns fixed."""
     kept = [k for k, key in enumerate(objective.space.keys) if key not in held]
     return objective.for_unknowns(objective.space.holding(held)), z[kept]
 

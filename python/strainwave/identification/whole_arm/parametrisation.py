@@ -30,12 +30,11 @@ __all__ = [
     "with_settling",
 ]
 
+# relative errors of rigid-step estimates if the model lacks an effect, by parameter; that of the
+# friction offset is relative to the Coulomb friction
 _MISLED = {COULOMB: 0.03, OFFSET: 0.03}
+# the same of viscous friction, and of inertias and gravity torques
 _VISCOUS_MISLED, _BODY_MISLED = 0.3, 0.1
-"""Relative errors of rigid-step estimates if the model lacks an effect.
-
-The error of a friction offset is relative to the Coulomb friction.
-"""
 _LEAST_MISLED = 1e-12  # [SI] minimum error, for estimates of zero
 
 SETTLING = "friction_settling_time"
@@ -248,6 +247,7 @@ class ParameterSpace:
 
     @property
     def _positive(self) -> BoolArray:
+        """Which unknowns (n_unknowns,) have logarithmic coordinates."""
         return np.array([not unknown.signed for unknown in self.unknowns])
 
     def values(self, z: FloatArray) -> Values:

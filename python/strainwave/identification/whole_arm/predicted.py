@@ -80,6 +80,7 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
 
 
 def _is_unknown(key: Key, known: Values) -> bool:
+    """Whether a fit would estimate the parameter: all but settling times."""
     return key[0] != SETTLING and (key in known or key[0] == OFFSET)
 
 
@@ -133,6 +134,7 @@ def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> I
 def _parameters(
     arm: Arm, keys: Sequence[Key], values: Mapping[Key, float], covariance: FloatArray
 ) -> Iterator[Parameter]:
+    """Unknowns and reported combinations with their 95 % confidence intervals."""
     rows: dict[Key, Row] = {key: {key: 1.0} for key in keys}
     rows |= {key: row for key, row in arm.reported.items() if key not in arm.lumped_inertias}
     for (name, joint), parts in rows.items():

@@ -95,6 +95,7 @@ def _variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
 
 
 def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGain:
+    """Gain of a candidate; `share` is the predicted over the present standard deviation."""
     assert parameter.std is not None
     return SensorGain(
         sensor=candidate.sensor,

@@ -86,6 +86,7 @@ def with_sensors(
 
 
 def _unknown(key: Key, starts: Values) -> Unknown:
+    """Unknown of a sensor constant, with its starting value, scale and range."""
     name, joint = key
     if is_mounting(key) and not is_optional(key):
         start = starts[key]

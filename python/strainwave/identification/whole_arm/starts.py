@@ -113,6 +113,7 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
 
 
 def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
+    """Models by joint number; raises `NotIdentifiable` if a joint has none."""
     models = {joint.joint: joint for joint in joints}
     for number, joint in enumerate(arm.joints, start=1):
         if not joint.elastic or number not in models:
@@ -124,6 +125,7 @@ def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
 
 
 def _known(model: RigidModel | None, name: str, joint: int) -> float | None:
+    """Estimate of the rigid model; None if there is none."""
     for parameter in model.parameters if model is not None else ():
         if (parameter.name, parameter.joint) == (name, joint):
             return parameter.value
