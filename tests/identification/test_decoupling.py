@@ -43,9 +43,11 @@ def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     for i, inertia in enumerate((alpha + beta + 2.0 * gamma, beta)):
         viscous = values["link_viscous_friction", i + 1]
-        right = run["gear_torque"][:, i] - viscous * run["link_velocity"][:, i] + tau[:, i]
-        left = inertia * run["link_acceleration"][:, i]
-        assert left == pytest.approx(right, abs=1e-9 * np.abs(left).max())
+        applied_torque = run["gear_torque"][:, i] - viscous * run["link_velocity"][:, i] + tau[:, i]
+        inertia_torque = inertia * run["link_acceleration"][:, i]
+        assert inertia_torque == pytest.approx(
+            applied_torque, abs=1e-9 * np.abs(inertia_torque).max()
+        )
 
 
 def test_alpha_cancels() -> None:
@@ -242,20 +244,20 @@ def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
 def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
     link_signals = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
-    (found,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
-    assert found.inputs == pytest.approx(link_signals.motor_torque)
-    assert found.total_inertia is None
-    assert found.total_viscous_friction is None
+    (decoupled_joint,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
+    assert decoupled_joint.inputs == pytest.approx(link_signals.motor_torque)
+    assert decoupled_joint.total_inertia is None
+    assert decoupled_joint.total_viscous_friction is None
 
 
 def test_an_unknown_parameter_is_refused_by_name() -> None:
     study, run = run_of(None)
     model = true_model(study, rig_values(study))
-    unknown = tuple(replace(p, value=None) if p.name == "gamma" else p for p in model.parameters)
+    missing = tuple(replace(p, value=None) if p.name == "gamma" else p for p in model.parameters)
     with pytest.raises(NotIdentifiable, match="gamma"):
         decoupling.decouple(
             links.link_side(log_of(run), Arm.of(study.arm)),
-            replace(model, parameters=unknown),
+            replace(model, parameters=missing),
             Arm.of(study.arm),
         )
 

@@ -80,7 +80,7 @@ def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
     """Zero gains give a free motor and very high gains a held motor."""
     study = rig()
     assert study.arm.servo is not None
-    first = []
+    servoed_zeros = []
     for factor in (0.0, 1.0, 100.0, None):
         servo = study.arm.servo
         scaled_servo = (
@@ -99,12 +99,14 @@ def test_a_servo_lies_between_a_free_and_a_held_motor() -> None:
             1,
             servoed=True,
         )
-        first.append(float(zeros[0]))
-    free = modes_of_motor(rig_values(study), Arm.of(study.arm), np.zeros(2), 1, servoed=False)[0][0]
-    assert first[0] == pytest.approx(free)
-    assert first[1] < 0.99 * free
-    assert first[2] == pytest.approx(first[3], rel=0.03)
-    assert first[3] < 0.75 * free
+        servoed_zeros.append(float(zeros[0]))
+    free_zero = modes_of_motor(rig_values(study), Arm.of(study.arm), np.zeros(2), 1, servoed=False)[
+        0
+    ][0]
+    assert servoed_zeros[0] == pytest.approx(free_zero)
+    assert servoed_zeros[1] < 0.99 * free_zero
+    assert servoed_zeros[2] == pytest.approx(servoed_zeros[3], rel=0.03)
+    assert servoed_zeros[3] < 0.75 * free_zero
 
 
 def test_the_true_arm_answers_as_its_record_and_another_does_not(

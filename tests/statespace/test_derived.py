@@ -117,14 +117,16 @@ def test_response_of_slow_samples_is_that_of_continuous_time() -> None:
 def test_nothing_depends_on_coordinates() -> None:
     model = fitted()
     T = np.random.default_rng(2).standard_normal((3, 3))
-    other = transformed(model, T)
+    changed_model = transformed(model, T)
     f = np.linspace(1.0, 450.0, 30)
-    reference, changed = frequency_response(model, f), frequency_response(other, f)
+    reference, changed = frequency_response(model, f), frequency_response(changed_model, f)
     np.testing.assert_allclose(changed.response, reference.response, rtol=1e-8)
     assert reference.magnitude_std is not None
     assert changed.magnitude_std is not None
     np.testing.assert_allclose(changed.magnitude_std, reference.magnitude_std, rtol=1e-5)
-    for expected, got in zip(modes(model, 0, 0).poles, modes(other, 0, 0).poles, strict=True):
+    for expected, got in zip(
+        modes(model, 0, 0).poles, modes(changed_model, 0, 0).poles, strict=True
+    ):
         assert got.frequency_hz == pytest.approx(expected.frequency_hz, rel=1e-8)
         assert got.frequency_std_hz == pytest.approx(expected.frequency_std_hz, rel=1e-3)
 

@@ -45,15 +45,17 @@ def models() -> list[tuple[Case, JointModel]]:
 
 
 def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]) -> None:
-    for one, model in models:
-        relative_error = vector_of(model) / one.truth.vector - 1.0
+    for joint_case, model in models:
+        relative_error = vector_of(model) / joint_case.truth.vector - 1.0
         # the error of the rigid model is 0.1 %, by chance up to three times as large
         assert np.abs(relative_error[WELL_IDENTIFIED]).max() < 0.005
         assert abs(relative_error[NAMES.index("gear_damping")]) < 0.06
-        friction = one.values["motor_coulomb_friction", one.decoupled.joint]
+        friction = joint_case.values["motor_coulomb_friction", joint_case.decoupled.joint]
         assert model.values["motor_coulomb_friction"] == pytest.approx(friction, rel=0.02)
         total = next(p for p in model.parameters if p.name == "total_viscous_friction")
-        expected = one.truth.motor_viscous_friction + 1e-4 * one.truth.link_viscous_friction
+        expected = (
+            joint_case.truth.motor_viscous_friction + 1e-4 * joint_case.truth.link_viscous_friction
+        )
         assert total.value == pytest.approx(expected, rel=0.05)
         assert model.status != "implausible"
 
@@ -61,21 +63,21 @@ def test_noisy_records_give_the_joint_back(models: list[tuple[Case, JointModel]]
 def test_deviations_are_those_of_the_errors(models: list[tuple[Case, JointModel]]) -> None:
     """The mean square of twelve normalised errors is near one."""
     normalised = []
-    for one, model in models:
+    for joint_case, model in models:
         std = np.sqrt(np.diag(model.covariance))[: len(NAMES)]
-        normalised.append(((vector_of(model) - one.truth.vector) / std)[WELL_IDENTIFIED])
+        normalised.append(((vector_of(model) - joint_case.truth.vector) / std)[WELL_IDENTIFIED])
     size = float(np.sqrt(np.mean(np.square(normalised))))
     # errors of the three parameters are correlated: about four are independent
     assert 0.2 < size < 2.0
 
 
 def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]]) -> None:
-    for one, model in models:
+    for joint_case, model in models:
         assert model.anti_resonance is not None
         assert model.resonance is not None
         for mode, true in (
-            (model.anti_resonance, anti_resonance(one.truth)),
-            (model.resonance, resonance(one.truth)),
+            (model.anti_resonance, anti_resonance(joint_case.truth)),
+            (model.resonance, resonance(joint_case.truth)),
         ):
             assert mode.frequency_hz == pytest.approx(true.frequency_hz, rel=2e-3)
             assert mode.frequency_std_hz is not None
@@ -83,20 +85,22 @@ def test_frequencies_come_with_deviations(models: list[tuple[Case, JointModel]])
 
 
 def test_two_records_at_once_are_no_worse() -> None:
-    one = case(1, 1)
-    twice = identify_joint(one.records * 2, one.model, Arm.of(one.study.arm))
-    once = vector_of(found_in(one))[WELL_IDENTIFIED]
+    joint_case = case(1, 1)
+    twice = identify_joint(joint_case.records * 2, joint_case.model, Arm.of(joint_case.study.arm))
+    once = vector_of(found_in(joint_case))[WELL_IDENTIFIED]
     assert vector_of(twice)[WELL_IDENTIFIED] == pytest.approx(once, rel=1e-3)
     assert twice.experiments == ("prbs", "prbs")
 
 
 def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
-    one = case(*CASES[0])
-    ((signals, decoupled),) = one.records
+    joint_case = case(*CASES[0])
+    ((signals, decoupled),) = joint_case.records
     name = signals.experiment.name
-    again = replace(signals, experiment=replace(signals.experiment, name="again"))
-    fit = fit_joint([(signals, decoupled), (again, decoupled)], one.model, Arm.of(one.study.arm))
-    reference = found_in(one)
+    copy = replace(signals, experiment=replace(signals.experiment, name="again"))
+    fit = fit_joint(
+        [(signals, decoupled), (copy, decoupled)], joint_case.model, Arm.of(joint_case.study.arm)
+    )
+    reference = found_in(joint_case)
     for each in (name, "again"):
         record_model = fit.of_record(each)
         assert record_model.experiments == (each,)
@@ -105,16 +109,17 @@ def test_a_record_alone_starts_from_all_and_ends_where_it_would() -> None:
             np.abs((vector_of(record_model) - vector_of(reference)) / std[: len(NAMES)]).max() < 0.1
         )
         np.testing.assert_allclose(np.sqrt(np.diag(record_model.covariance)), std, rtol=0.1)
-    single = fit_joint(one.records, one.model, Arm.of(one.study.arm))
+    single = fit_joint(joint_case.records, joint_case.model, Arm.of(joint_case.study.arm))
     assert single.of_record(name) is single.model
 
 
 def test_the_rigid_models_errors_are_counted() -> None:
     """The uncertainty of beta enters the interaction torque of joint 2, and so its estimates."""
-    one = case(3, 2)
-    doubtful = replace(one.model, covariance=25.0 * one.model.covariance)
+    joint_case = case(3, 2)
+    doubtful = replace(joint_case.model, covariance=25.0 * joint_case.model.covariance)
     certain_fit, uncertain_fit = (
-        identify_joint(one.records, model, Arm.of(one.study.arm)) for model in (one.model, doubtful)
+        identify_joint(joint_case.records, model, Arm.of(joint_case.study.arm))
+        for model in (joint_case.model, doubtful)
     )
     k = NAMES.index("link_inertia")
     assert uncertain_fit.covariance[k, k] > 4.0 * certain_fit.covariance[k, k]
@@ -122,19 +127,21 @@ def test_the_rigid_models_errors_are_counted() -> None:
 
 def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     """A sensor delay D acts like gear damping k D: the uncertainty of a removed delay is added."""
-    one = case(1)
-    number = one.decoupled.joint
+    record_case = case(1)
+    number = record_case.decoupled.joint
     index = NAMES.index("gear_damping")
 
     def having_removed(value: float) -> JointModel:
         delays = tuple(Delay(value if j == number else 0.0, 3e-5) for j in (1, 2))
-        signals = replace(one.signals, removed_delay=delays)
-        return identify_joint([(signals, one.decoupled)], one.model, Arm.of(one.study.arm))
+        signals = replace(record_case.signals, removed_delay=delays)
+        return identify_joint(
+            [(signals, record_case.decoupled)], record_case.model, Arm.of(record_case.study.arm)
+        )
 
-    plain, none, removed = found_in(one), having_removed(0.0), having_removed(1e-3)
-    np.testing.assert_array_equal(none.covariance, plain.covariance)
-    added = removed.covariance - plain.covariance
-    expected = (plain.values["gear_stiffness"] * 3e-5) ** 2
+    reference, none, removed = found_in(record_case), having_removed(0.0), having_removed(1e-3)
+    np.testing.assert_array_equal(none.covariance, reference.covariance)
+    added = removed.covariance - reference.covariance
+    expected = (reference.values["gear_stiffness"] * 3e-5) ** 2
     assert added[index, index] == pytest.approx(expected, rel=1e-9)
     assert np.count_nonzero(added) == 1
     reported = next(p for p in removed.parameters if p.name == "gear_damping")
@@ -163,36 +170,42 @@ def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Uncertain friction at reversals within an encoder count increases standard deviations."""
-    one = case(*CASES[0])
-    plain = np.sqrt(np.diag(found_in(one).covariance))
+    joint_case = case(*CASES[0])
+    reference = np.sqrt(np.diag(found_in(joint_case).covariance))
     monkeypatch.setattr(grey_box, "_TAKEN", grey_box._STANDING)
-    alike = np.sqrt(np.diag(found_in(one).covariance))
-    assert np.all(plain > 0.99 * alike)
-    assert np.max(plain / alike) > 1.02
+    alike = np.sqrt(np.diag(found_in(joint_case).covariance))
+    assert np.all(reference > 0.99 * alike)
+    assert np.max(reference / alike) > 1.02
 
 
 def test_a_band_may_be_set() -> None:
-    one = case(1, 1)
-    model = found_in(one, PhysicalOptions(band_hz=(5.0, 45.0)))
+    joint_case = case(1, 1)
+    model = found_in(joint_case, PhysicalOptions(band_hz=(5.0, 45.0)))
     assert model.band_hz == (5.0, 45.0)
-    assert model.values != found_in(one).values
+    assert model.values != found_in(joint_case).values
 
 
 def test_the_search_may_begin_elsewhere(models: list[tuple[Case, JointModel]]) -> None:
-    one, model = models[0]
-    near = identify_joint(
-        one.records, one.model, Arm.of(one.study.arm), search_from_hz=model.band_hz
+    joint_case, model = models[0]
+    restarted = identify_joint(
+        joint_case.records,
+        joint_case.model,
+        Arm.of(joint_case.study.arm),
+        search_from_hz=model.band_hz,
     )
     # the bands agree to 5 %, a small part of a standard deviation
-    np.testing.assert_allclose(near.band_hz, model.band_hz, rtol=0.05)
-    difference = np.abs(vector_of(near) - vector_of(model))[WELL_IDENTIFIED]
+    np.testing.assert_allclose(restarted.band_hz, model.band_hz, rtol=0.05)
+    difference = np.abs(vector_of(restarted) - vector_of(model))[WELL_IDENTIFIED]
     assert (difference < 0.3 * np.sqrt(np.diag(model.covariance))[WELL_IDENTIFIED]).all()
-    assert near.values != model.values
+    assert restarted.values != model.values
 
 
 def test_the_rigid_models_equations_may_be_left_out() -> None:
-    one = case(1, 1)
-    with_rigid, without = found_in(one), found_in(one, PhysicalOptions(use_rigid=False))
+    joint_case = case(1, 1)
+    with_rigid, without = (
+        found_in(joint_case),
+        found_in(joint_case, PhysicalOptions(use_rigid=False)),
+    )
     weight = np.zeros(len(NAMES) + 1)
     weight[NAMES.index("motor_viscous_friction")] = 1.0
     weight[NAMES.index("link_viscous_friction")] = 1e-4
@@ -201,17 +214,19 @@ def test_the_rigid_models_equations_may_be_left_out() -> None:
 
 
 def test_without_a_rigid_model_the_data_speak_alone() -> None:
-    one = case(1, 1)
-    model = identify_joint(one.records, None, Arm.of(one.study.arm))
-    relative_error = vector_of(model) / one.truth.vector - 1.0
+    joint_case = case(1, 1)
+    model = identify_joint(joint_case.records, None, Arm.of(joint_case.study.arm))
+    relative_error = vector_of(model) / joint_case.truth.vector - 1.0
     assert np.abs(relative_error[WELL_IDENTIFIED]).max() < 0.01
 
 
 def test_a_link_without_sensor_is_refused() -> None:
-    one = case(1, 1)
-    blind = replace(one.signals, sources=("motor", "motor"))
+    joint_case = case(1, 1)
+    blind = replace(joint_case.signals, sources=("motor", "motor"))
     with pytest.raises(NotIdentifiable, match="no sensor"):
-        identify_joint([(blind, one.decoupled)], one.model, Arm.of(one.study.arm))
+        identify_joint(
+            [(blind, joint_case.decoupled)], joint_case.model, Arm.of(joint_case.study.arm)
+        )
 
 
 def test_what_is_hardly_identified_or_impossible_is_said() -> None:
@@ -247,10 +262,14 @@ def test_units() -> None:
 
 def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
     """Elimination agrees with least squares over the parameters and all friction unknowns."""
-    one = case(1, 1)
-    signals = [one.signals]
-    known = rigid_knowledge(one.model, Arm.of(one.study.arm), one.decoupled.joint, signals)
-    weighted = grey_box.solve(one.records, Arm.of(one.study.arm), known, (5.0, 45.0)).own
+    joint_case = case(1, 1)
+    signals = [joint_case.signals]
+    rigid_values = rigid_knowledge(
+        joint_case.model, Arm.of(joint_case.study.arm), joint_case.decoupled.joint, signals
+    )
+    weighted = grey_box.solve(
+        joint_case.records, Arm.of(joint_case.study.arm), rigid_values, (5.0, 45.0)
+    ).own
     equations, root = weighted.equations, weighted.root
     friction_columns = np.zeros((len(root), len(equations.local_deviation)))
     friction_columns[equations.local[0].rows] = equations.local[0].columns.dense()
@@ -258,12 +277,12 @@ def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
     columns = np.hstack([equations.shared / scale, friction_columns * equations.local_deviation])
     priors = np.eye(columns.shape[1])[len(scale) :]
     target = np.concatenate([equations.target * root, np.zeros(len(priors))])
-    plain = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
+    solution = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
     factor = ls.factorise(equations, root)
     assert friction_columns.shape[1] > 100
-    np.testing.assert_allclose(factor.value, plain[:7] / scale, rtol=1e-7)
+    np.testing.assert_allclose(factor.value, solution[:7] / scale, rtol=1e-7)
     np.testing.assert_allclose(
-        factor.local, plain[7:] * equations.local_deviation, atol=1e-7 * np.abs(plain).max()
+        factor.local, solution[7:] * equations.local_deviation, atol=1e-7 * np.abs(solution).max()
     )
 
 
@@ -287,57 +306,57 @@ def longer(one: Case, times: int) -> tuple[LinkSignals, Decoupled]:
 
 def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
     """Size of the equations for records two and four times as long."""
-    one = case(1, 1)
+    joint_case = case(1, 1)
     sizes = []
     for times in (2, 4):
-        signals, decoupled = longer(one, times)
-        piece = grey_box._piece(signals, decoupled, Arm.of(one.study.arm), (5.0, 45.0))
+        signals, decoupled = longer(joint_case, times)
+        piece = grey_box._piece(signals, decoupled, Arm.of(joint_case.study.arm), (5.0, 45.0))
         equations = grey_box._assemble([piece], grey_box.RigidKnowledge(None, None, None), TRIED)
         local = equations.local[0].columns
         sizes.append(equations.shared.size + local.entries.size + local.first.size)
-    assert sizes[1] < 2.2 * sizes[0]  # the edges left out weigh more in the shorter one
+    assert sizes[1] < 2.2 * sizes[0]  # the excluded edges are a larger part of the shorter record
 
 
 TRIED = np.array([1e-4, 1e-4, 0.05, 3.0, 1.0, 1e-4, 1e-3])
-"""Parameters of about the right size, around which the equations are put together."""
+"""Approximate parameters at which the equations are evaluated."""
 
 
 def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
     monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
 ) -> None:
-    one, whole = models[0]
-    n = len(one.signals.time)
+    joint_case, full_model = models[0]
+    n = len(joint_case.signals.time)
     lengths: list[int] = []
-    plain = grey_box._piece
+    reference = grey_box._piece
 
     def counted(signals: LinkSignals, *rest: Any) -> Any:
         lengths.append(len(signals.time))
-        return plain(signals, *rest)
+        return reference(signals, *rest)
 
     monkeypatch.setattr(grey_box, "_piece", counted)
     monkeypatch.setattr(grey_box, "_SEARCHED", 2 * n // 3)
-    found = found_in(one)
-    # in the whole record only the band found and those beside it
+    fit = found_in(joint_case)
+    # the complete record is used for the selected band and its neighbours only
     assert lengths.count(2 * n // 3) == len(lengths) - 3 > 0
-    std = np.sqrt(np.diag(whole.covariance))[: len(NAMES)]
-    assert np.abs((vector_of(found) - vector_of(whole)) / std).max() < 0.2
+    std = np.sqrt(np.diag(full_model.covariance))[: len(NAMES)]
+    assert np.abs((vector_of(fit) - vector_of(full_model)) / std).max() < 0.2
 
 
 def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
     monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
 ) -> None:
-    one, whole = models[0]
-    n = len(one.signals.time)
+    joint_case, full_model = models[0]
+    n = len(joint_case.signals.time)
     monkeypatch.setattr(grey_box, "_SEARCHED", n - 1)
-    plain = grey_box._found
+    reference = grey_box._found
 
     def misled(records: Any, study: Any, known: Any, search: Any) -> Any:
         if len(records[0][0].time) == n:
-            return plain(records, study, known, search)
+            return reference(records, study, known, search)
         band = (9.0, 18.0)
         return band, grey_box._equations(records, study, known, band)
 
     monkeypatch.setattr(grey_box, "_found", misled)
-    found = found_in(one)
-    assert found.band_hz == whole.band_hz
-    assert found.values == whole.values
+    fit = found_in(joint_case)
+    assert fit.band_hz == full_model.band_hz
+    assert fit.values == full_model.values

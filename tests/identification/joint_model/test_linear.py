@@ -56,31 +56,31 @@ def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
 
 
 def test_records_are_fitted_at_once() -> None:
-    one = case(1, 1).decoupled
-    both = state_space_of([one, one])
-    assert both.initial_states.shape == (2, both.order)
-    assert frequencies(both) == pytest.approx(frequencies(model_of(1, 1)), rel=2e-3)
+    joint_case = case(1, 1).decoupled
+    model = state_space_of([joint_case, joint_case])
+    assert model.initial_states.shape == (2, model.order)
+    assert frequencies(model) == pytest.approx(frequencies(model_of(1, 1)), rel=2e-3)
 
 
 def test_only_uninterrupted_valid_stretches_are_used() -> None:
-    one = case(1, 1).decoupled
-    gap = len(one.valid) // 2
-    valid = one.valid.copy()
+    joint_case = case(1, 1).decoupled
+    gap = len(joint_case.valid) // 2
+    valid = joint_case.valid.copy()
     valid[gap : gap + 10] = False
-    disturbed = one.outputs.copy()
+    disturbed = joint_case.outputs.copy()
     disturbed[gap : gap + 10] = 1e6
-    model = state_space_of(replace(one, valid=valid, outputs=disturbed))
+    model = state_space_of(replace(joint_case, valid=valid, outputs=disturbed))
     assert len(model.initial_states) == 2
     assert frequencies(model) == pytest.approx(frequencies(model_of(1, 1)), rel=0.01)
 
 
 def test_options_change_the_model() -> None:
-    one = case(1, 1).decoupled
-    assert state_space_of(one, LinearOptions(order=4)).order == 4
-    assert state_space_of(one, LinearOptions(method="subspace")).method == "subspace"
-    assert state_space_of(one, LinearOptions(outputs="motor")).C.shape[0] == 1
-    assert state_space_of(one, LinearOptions(inputs="motor")).B.shape[1] == 1
-    slow = state_space_of(one, LinearOptions(band_hz=(4.0, 40.0)))
+    joint_case = case(1, 1).decoupled
+    assert state_space_of(joint_case, LinearOptions(order=4)).order == 4
+    assert state_space_of(joint_case, LinearOptions(method="subspace")).method == "subspace"
+    assert state_space_of(joint_case, LinearOptions(outputs="motor")).C.shape[0] == 1
+    assert state_space_of(joint_case, LinearOptions(inputs="motor")).B.shape[1] == 1
+    slow = state_space_of(joint_case, LinearOptions(band_hz=(4.0, 40.0)))
     assert slow.sample_time == pytest.approx(1.0 / 160.0, rel=0.05)
 
 
@@ -95,31 +95,31 @@ def test_too_many_states_give_way_to_the_physical_ones(monkeypatch: pytest.Monke
 def test_the_closed_form_is_of_the_physical_order() -> None:
     assert physical_order(LinearOptions()).order == 3
     assert physical_order(LinearOptions(order=4)).order == 4
-    one = case(1, 1)
-    assert state_space_of(one.decoupled, physical_order(LinearOptions())).order == 3
+    joint_case = case(1, 1)
+    assert state_space_of(joint_case.decoupled, physical_order(LinearOptions())).order == 3
 
 
 def test_leaving_the_interaction_out_is_wrong() -> None:
     """Without the interaction torque, the model has the coupled modes of the arm."""
-    one = case(1, 1)
-    expected = anti_resonance(one.truth).frequency_hz
-    low, _ = frequencies(state_space_of(one.decoupled, LinearOptions(inputs="motor")))
+    joint_case = case(1, 1)
+    expected = anti_resonance(joint_case.truth).frequency_hz
+    low, _ = frequencies(state_space_of(joint_case.decoupled, LinearOptions(inputs="motor")))
     assert abs(low / expected - 1.0) > 0.05
 
 
 def test_no_stretch_is_long_enough() -> None:
-    one = case(1, 1).decoupled
-    valid = np.arange(len(one.valid)) % 400 != 0
+    joint_case = case(1, 1).decoupled
+    valid = np.arange(len(joint_case.valid)) % 400 != 0
     with pytest.raises(NotIdentifiable, match="no stretch"):
-        state_space_of(replace(one, valid=valid), LinearOptions(band_hz=(5.0, 60.0)))
+        state_space_of(replace(joint_case, valid=valid), LinearOptions(band_hz=(5.0, 60.0)))
 
 
 def test_records_that_do_not_belong_together() -> None:
-    one = case(1, 1).decoupled
+    joint_case = case(1, 1).decoupled
     with pytest.raises(InvalidInput, match="different joints"):
-        state_space_of([one, replace(one, joint=2)])
+        state_space_of([joint_case, replace(joint_case, joint=2)])
     with pytest.raises(InvalidInput, match="sample times"):
-        state_space_of([one, replace(one, sample_time=2.0 * one.sample_time)])
+        state_space_of([joint_case, replace(joint_case, sample_time=2.0 * joint_case.sample_time)])
     with pytest.raises(InvalidInput, match="no record"):
         state_space_of([])
 
@@ -187,26 +187,26 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
     A[:3, :3], A[3, 3] = joint.A, -0.6
     rng = np.random.default_rng(2)
     small = 1e-2 * rng.standard_normal(2)
-    whole = state_space(
+    unreduced = state_space(
         A, np.vstack([joint.B, small]), np.hstack([joint.C, [[1.0], [1e-3]]]), joint.D
     )
     names = ("A", "B", "C", "D", "K")
-    entries = np.concatenate([getattr(whole, name).ravel() for name in names])
+    entries = np.concatenate([getattr(unreduced, name).ravel() for name in names])
     std = 1e-5 * np.abs(entries)
-    known = replace(whole, covariance=np.diag(std**2))
-    reduced_modes = modes_of(known)
+    full_with_covariance = replace(unreduced, covariance=np.diag(std**2))
+    reduced_modes = modes_of(full_with_covariance)
 
     def drawn() -> list[float]:
         values = entries + std * rng.standard_normal(len(std))
-        parts = np.split(values, np.cumsum([getattr(whole, name).size for name in names])[:-1])
+        parts = np.split(values, np.cumsum([getattr(unreduced, name).size for name in names])[:-1])
         shapes: dict[str, Any] = {
-            name: part.reshape(getattr(whole, name).shape)
+            name: part.reshape(getattr(unreduced, name).shape)
             for name, part in zip(names, parts, strict=True)
         }
-        near = modes_of(replace(whole, **shapes))
-        assert near.resonance is not None
-        assert near.anti_resonance is not None
-        return [near.resonance.frequency_hz, near.anti_resonance.frequency_hz]
+        perturbed = modes_of(replace(unreduced, **shapes))
+        assert perturbed.resonance is not None
+        assert perturbed.anti_resonance is not None
+        return [perturbed.resonance.frequency_hz, perturbed.anti_resonance.frequency_hz]
 
     scatter = np.std([drawn() for _ in range(300)], axis=0)
     assert reduced_modes.resonance is not None

@@ -94,17 +94,17 @@ def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexA
 def known_family(study: Study, values: Values) -> Family:
     """Arms with the rigid parameters of a drawn arm, which are exact."""
     arm = Arm.of(study.arm)
-    known, n = derived(values, arm), arm.gear_ratios
-    motor = np.array([known["motor_inertia", i] for i in (1, 2)])
-    link = np.array([known["link_inertia", i] for i in (1, 2)])
+    parameters, n = derived(values, arm), arm.gear_ratios
+    motor = np.array([parameters["motor_inertia", i] for i in (1, 2)])
+    link = np.array([parameters["link_inertia", i] for i in (1, 2)])
     total = motor + n**2 * link
     return Family(
         arm=arm,
         ratio=n,
         total_inertia=total,
-        total_viscous=np.array([known["total_viscous_friction", i] for i in (1, 2)]),
-        coulomb=np.array([known["motor_coulomb_friction", i] for i in (1, 2)]),
-        base=np.array([known.get(key, 0.0) for key in arm.base_names]),
+        total_viscous=np.array([parameters["total_viscous_friction", i] for i in (1, 2)]),
+        coulomb=np.array([parameters["motor_coulomb_friction", i] for i in (1, 2)]),
+        base=np.array([parameters.get(key, 0.0) for key in arm.base_names]),
         known_share=np.array([np.nan, motor[1] / total[1]]),
         known_deviation=np.array([np.nan, 0.02]),
     )
@@ -112,13 +112,13 @@ def known_family(study: Study, values: Values) -> Family:
 
 def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generator) -> Piece:
     """Noise-free spectra of a record section in which one motor is driven and slides."""
-    known = derived(values, family.arm)
+    derived_values = derived(values, family.arm)
     angle = rng.uniform(-1.5, 1.5, 2)
 
     def of(name: str) -> FloatArray:
-        return np.array([known[name, i] for i in (1, 2)])
+        return np.array([derived_values[name, i] for i in (1, 2)])
 
-    base = np.array([known.get(key, 0.0) for key in family.arm.base_names])
+    base = np.array([derived_values.get(key, 0.0) for key in family.arm.base_names])
     posture = posture_of(family.arm, angle)
     arm = LinearArm(
         gear_ratio=family.ratio,
@@ -165,10 +165,11 @@ def test_a_stiffness_that_hardly_shows_stays_in_question() -> None:
     rng = np.random.default_rng(0)
     family = known_family(study, values)
     records = [exact_piece(family, values, row, rng) for row in (0, 1)]
-    few = [thinned(piece, 40) for piece in records]
-    sharp = minima(family, records, few)
+    thinned_records = [thinned(piece, 40) for piece in records]
+    sharp = minima(family, records, thinned_records)
     noisy = [
-        replace(p, velocity=p.velocity + rng.normal(0.0, 30.0 * np.abs(p.velocity))) for p in few
+        replace(p, velocity=p.velocity + rng.normal(0.0, 30.0 * np.abs(p.velocity)))
+        for p in thinned_records
     ]
     assert len(minima(family, noisy, noisy)) > len(sharp)
 

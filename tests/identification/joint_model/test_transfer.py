@@ -38,8 +38,10 @@ def known(scale: float = 1.0, std: float = 0.0) -> RigidKnowledge:
 
 
 def exact_of(model: StateSpace, rigid: RigidKnowledge) -> dict[str, float]:
-    one = case(1, 1)
-    return dict(from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid).values)
+    joint_case = case(1, 1)
+    return dict(
+        from_state_space(model, joint_case.decoupled, Arm.of(joint_case.study.arm), rigid).values
+    )
 
 
 def test_an_exact_model_gives_its_joint_back() -> None:
@@ -63,12 +65,12 @@ def test_an_error_of_c1_goes_straight_into_the_parameters() -> None:
 
 def test_the_records_joint_comes_back() -> None:
     for which in ((1, 1), (3, 2)):
-        one = case(*which)
-        rigid = rigid_knowledge(one.model, Arm.of(one.study.arm), which[1])
-        model = state_space_of(one.decoupled)
-        fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), rigid)
+        joint_case = case(*which)
+        rigid = rigid_knowledge(joint_case.model, Arm.of(joint_case.study.arm), which[1])
+        model = state_space_of(joint_case.decoupled)
+        fit = from_state_space(model, joint_case.decoupled, Arm.of(joint_case.study.arm), rigid)
         for name in WELL_IDENTIFIED:
-            assert fit.values[name] == pytest.approx(getattr(one.truth, name), rel=0.03)
+            assert fit.values[name] == pytest.approx(getattr(joint_case.truth, name), rel=0.03)
         assert fit.fit_percent["motor_velocity"] > 85.0
         assert fit.fit_percent["link_velocity"] > 85.0
         assert fit.fit_percent["reciprocity"] > 90.0
@@ -77,13 +79,15 @@ def test_the_records_joint_comes_back() -> None:
         # the standard deviations contain those of c_1 and of the pole and zero pairs
         assert rigid.total_inertia is not None
         uncertain = replace(rigid, total_inertia=(rigid.total_inertia[0], 1e-4))
-        uncertain_fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), uncertain)
+        uncertain_fit = from_state_space(
+            model, joint_case.decoupled, Arm.of(joint_case.study.arm), uncertain
+        )
         k = NAMES.index("link_inertia")
         assert uncertain_fit.covariance[k, k] > 2.0 * fit.covariance[k, k]
         # other models of the record increase them
-        other_model = state_space_of(one.decoupled, LinearOptions(band_hz=(4.0, 50.0)))
+        other_model = state_space_of(joint_case.decoupled, LinearOptions(band_hz=(4.0, 50.0)))
         combined_fit = from_state_space(
-            model, one.decoupled, Arm.of(one.study.arm), rigid, [other_model]
+            model, joint_case.decoupled, Arm.of(joint_case.study.arm), rigid, [other_model]
         )
         assert combined_fit.values == fit.values
         assert np.all(np.diag(combined_fit.covariance) >= np.diag(fit.covariance) * (1.0 - 1e-9))
@@ -91,7 +95,7 @@ def test_the_records_joint_comes_back() -> None:
 
 def test_a_joint_that_cannot_be_is_reported_and_not_clipped() -> None:
     """An anti-resonance above the resonance implies a negative link inertia."""
-    one = case(1, 1)
+    joint_case = case(1, 1)
     rigid, slow, peak, dip = 5e-4, 2.5e-4, 100.0, 140.0
     numerator = [1.0 / dip**2, 0.1 / dip, 1.0]
     denominator = np.polymul([rigid, slow], [1.0 / peak**2, 0.1 / peak, 1.0])
@@ -100,11 +104,11 @@ def test_a_joint_that_cannot_be_is_reported_and_not_clipped() -> None:
     model = state_space(A, B, C, D, hold=("zero",))
     fit = from_state_space(
         model,
-        one.decoupled,
-        Arm.of(one.study.arm),
+        joint_case.decoupled,
+        Arm.of(joint_case.study.arm),
         RigidKnowledge((rigid, 1e-6), (slow, 1e-6), None),
     )
-    link = (rigid - rigid * dip**2 / peak**2) / one.decoupled.gear_ratio**2
+    link = (rigid - rigid * dip**2 / peak**2) / joint_case.decoupled.gear_ratio**2
     assert fit.values["link_inertia"] == pytest.approx(link, rel=1e-6)
     assert fit.values["link_inertia"] < 0.0
     assert fit.status == "implausible"
@@ -112,54 +116,58 @@ def test_a_joint_that_cannot_be_is_reported_and_not_clipped() -> None:
 
 
 def test_a_model_without_covariance_has_values_and_no_deviations() -> None:
-    one = case(1, 1)
-    model = state_space_of(one.decoupled, LinearOptions(method="subspace"))
+    joint_case = case(1, 1)
+    model = state_space_of(joint_case.decoupled, LinearOptions(method="subspace"))
     fit = from_state_space(
         model,
-        one.decoupled,
-        Arm.of(one.study.arm),
-        rigid_knowledge(one.model, Arm.of(one.study.arm), 1),
+        joint_case.decoupled,
+        Arm.of(joint_case.study.arm),
+        rigid_knowledge(joint_case.model, Arm.of(joint_case.study.arm), 1),
     )
     stiffness = next(p for p in fit.parameters if p.name == "gear_stiffness")
-    assert stiffness.value == pytest.approx(one.truth.gear_stiffness, rel=0.1)
+    assert stiffness.value == pytest.approx(joint_case.truth.gear_stiffness, rel=0.1)
     assert stiffness.std is None
     assert fit.anti_resonance is not None
     assert fit.anti_resonance.frequency_std_hz is None
 
 
 def test_a_gear_ratio_that_is_wrong_breaks_reciprocity() -> None:
-    one = case(1, 1)
+    joint_case = case(1, 1)
     sampled = EXACT.sampled()
     wrong = replace(sampled, B=sampled.B * [1.0, 3.0], D=sampled.D * [1.0, 3.0])
     codes = []
     for model in (sampled, wrong):
-        fit = from_state_space(model, one.decoupled, Arm.of(one.study.arm), known())
+        fit = from_state_space(model, joint_case.decoupled, Arm.of(joint_case.study.arm), known())
         codes.append({w.code for w in fit.warnings})
     assert "not-reciprocal" not in codes[0]
     assert "not-reciprocal" in codes[1]
 
 
 def test_a_rigid_model_of_another_arm_is_reported() -> None:
-    one = case(1, 1)
-    fit = from_state_space(EXACT.sampled(), one.decoupled, Arm.of(one.study.arm), known(scale=1.5))
+    joint_case = case(1, 1)
+    fit = from_state_space(
+        EXACT.sampled(), joint_case.decoupled, Arm.of(joint_case.study.arm), known(scale=1.5)
+    )
     assert "inertia-mismatch" in {w.code for w in fit.warnings}
 
 
 def test_a_model_that_does_not_ring_is_refused() -> None:
-    one = case(1, 1)
+    joint_case = case(1, 1)
     sampled = EXACT.sampled()
     with pytest.raises(NotIdentifiable, match="no oscillating pair"):
         from_state_space(
             replace(sampled, A=np.diag([0.9, 0.8, 0.7])),
-            one.decoupled,
-            Arm.of(one.study.arm),
+            joint_case.decoupled,
+            Arm.of(joint_case.study.arm),
             known(),
         )
 
 
 def test_a_record_shows_both_ways() -> None:
-    one = case(1, 1)
-    record_model = identify_record(one.signals, one.decoupled, one.model, Arm.of(one.study.arm))
+    joint_case = case(1, 1)
+    record_model = identify_record(
+        joint_case.signals, joint_case.decoupled, joint_case.model, Arm.of(joint_case.study.arm)
+    )
     assert record_model.physical is not None
     assert record_model.transfer is not None
     assert record_model.modes is not None
@@ -171,10 +179,12 @@ def test_a_record_shows_both_ways() -> None:
 
 def test_what_fails_is_a_warning() -> None:
     """Without a link sensor there is no torsion; a band with too short sections gives no model."""
-    one = case(1, 1)
-    blind = replace(one.signals, sources=("motor", "motor"))
+    joint_case = case(1, 1)
+    blind = replace(joint_case.signals, sources=("motor", "motor"))
     options = RecordOptions(linear=LinearOptions(band_hz=(0.5, 60.0)))
-    record_model = identify_record(blind, one.decoupled, one.model, Arm.of(one.study.arm), options)
+    record_model = identify_record(
+        blind, joint_case.decoupled, joint_case.model, Arm.of(joint_case.study.arm), options
+    )
     assert record_model.physical is None
     assert record_model.state_space is None
     assert record_model.transfer is None
@@ -182,12 +192,16 @@ def test_what_fails_is_a_warning() -> None:
 
 
 def test_options_reach_both_ways() -> None:
-    one = case(1, 1)
+    joint_case = case(1, 1)
     options = RecordOptions(
         physical=PhysicalOptions(band_hz=(5.0, 45.0)), linear=LinearOptions(method="subspace")
     )
     record_model = identify_record(
-        one.signals, one.decoupled, one.model, Arm.of(one.study.arm), options
+        joint_case.signals,
+        joint_case.decoupled,
+        joint_case.model,
+        Arm.of(joint_case.study.arm),
+        options,
     )
     assert record_model.physical is not None
     assert record_model.physical.band_hz == (5.0, 45.0)

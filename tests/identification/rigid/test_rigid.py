@@ -210,12 +210,12 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
     log = motion_log(study, scara.parameters(5, "linear"), 0)
     channels = {name: values[cut] for name, values in log.channels.items()}
     options = rigid.RigidOptions(bandwidth_hz=3.0)
-    whole, shorter = (
-        rigid.fit([signals.motor_side(each, Arm.of(study.arm))], Arm.of(study.arm), options)
-        for each in (log, replace(log, time=log.time[cut], channels=channels))
+    complete, shorter = (
+        rigid.fit([signals.motor_side(log_part, Arm.of(study.arm))], Arm.of(study.arm), options)
+        for log_part in (log, replace(log, time=log.time[cut], channels=channels))
     )
-    std = np.sqrt(np.diag(whole.covariance))
-    assert np.max(np.abs(shorter.solution - whole.solution) / std) < 0.1
+    std = np.sqrt(np.diag(complete.covariance))
+    assert np.max(np.abs(shorter.solution - complete.solution) / std) < 0.1
 
 
 def test_gross_errors_hardly_matter() -> None:

@@ -87,8 +87,8 @@ def test_a_clean_arms_statistic_is_chi_square(seed: int) -> None:
     assert {degrees for _, degrees in statistics} == {3}
     squares = np.array([q for q, _ in statistics])
     assert squares.mean() == pytest.approx(3.0, abs=4.0 * np.sqrt(6.0 / N_RUNS))
-    deviations = np.array([_as_normal(q, 3) for q in squares])
-    assert np.mean(deviations > 1.96) == pytest.approx(0.05, abs=4.0 * np.sqrt(0.05 / N_RUNS))
+    normal_scores = np.array([_as_normal(q, 3) for q in squares])
+    assert np.mean(normal_scores > 1.96) == pytest.approx(0.05, abs=4.0 * np.sqrt(0.05 / N_RUNS))
     assert _as_normal(1e5, 3) > 30.0
 
 
@@ -167,8 +167,8 @@ def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path)
     """Inertias have errors of 10 %, which the fit values do not show. No inertia is published."""
     result = altered(tmp_path, weakening)
     assert result.tuned is not None
-    deviations = {test.scope: test.deviations for test in result.tuned.agreement}
-    assert deviations["inertias"] > 8.0
+    by_scope = {test.scope: test.deviations for test in result.tuned.agreement}
+    assert by_scope["inertias"] > 8.0
     assert "stages-disagree" in [w.code for w in result.warnings]
     assert (result.verdict.status, result.verdict.exit_code) == ("not-determined", 3)
     assert all(p.value is None for p in result.parameters)

@@ -102,14 +102,14 @@ POSSIBLE = [
 @pytest.fixture
 def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
     """Counts how many sets of shapes of each effect are tested from here on."""
-    columns_of, found = EffectColumns.of, Counter[NamedEffect]()
+    columns_of, numbers = EffectColumns.of, Counter[NamedEffect]()
 
     def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
-        found.update(one.one for one in tested)
+        numbers.update(hypothesis.one for hypothesis in tested)
         return columns_of(fit, arm, tested)
 
     monkeypatch.setattr(EffectColumns, "of", counted)
-    return found
+    return numbers
 
 
 def test_of_noise_each_effect_is_tested_once(counts: Counter[NamedEffect]) -> None:

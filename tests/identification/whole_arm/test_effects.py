@@ -96,7 +96,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     )
     np.testing.assert_array_equal(space.prior.rows, [[1.0, 1.0, *np.zeros(7)]])
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad", "1"]
-    assert [unknown.unit for unknown in space.unknowns[2:]] == units
+    assert [parameter.unit for parameter in space.unknowns[2:]] == units
     assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
     reduced = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
     assert reduced.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]

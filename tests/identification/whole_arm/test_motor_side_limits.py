@@ -1,4 +1,4 @@
-"""Why a motor's encoder does not say everything of its gear, on arms drawn to be hard for it."""
+"""Limits of motor encoders: reasons for uncertain gear parameters, on arms chosen accordingly."""
 
 from __future__ import annotations
 
@@ -21,12 +21,14 @@ CODE = "motor-side-limit"
 def said(
     name: str, factor: float, counts: float, amplitude: float = 4.0, *, sensors: bool = False
 ) -> dict[str, list[str]]:
-    """What is said of each joint; joint 1 has a parameter so many times the rig's."""
+    """Messages per joint; one parameter of joint 1 is a multiple of that of the rig."""
     study, values = truth()
     values = derived(values | {(name, 1): factor * values[name, 1]}, study.arm)
     joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
-    wanted = shaken_study(replace(study, arm=replace(study.arm, joints=joints)), amplitude, order=8)
-    study, logs = written_logs(wanted, values, noise=SensorNoise())
+    short_study = shaken_study(
+        replace(study, arm=replace(study.arm, joints=joints)), amplitude, order=8
+    )
+    study, logs = written_logs(short_study, values, noise=SensorNoise())
     if not sensors:
         motor = ("u1", "u2", "theta_m1", "theta_m2")
         logs = tuple(replace(log, channels={c: log.channels[c] for c in motor}) for log in logs)
@@ -40,11 +42,11 @@ def said(
 
 
 def by_place(model: ArmModel) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
+    messages: dict[str, list[str]] = {}
     for warning in model.warnings:
         if warning.code == CODE:
-            found.setdefault(warning.where, []).append(warning.message)
-    return found
+            messages.setdefault(warning.where, []).append(warning.message)
+    return messages
 
 
 @pytest.mark.parametrize(
@@ -62,8 +64,10 @@ def test_a_gear_that_is_known_badly_has_the_reason(
 
 
 def test_an_ordinary_gear_has_no_such_reason() -> None:
-    """Only the split of viscous friction is not identifiable."""
-    texts = [text for own in said("gear_stiffness", 1.0, 8192.0, 10.0).values() for text in own]
+    """Only the individual viscous frictions are not identifiable."""
+    texts = [
+        text for messages in said("gear_stiffness", 1.0, 8192.0, 10.0).values() for text in messages
+    ]
     assert texts
     assert all("only the sum d_M + n^2 d_L" in text for text in texts)
     assert not any("gear" in text for text in texts)

@@ -1,4 +1,4 @@
-"""Accelerometers and IMUs of unknown place in the whole-arm fit, on virtual arms that know it."""
+"""Accelerometers and IMUs of unknown position in the whole-arm fit, on virtual arms."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GEARS = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
 def late(log: Log, delay: float) -> Log:
-    """The accelerometers so much later."""
+    """Log with delayed accelerometers."""
     n = round(delay / log.sample_time)
     if not n:
         return log
@@ -36,28 +36,30 @@ def late(log: Log, delay: float) -> Log:
 
 
 def without(study: Study, *names: str) -> Study:
-    """The study with keys of its joints left out."""
-    gone = dict.fromkeys(names)
-    joints = tuple(replace(joint, **gone) for joint in study.arm.joints)  # type: ignore[arg-type]
+    """Study without the given keys of its joints."""
+    removed = dict.fromkeys(names)
+    joints = tuple(replace(joint, **removed) for joint in study.arm.joints)  # type: ignore[arg-type]
     return replace(study, arm=replace(study.arm, joints=joints))
 
 
 def from_five_percent(study: Study, known: Values, logs: list[Log]) -> ArmModel:
-    """The fit from joint models off by a twentieth either way."""
+    """Fit from joint models with errors of 5 %."""
     joints = joint_models(study, known, 0.05, FACTORS)
     return tune(logs, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
 @cache
 def found(left_out: tuple[str, ...] = (), delay: float = 0.0) -> tuple[ArmModel, Values]:
-    """Half a second of either joint in open loop, gyros left out."""
-    study, known, logs = shaken()
-    kept = [
+    """Fit to open-loop records of 0.5 s, one for each joint, without gyros."""
+    study, true_values, logs = shaken()
+    records = [
         replace(log, channels={k: x for k, x in log.channels.items() if not k.startswith("gyro")})
         for log in logs
     ]
-    own = without(study, *left_out)
-    return from_five_percent(own, known, [late(log, delay) for log in kept]), known
+    reduced = without(study, *left_out)
+    return from_five_percent(
+        reduced, true_values, [late(log, delay) for log in records]
+    ), true_values
 
 
 def by_key(model: ArmModel) -> dict[tuple[str, int | None], Parameter]:
@@ -65,7 +67,7 @@ def by_key(model: ArmModel) -> dict[tuple[str, int | None], Parameter]:
 
 
 def check(model: ArmModel, expected: Mapping[tuple[str, int], float]) -> None:
-    """Each value where it truly is, by its own deviation."""
+    """Check that each estimate agrees with the true value within four standard deviations."""
     table = by_key(model)
     for key, true in expected.items():
         value, std = table[key].value, table[key].std
@@ -75,24 +77,27 @@ def check(model: ArmModel, expected: Mapping[tuple[str, int], float]) -> None:
 
 
 def check_gears(model: ArmModel, known: Values, times: float) -> None:
-    """As good as with sensors whose place is known, to within a few times."""
+    """Check gears against a fit with known sensor positions.
+
+    Standard deviations may be larger by the factor `times`.
+    """
     reference = by_key(found()[0])
-    for (name, joint), one in by_key(model).items():
+    for (name, joint), parameter in by_key(model).items():
         if name in GEARS:
-            assert one.value is not None
-            assert one.std is not None
-            own = reference[name, joint].std or 0.0
-            assert one.std < times * own, (name, joint)
-            assert abs(one.value - known[name, joint]) < 4.5 * one.std, (name, joint)
+            assert parameter.value is not None
+            assert parameter.std is not None
+            reference_std = reference[name, joint].std or 0.0
+            assert parameter.std < times * reference_std, (name, joint)
+            assert abs(parameter.value - known[name, joint]) < 4.5 * parameter.std, (name, joint)
 
 
 @pytest.mark.parametrize("delay", [0.0, 1e-3])
 def test_accelerometers_anywhere_on_their_links(delay: float) -> None:
-    model, known = found(("accelerometer_distance",), delay)
+    model, true_values = found(("accelerometer_distance",), delay)
     assert model.status == "converged"
     delays = {("accelerometer_delay", i): delay for i in (1, 2)} if delay else {}
     check(model, PLACES | delays)
-    check_gears(model, known, 3.0)
+    check_gears(model, true_values, 3.0)
     names = {p.name for p in model.parameters}
     assert ("accelerometer_delay" in names) is bool(delay)
     assert not names & {"accelerometer_tilt", "accelerometer_bandwidth", "accelerometer_scale"}
@@ -100,35 +105,39 @@ def test_accelerometers_anywhere_on_their_links(delay: float) -> None:
 
 @pytest.mark.parametrize("delay", [0.0, 1e-3])
 def test_neither_distance_nor_bandwidth_is_known(delay: float) -> None:
-    model, known = found(("accelerometer_distance", "accelerometer_hz"), delay)
+    model, true_values = found(("accelerometer_distance", "accelerometer_hz"), delay)
     assert model.status == "converged"
     delays = {("accelerometer_delay", i): delay for i in (1, 2)} if delay else {}
     check(model, PLACES | BANDWIDTHS | delays)
-    check_gears(model, known, 4.0)
+    check_gears(model, true_values, 4.0)
     for i in (1, 2):
         assert by_key(model)["accelerometer_bandwidth", i].unit == "Hz"
 
 
 def test_a_tilted_accelerometer_on_a_link_whose_axis_moves() -> None:
-    """0.1 rad off across the link: as the y axis of an IMU that is turned by so much."""
-    study, known = truth()
-    turned = Imu((0.27, 0.0, 0.0), (0.0, 0.0, 0.1), accelerometer_hz=300.0)
+    """A tilt of 0.1 rad, simulated by the y axis of a rotated IMU."""
+    study, true_values = truth()
+    rotated_imu = Imu((0.27, 0.0, 0.0), (0.0, 0.0, 0.1), accelerometer_hz=300.0)
     first, second = study.arm.joints
-    own = replace(study, arm=replace(study.arm, joints=(first, replace(second, imu=turned))))
-    written, logs = written_logs(shaken_study(own, 10.0), known, noise=SensorNoise())
-    kept = ("u1", "u2", "theta_m1", "theta_m2", "a1")
-    seen = [
-        replace(log, channels={k: log.channels[k] for k in kept} | {"a2": log.channels["ay2"]})
+    imu_study = replace(
+        study, arm=replace(study.arm, joints=(first, replace(second, imu=rotated_imu)))
+    )
+    written, logs = written_logs(shaken_study(imu_study, 10.0), true_values, noise=SensorNoise())
+    channels = ("u1", "u2", "theta_m1", "theta_m2", "a1")
+    records = [
+        replace(log, channels={k: log.channels[k] for k in channels} | {"a2": log.channels["ay2"]})
         for log in logs
     ]
     first, second = without(written, "imu").arm.joints
-    lost = replace(second, accelerometer_distance=None)
+    unknown_position = replace(second, accelerometer_distance=None)
     model = from_five_percent(
-        replace(written, arm=replace(written.arm, joints=(first, lost))), known, seen
+        replace(written, arm=replace(written.arm, joints=(first, unknown_position))),
+        true_values,
+        records,
     )
     check(model, {("accelerometer_distance", 2): 0.27, ("accelerometer_tilt", 2): 0.1})
     assert by_key(model)["accelerometer_tilt", 2].unit == "rad"
-    check_gears(model, known, 4.0)
+    check_gears(model, true_values, 4.0)
 
 
 MOTORS = ("u1", "u2", "theta_m1", "theta_m2")
@@ -144,29 +153,34 @@ def glued(
     delay: float = 0.0,
     gravity: float | None = None,
 ) -> tuple[ArmModel, Values]:
-    """A second of either joint in open loop, an IMU of unknown place on one link alone."""
-    study, known = truth()
+    """Fit to open-loop records of 1 s with an IMU of unknown position on one link."""
+    study, true_values = truth()
     if gravity is not None:
         study = replace(study, arm=replace(study.arm, gravity=gravity))
-        known |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): 15.0}
-    bare = without(study, "accelerometer_distance", "gyro_hz")
+        true_values |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): 15.0}
+    base_study = without(study, "accelerometer_distance", "gyro_hz")
 
     def carrying(imu: Imu) -> Study:
-        joints = (replace(own, imu=imu if i == joint else None) for i, own in _numbered(bare))
-        return replace(bare, arm=replace(bare.arm, joints=tuple(joints)))
+        joints = (
+            replace(plain_joint, imu=imu if i == joint else None)
+            for i, plain_joint in _numbered(base_study)
+        )
+        return replace(base_study, arm=replace(base_study.arm, joints=tuple(joints)))
 
     true = carrying(Imu(PLACE, rpy, accelerometer_hz=300.0, gyro_hz=100.0))
-    wanted = shaken_study(true, 10.0, order=10)
-    written, logs = written_logs(wanted, known, noise=SensorNoise())
-    kept = (*MOTORS, *(f"{axis}{joint}" for axis in axes))
-    seen = [
-        late(replace(log, channels={name: log.channels[name] for name in kept}), delay)
+    short_study = shaken_study(true, 10.0, order=10)
+    written, logs = written_logs(short_study, true_values, noise=SensorNoise())
+    kept_channels = (*MOTORS, *(f"{axis}{joint}" for axis in axes))
+    records = [
+        late(replace(log, channels={name: log.channels[name] for name in kept_channels}), delay)
         for log in logs
     ]
-    lost = carrying(Imu(accelerometer_hz=300.0, gyro_hz=100.0))
+    unknown_position = carrying(Imu(accelerometer_hz=300.0, gyro_hz=100.0))
     return from_five_percent(
-        replace(written, arm=replace(written.arm, joints=lost.arm.joints)), known, seen
-    ), known
+        replace(written, arm=replace(written.arm, joints=unknown_position.arm.joints)),
+        true_values,
+        records,
+    ), true_values
 
 
 def _numbered(study: Study) -> list[tuple[int, Joint]]:
@@ -174,32 +188,32 @@ def _numbered(study: Study) -> list[tuple[int, Joint]]:
 
 
 def turned(rpy: tuple[float, float, float], about: float) -> Values:
-    """The attitude beside a direction at so much from the link's own."""
+    """IMU attitude relative to a direction at the angle `about` in the link frame."""
     matrix = attitude((0.0, 0.0, -about)) @ attitude(rpy)
     names = ("imu_roll", "imu_pitch", "imu_yaw")
     return dict(zip(((name, 1) for name in names), angles(matrix).tolist(), strict=True))
 
 
 def test_one_imu_of_three_axes_on_the_second_link() -> None:
-    """Place, attitude and delay of it, and both gears by it and the motors."""
-    model, known = glued(2, ("ax", "ay", "az"), delay=1e-3)
+    """Position, attitude and delay of the IMU, and both gears."""
+    model, true_values = glued(2, ("ax", "ay", "az"), delay=1e-3)
     assert model.status == "converged"
     place = {("imu_x", 2): PLACE[0], ("imu_y", 2): PLACE[1]}
     rpy = dict(zip((("imu_roll", 2), ("imu_pitch", 2), ("imu_yaw", 2)), ATTITUDE, strict=True))
     check(model, place | rpy | {("imu_accelerometer_delay", 2): 1e-3})
-    check_gears(model, known, 4.0)
+    check_gears(model, true_values, 4.0)
     names = {p.name for p in model.parameters}
     assert not any(name.startswith(("imu_turn", "imu_start")) for name in names)
     assert len(model.covariance) == len(model.parameters)
 
 
 def test_one_imu_of_three_axes_on_the_first_link() -> None:
-    """On an axis that stands still: its distance, and its attitude beside where it lies."""
-    model, known = glued(1, ("ax", "ay", "az"))
-    away = float(np.arctan2(PLACE[1], PLACE[0]))
+    """The first axis is fixed: only the distance and the relative attitude are identifiable."""
+    model, true_values = glued(1, ("ax", "ay", "az"))
+    direction = float(np.arctan2(PLACE[1], PLACE[0]))
     expected = {("imu_distance", 1): float(np.hypot(PLACE[0], PLACE[1]))}
-    check(model, expected | turned(ATTITUDE, away))  # type: ignore[arg-type]
-    check_gears(model, known, 4.0)
+    check(model, expected | turned(ATTITUDE, direction))  # type: ignore[arg-type]
+    check_gears(model, true_values, 4.0)
 
 
 def test_under_gravity_the_first_links_imu_has_a_place() -> None:
@@ -210,14 +224,14 @@ def test_under_gravity_the_first_links_imu_has_a_place() -> None:
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_two_axes_in_the_plane_of_motion(joint: int) -> None:
-    """Upside down, as a sensor glued under the link is."""
+    """The sensor is mounted upside down below the link."""
     rpy = (np.pi, 0.0, 0.8)
-    model, known = glued(joint, ("ax", "ay"), rpy)
+    model, true_values = glued(joint, ("ax", "ay"), rpy)
     place: dict[tuple[str, int], float] = {("imu_x", 2): PLACE[0], ("imu_y", 2): PLACE[1]}
     yaw = rpy[2]
     if joint == 1:
         place = {("imu_distance", 1): float(np.hypot(PLACE[0], PLACE[1]))}
         yaw -= float(np.arctan2(PLACE[1], PLACE[0]))
     check(model, place | {("imu_yaw", joint): yaw})
-    check_gears(model, known, 4.0)
+    check_gears(model, true_values, 4.0)
     assert "imu_roll" not in {p.name for p in model.parameters}

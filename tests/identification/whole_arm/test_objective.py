@@ -1,4 +1,4 @@
-"""What records say against parameters: slopes, each record's own unknowns, and weights."""
+"""Objective of the whole-arm fit: derivatives, nuisance parameters of records, and weights."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ SETTLING = (2e-4, 1.5e-4)
 
 @cache
 def rig(spring: str) -> tuple[ParameterSpace, tuple[Dataset, ...], FloatArray]:
-    """A search on two records, one of which begins in motion, and where the truth lies."""
-    study, known, (first, second) = shaken(spring, settling=SETTLING)
+    """Parameter space, two records of which one starts in motion, and the true coordinates."""
+    study, true_values, (first, second) = shaken(spring, settling=SETTLING)
     space = space_of(
-        rigid_model(study, known, 0.01),
-        joint_models(study, known, 0.05, FACTORS),
+        rigid_model(study, true_values, 0.01),
+        joint_models(study, true_values, 0.05, FACTORS),
         Arm.of(study.arm),
         largest_voltage=[10.0, 10.0],
         floor=0.002,
@@ -60,48 +60,48 @@ def rig(spring: str) -> tuple[ParameterSpace, tuple[Dataset, ...], FloatArray]:
         dataset_of(later(second, 900), Arm.of(study.arm), CUTOFF),
     )
     assert [record.moving for record in records] == [False, True]
-    return space, records, space.coordinates(known)
+    return space, records, space.coordinates(true_values)
 
 
 def cost_of(objective: Objective, z: FloatArray) -> float:
-    at = objective.linearise(z)
-    assert at is not None
-    return at.cost
+    linearised = objective.linearise(z)
+    assert linearised is not None
+    return linearised.cost
 
 
 def factor_of(objective: Objective, z: FloatArray) -> FloatArray:
-    at = objective.linearise(z)
-    assert at is not None
-    return at.factor
+    linearised = objective.linearise(z)
+    assert linearised is not None
+    return linearised.factor
 
 
 def with_records(objective: Objective, *records: Dataset) -> Objective:
-    """The weights of as many first ones, and own unknowns that know nothing yet."""
+    """Objective of other records, with the first weights and new nuisance parameters."""
     fresh = Objective.of(objective.space, records)
     return replace(fresh, weights=objective.weights[: len(records)])
 
 
 def near_truth(spring: str) -> tuple[Objective, FloatArray]:
-    """Weights as they come, initial states as they are, parameters slightly off."""
+    """Objective with estimated weights and true initial states, and coordinates near the truth."""
     space, records, true = rig(spring)
-    study, known, logs = shaken(spring, settling=SETTLING)
-    begun = np.concatenate([beginning(study, known, logs[1], 900), np.zeros(2)])
+    study, true_values, logs = shaken(spring, settling=SETTLING)
+    initial_state = np.concatenate([beginning(study, true_values, logs[1], 900), np.zeros(2)])
     objective = Objective.of(space, records)
-    objective.memory.own[1] = begun
+    objective.memory.own[1] = initial_state
     return objective.reweighted(true), true + 5e-4 * np.random.default_rng(1).normal(size=len(true))
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
-    both, z = near_truth(spring)
-    # the one from standstill, of whose own unknowns only constants are left
-    objective = with_records(both, both.records[0])
+    two_records, z = near_truth(spring)
+    # the record from standstill, which has constants only as nuisance parameters
+    objective = with_records(two_records, two_records.records[0])
     factor = factor_of(objective, z)
     gradient = 2.0 * factor[:, :-1].T @ factor[:, -1]
     lengths = np.linalg.norm(factor[:, :-1], axis=0)
     for k, length in enumerate(lengths):
         step = np.zeros(len(z))
-        step[k] = 0.01 / length  # changes the cost by a hundredth of a deviation
+        step[k] = 0.01 / length  # changes the cost by 0.01 standard deviations
         difference = (cost_of(objective, z + step) - cost_of(objective, z - step)) / (2.0 * step[k])
         tolerance = 0.02 * abs(gradient[k]) + 0.02 * length
         assert abs(difference - gradient[k]) < tolerance, objective.space.unknowns[k]
@@ -113,66 +113,66 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
     h = 1e-6
     for k, (record, rows) in enumerate(zip(objective.records, objective.rows(z), strict=True)):
         local = objective.memory.own[k][: len(record.local)]
-        for i, unknown in enumerate(objective.space.unknowns):
+        for i, parameter in enumerate(objective.space.unknowns):
             step = h * np.eye(len(z))[i]
             up, down = (
                 simulated(record, objective.space.values(z + s), local) for s in (step, -step)
             )
             expected = (up - down) / (2.0 * h) / objective.weights[k].deviation
-            off = np.max(np.abs(rows.shared[..., i] - expected))
-            assert off < 1e-3 * np.max(np.abs(expected)) + 1e-3, unknown
+            error = np.max(np.abs(rows.shared[..., i] - expected))
+            assert error < 1e-3 * np.max(np.abs(expected)) + 1e-3, parameter
 
 
 def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
-    """Gains and steps of the reduced problem are those of the whole one."""
-    known, z = near_truth("linear")
-    objective = replace(known, guessed=True)
+    """The reduced problem has the same decrease and step as the complete problem."""
+    weighted, z = near_truth("linear")
+    objective = replace(weighted, guessed=True)
     rows = objective.rows(z)
     factor = factor_of(objective, z)
     n = len(z)
     widths = [part.local.shape[2] for part in rows]
-    tables, right = [], []
+    tables, residuals = [], []
     for k, part in enumerate(rows):
         local = (part.local * part.root[..., None]).reshape(-1, widths[k])
         shared = (part.shared * part.root[..., None]).reshape(-1, n)
         before, after = sum(widths[:k]), sum(widths[k + 1 :])
         parts = [np.zeros((len(local), before)), local, np.zeros((len(local), after)), shared]
         tables.append(np.column_stack(parts))
-        right.append((part.residual * part.root).ravel())
+        residuals.append((part.residual * part.root).ravel())
     prior = objective.space.prior
     slope = prior.rows @ objective.space.slope(z)
     tables.append(np.column_stack([np.zeros((len(slope), sum(widths))), slope]))
-    right.append(prior.rows @ objective.space.parameters(z) - prior.target)
-    A, b = np.concatenate(tables), np.concatenate(right)
+    residuals.append(prior.rows @ objective.space.parameters(z) - prior.target)
+    A, b = np.concatenate(tables), np.concatenate(residuals)
     scale = np.linalg.norm(A, axis=0)
-    whole = np.linalg.lstsq(A / scale, -b)[0] / scale
+    complete = np.linalg.lstsq(A / scale, -b)[0] / scale
     R, r = factor[:, :-1], factor[:, -1]
     reduced = np.linalg.lstsq(R / scale[-n:], -r)[0] / scale[-n:]
-    deviation = np.sqrt(np.diag(np.linalg.inv(R.T @ R)))
-    np.testing.assert_allclose(reduced / deviation, whole[-n:] / deviation, atol=1e-5)
-    left = float(np.sum((A @ whole + b) ** 2))
-    assert np.sum((R @ reduced + r) ** 2) == pytest.approx(left, rel=1e-8)
+    std = np.sqrt(np.diag(np.linalg.inv(R.T @ R)))
+    np.testing.assert_allclose(reduced / std, complete[-n:] / std, atol=1e-5)
+    remaining_cost = float(np.sum((A @ complete + b) ** 2))
+    assert np.sum((R @ reduced + r) ** 2) == pytest.approx(remaining_cost, rel=1e-8)
 
 
 def test_an_added_constant_is_found_and_costs_nothing() -> None:
     space, (record, _), true = rig("linear")
     names = [channel.name for channel in record.channels]
-    plain = Objective.of(space, [record]).reweighted(true)
+    reference = Objective.of(space, [record]).reweighted(true)
     bias = np.zeros(len(names))
     bias[names.index("a1")], bias[names.index("a2")] = 0.7, -1.3
-    biased = with_records(plain, replace(record, measured=record.measured + bias))
-    found = biased.rows(true)[0].step - plain.rows(true)[0].step
-    np.testing.assert_allclose(found, [0.7, -1.3], atol=1e-4)
-    assert cost_of(biased, true) == pytest.approx(cost_of(plain, true), rel=1e-6)
-    # a motor's velocity has none
+    biased = with_records(reference, replace(record, measured=record.measured + bias))
+    constants = biased.rows(true)[0].step - reference.rows(true)[0].step
+    np.testing.assert_allclose(constants, [0.7, -1.3], atol=1e-4)
+    assert cost_of(biased, true) == pytest.approx(cost_of(reference, true), rel=1e-6)
+    # a constant motor velocity is not a nuisance parameter
     bias[0], bias[2:] = 0.5, 0.0
-    moved = with_records(plain, replace(record, measured=record.measured + bias))
-    assert cost_of(moved, true) > 1.5 * cost_of(plain, true)
+    shifted_velocity = with_records(reference, replace(record, measured=record.measured + bias))
+    assert cost_of(shifted_velocity, true) > 1.5 * cost_of(reference, true)
 
 
 def test_only_where_a_record_begins_in_motion_is_moved() -> None:
     objective, z = near_truth("linear")
-    before = [own.copy() for own in objective.memory.own]
+    before = [local.copy() for local in objective.memory.own]
     first = objective.records[1].start()
     objective.memory.own[1] = np.concatenate([first, np.zeros(2)])
     guessed = objective.evaluate(z)[1].beginning(objective.weights[1]).cost
@@ -180,27 +180,30 @@ def test_only_where_a_record_begins_in_motion_is_moved() -> None:
     assert np.any(objective.memory.own[1][:6] != first)
     true = replace(objective, memory=type(objective.memory)(before))
     from_truth = true.evaluate(z)[1].beginning(objective.weights[1]).cost
-    assert guessed <= 1.05 * from_truth  # the friction's events make more than one hollow
+    assert guessed <= 1.05 * from_truth  # friction events cause several local minima
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 900), (1, 300), (1, 400), (2, 400), (2, 900)])
 def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
-    """From gears unloaded to the true state, on the true arm."""
+    """The initial state converges from unloaded gears to the true state."""
     space, _, true = rig("linear")
-    study, known, logs = shaken("linear", settling=SETTLING)
+    study, true_values, logs = shaken("linear", settling=SETTLING)
     record = dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF)
     objective = Objective.of(space, [record])
     objective.rows(true)
-    begun, found = beginning(study, known, logs[joint - 1], first), objective.memory.own[0][:6]
+    initial_state, estimate = (
+        beginning(study, true_values, logs[joint - 1], first),
+        objective.memory.own[0][:6],
+    )
 
     def off(local: FloatArray) -> FloatArray:
         error = simulated(record, space.values(true), local) - record.measured
         return np.asarray(np.std(error, axis=0) / np.std(record.measured, axis=0))
 
-    assert np.all(off(found) < 0.02)
-    assert np.linalg.norm(off(found)) < 0.1 * np.linalg.norm(off(record.start()))
-    # a motor's velocity also stands for the torque of before, which the true state does not know
-    assert np.all(np.abs(found - begun)[2:4] < 1e-3)
+    assert np.all(off(estimate) < 0.02)
+    assert np.linalg.norm(off(estimate)) < 0.1 * np.linalg.norm(off(record.start()))
+    # the initial motor velocity also accounts for the torque before the record
+    assert np.all(np.abs(estimate - initial_state)[2:4] < 1e-3)
 
 
 def test_where_there_is_no_arm_there_is_no_problem() -> None:
@@ -212,13 +215,13 @@ def test_where_there_is_no_arm_there_is_no_problem() -> None:
     objective = Objective.of(space, records)
     assert np.isfinite(cost_of(objective, true))
     values = space.values(z)
-    # the links' inertia is not positive definite
+    # the inertia matrix of the links is not positive definite
     ratio = values["gamma", None] ** 2 / (values["alpha", None] * values["beta", None])
     assert ratio > 1.0
     assert objective.linearise(z) is None
 
 
-# what follows needs no arm: channels that are linear in three unknowns
+# Tests without an arm: channels that are linear in three unknowns.
 
 WHITE = 0.05
 
@@ -226,7 +229,7 @@ WHITE = 0.05
 def coloured(
     rng: np.random.Generator, shape: tuple[int, ...], pole: float = 0.0, size: float = WHITE
 ) -> FloatArray:
-    """First-order noise of a given deviation along the first axis."""
+    """First-order noise with a given standard deviation along the first axis."""
     white = rng.normal(0.0, size * np.sqrt(1.0 - pole**2), (shape[0] + 200, *shape[1:]))
     return np.asarray(lfilter([1.0], [1.0, -pole], white, axis=0)[200:])
 
@@ -255,25 +258,25 @@ def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
     np.testing.assert_allclose(objective.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
     np.testing.assert_allclose(objective.weights[1].deviation, WHITE, rtol=0.15)
     np.testing.assert_allclose(objective.weights[0].repeats, 1.0, atol=0.2)
-    # (1 + a) / (1 - a); what is summed ends at the first negative correlation
+    # (1 + a) / (1 - a); the sum ends at the first negative correlation
     np.testing.assert_allclose(objective.weights[1].repeats, 9.0, rtol=0.35)
 
 
 def test_no_model_is_better_than_its_sensors() -> None:
     errors = [1e-9 * np.random.default_rng(3).normal(size=(500, 1))]
-    spread = float(np.std(linear_residual(errors).records[0].measured))
+    signal_std = float(np.std(linear_residual(errors).records[0].measured))
     exact = linear_residual(errors, noise=1e-12).reweighted(TRUTH)
-    np.testing.assert_allclose(exact.weights[0].deviation, 1e-3 * spread)
+    np.testing.assert_allclose(exact.weights[0].deviation, 1e-3 * signal_std)
     noisy = linear_residual(errors, noise=0.3).reweighted(TRUTH)
     np.testing.assert_allclose(noisy.weights[0].deviation, 0.3)
 
 
 def test_repeated_rows_count_once() -> None:
     errors = [coloured(np.random.default_rng(4), (600, 2))]
-    deviation = np.array([0.1, 0.1])
-    objective = replace(linear_residual(errors), weights=(Weights(deviation, np.ones(2)),))
+    std = np.array([0.1, 0.1])
+    objective = replace(linear_residual(errors), weights=(Weights(std, np.ones(2)),))
     for repeats in (1.0, 6.0):
-        thinned = replace(objective, weights=(Weights(deviation, np.full(2, repeats)),))
+        thinned = replace(objective, weights=(Weights(std, np.full(2, repeats)),))
         z = TRUTH + 0.02
         assert cost_of(thinned, z) == pytest.approx(cost_of(objective, z) / repeats)
         products = [factor_of(m, z) for m in (thinned, objective)]
@@ -283,17 +286,17 @@ def test_repeated_rows_count_once() -> None:
 
 
 def test_the_loss_is_soft() -> None:
-    """Squares near nothing, twice the magnitude far away; roots of weights to match."""
+    """Robust loss: the square of small residuals, twice the magnitude of large ones."""
     table = np.ones((1, 1, 1))
-    for off, loss in [(1e-3, 1e-6), (1.0, 2.0 * (np.sqrt(2.0) - 1.0)), (1e4, 2e4 - 2.0)]:
+    for residual, loss in [(1e-3, 1e-6), (1.0, 2.0 * (np.sqrt(2.0) - 1.0)), (1e4, 2e4 - 2.0)]:
         record = linear_record(table, np.zeros((1, 1)))
         objective = Objective.of(linear_search(1), [record])
         objective = replace(objective, weights=(Weights(np.ones(1), np.ones(1)),))
-        z = np.array([off])
+        z = np.array([residual])
         assert cost_of(objective, z) == pytest.approx(loss, rel=1e-3)
         rows = objective.rows(z)[0]
         slope = 2.0 * float((rows.root**2 * rows.residual)[0, 0])
-        h = 1e-4 * off
+        h = 1e-4 * residual
         difference = (cost_of(objective, z + h) - cost_of(objective, z - h)) / (2.0 * h)
         assert slope == pytest.approx(difference, rel=1e-4)
 
@@ -301,29 +304,31 @@ def test_the_loss_is_soft() -> None:
 def test_outliers_have_little_say() -> None:
     rng = np.random.default_rng(5)
     error = coloured(rng, (800, 1))
-    wild = error.copy()
-    wild[::40] += 100.0 * WHITE
-    objective = linear_residual([wild])
+    with_outliers = error.copy()
+    with_outliers[::40] += 100.0 * WHITE
+    objective = linear_residual([with_outliers])
     steps = []
     for z in (TRUTH,) * 2:
         objective = objective.reweighted(z)
         R = factor_of(objective, z)
         steps.append(np.linalg.lstsq(R[:, :-1], -R[:, -1])[0])
-    # plain least squares would be off by some 100 WHITE sqrt(20) / 800
+    # the error of least squares would be about 100 WHITE sqrt(20) / 800
     assert np.max(np.abs(steps[-1])) < 3.0 * WHITE / np.sqrt(800.0)
 
 
 def test_the_prior_is_part_of_the_cost() -> None:
     prior = Prior(np.array([[0.0, 20.0, 0.0]]), np.array([-30.0]), np.eye(1))
     errors = [coloured(np.random.default_rng(6), (300, 1))]
-    plain, held = linear_residual(errors), linear_residual(errors, prior=prior)
+    without_prior, with_prior = linear_residual(errors), linear_residual(errors, prior=prior)
     z = TRUTH + np.array([0.1, 0.2, -0.1])
     added = (20.0 * z[1] + 30.0) ** 2
-    assert cost_of(held, z) - cost_of(plain, z) == pytest.approx(added)
-    first, second = (factor_of(m, z) for m in (held, plain))
-    more = first.T @ first - second.T @ second
+    assert cost_of(with_prior, z) - cost_of(without_prior, z) == pytest.approx(added)
+    first, second = (factor_of(m, z) for m in (with_prior, without_prior))
+    difference = first.T @ first - second.T @ second
     row = np.array([0.0, 20.0, 0.0, 20.0 * z[1] + 30.0])
-    np.testing.assert_allclose(more, np.outer(row, row), atol=1e-8 * np.max(np.abs(more)))
+    np.testing.assert_allclose(
+        difference, np.outer(row, row), atol=1e-8 * np.max(np.abs(difference))
+    )
 
 
 def test_stretches_are_counted_through_all_records() -> None:
@@ -340,7 +345,7 @@ def test_stretches_are_counted_through_all_records() -> None:
 
 def test_the_share_of_the_noise() -> None:
     rng = np.random.default_rng(8)
-    # behind a low-pass whose rows repeat white noise twice
+    # the rows of the low-pass repeat white noise twice
     pole = 1.0 / 3.0
     noise = coloured(rng, (6000, 1), pole)
     taps: FloatArray = np.power(pole, np.arange(30, dtype=np.float64))
@@ -349,51 +354,51 @@ def test_the_share_of_the_noise() -> None:
         records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in objective.records]
         return objective.seen_by(records).reweighted(TRUTH)
 
-    alone = behind(linear_residual([noise], noise=WHITE))
-    assert alone.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
+    noise_only = behind(linear_residual([noise], noise=WHITE))
+    assert noise_only.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
     model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
     wrong = behind(linear_residual([noise + model], noise=WHITE))
-    # variances and their repetitions, 2 and 19
+    # variances times repetitions, 2 and 19
     expected = 2.0 / (2.0 + 9.0 * 19.0)
     assert wrong.noise_shares(TRUTH)[0] == pytest.approx(expected, rel=0.5)
-    # a channel that errs by less than its noise makes up for no other
+    # a channel with a residual below its noise does not compensate for another
     errors = np.concatenate([noise + model, 0.01 * noise], axis=1)
-    both = behind(linear_residual([errors], noise=WHITE))
-    assert both.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
+    two_channels = behind(linear_residual([errors], noise=WHITE))
+    assert two_channels.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
 
 
 def test_other_unknowns_leave_records_and_weights() -> None:
     errors = [coloured(np.random.default_rng(9), (300, 1))]
     objective = linear_residual(errors).reweighted(TRUTH)
-    held = objective.for_unknowns(objective.space.holding({("p2", None): 0.5}))
-    assert held.weights == objective.weights
-    assert factor_of(held, TRUTH[:2]).shape == (3, 3)
-    # they have own unknowns of their own from here on
-    assert held.memory.own is not objective.memory.own
-    np.testing.assert_array_equal(held.memory.own, objective.memory.own)
+    with_fixed_parameter = objective.for_unknowns(objective.space.holding({("p2", None): 0.5}))
+    assert with_fixed_parameter.weights == objective.weights
+    assert factor_of(with_fixed_parameter, TRUTH[:2]).shape == (3, 3)
+    # the copy has its own nuisance parameters
+    assert with_fixed_parameter.memory.own is not objective.memory.own
+    np.testing.assert_array_equal(with_fixed_parameter.memory.own, objective.memory.own)
 
 
 def test_known_weights_predict_how_the_cost_bends() -> None:
-    """R'R is half the second derivative of the cost, here to a few per cent; guessed, far above."""
+    """R'R is half the second derivative of the cost; guessed weights give larger values."""
     rng = np.random.default_rng(4)
     table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
     record = linear_record(table, table @ np.array([1.0, -2.0]) + errors)
     z = np.array([1.0, -2.0])
-    known = Objective.of(linear_search(2), [record]).reweighted(z)
-    deviation, repeats = known.weights[0].deviation[0], known.weights[0].repeats[0]
-    slope = table[:, 0] / deviation
-    bend = (1.0 + (errors / deviation) ** 2) ** -1.5 / repeats
-    second = slope.T @ (bend * slope)
-    predicted = factor_of(known, z)[:, :-1]
+    weighted = Objective.of(linear_search(2), [record]).reweighted(z)
+    std, repeats = weighted.weights[0].deviation[0], weighted.weights[0].repeats[0]
+    slope = table[:, 0] / std
+    curvature = (1.0 + (errors / std) ** 2) ** -1.5 / repeats
+    second = slope.T @ (curvature * slope)
+    predicted = factor_of(weighted, z)[:, :-1]
     np.testing.assert_allclose(predicted.T @ predicted, second, atol=0.05 * np.max(second))
-    guess = factor_of(replace(known, guessed=True), z)[:, :-1]
+    guess = factor_of(replace(weighted, guessed=True), z)[:, :-1]
     assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
 
 
 def test_the_error_of_the_integrators_step_is_made_good() -> None:
-    """At the point it is taken at, and nearly so nearby; once or twice is the same."""
-    both, z = near_truth("three-slope")
-    objective = with_records(both, both.records[0])
+    """The correction is exact at its point, accurate nearby, and independent of repetition."""
+    two_records, z = near_truth("three-slope")
+    objective = with_records(two_records, two_records.records[0])
     record = objective.records[0]
     short = replace(record, longest_step=0.25 * record.longest_step)
 
@@ -406,10 +411,12 @@ def test_the_error_of_the_integrators_step_is_made_good() -> None:
     before = np.std(left(objective, z), axis=0)
     for corrected in (once, twice):
         np.testing.assert_allclose(left(corrected, z), 0.0, atol=1e-9 * np.max(record.measured))
-        # what is remembered of the point is what would be found anew
-        fresh = replace(corrected, memory=Objective.of(objective.space, objective.records).memory)
-        np.testing.assert_allclose(
-            fresh.evaluate(z)[0].difference, corrected.evaluate(z)[0].difference, atol=1e-9
+        # stored simulations equal new ones
+        without_memory = replace(
+            corrected, memory=Objective.of(objective.space, objective.records).memory
         )
-    near = z + 1e-4
-    assert np.all(np.std(left(once, near), axis=0) < 0.3 * before)
+        np.testing.assert_allclose(
+            without_memory.evaluate(z)[0].difference, corrected.evaluate(z)[0].difference, atol=1e-9
+        )
+    nearby = z + 1e-4
+    assert np.all(np.std(left(once, nearby), axis=0) < 0.3 * before)

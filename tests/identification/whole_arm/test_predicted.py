@@ -1,4 +1,4 @@
-"""Intervals predicted before any record, beside those of fits to such records."""
+"""Confidence intervals predicted before the experiment, against those of fits."""
 
 from __future__ import annotations
 
@@ -21,44 +21,48 @@ def seen_by(study: Study, logs: tuple[Log, ...], channels: tuple[str, ...]) -> l
 
 
 def relative(parameters: tuple[Parameter, ...]) -> dict[tuple[str, int | None], float]:
-    """Deviations of gears and inertias, as shares of the values."""
-    wanted = ("gear_", "motor_inertia", "link_inertia")
+    """Relative standard deviations of gears and inertias."""
+    prefixes = ("gear_", "motor_inertia", "link_inertia")
     return {
         (p.name, p.joint): p.std / p.value
         for p in parameters
-        if p.name.startswith(wanted) and p.value and p.std
+        if p.name.startswith(prefixes) and p.value and p.std
     }
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 @pytest.mark.parametrize("channels", [MOTOR, (*MOTOR, "a1", "a2")])
 def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str, ...]) -> None:
-    study, known, logs = shaken(spring)
+    study, true_values, logs = shaken(spring)
     records = seen_by(study, logs, channels)
-    predicted = relative(predicted_parameters(records, Arm.of(study.arm), known))
-    joints = joint_models(study, known, 0.02, FACTORS)
-    found = relative(
-        tune(records, rigid_model(study, known, 0.002), joints, Arm.of(study.arm)).parameters
+    predicted = relative(predicted_parameters(records, Arm.of(study.arm), true_values))
+    joints = joint_models(study, true_values, 0.02, FACTORS)
+    estimated = relative(
+        tune(records, rigid_model(study, true_values, 0.002), joints, Arm.of(study.arm)).parameters
     )
-    shared = predicted.keys() & found.keys()
+    shared = predicted.keys() & estimated.keys()
     assert len(shared) >= 8
     for key in shared:
-        # errors of the integrator and what a fit cannot be sure of make its own a little wider
-        assert 0.5 < predicted[key] / found[key] < 1.5, key
+        # integration errors and model errors make the intervals of a fit slightly wider
+        assert 0.5 < predicted[key] / estimated[key] < 1.5, key
 
 
 def test_without_link_sensors_gears_are_known_less_well() -> None:
-    study, known, logs = shaken()
-    alone, more = (
-        relative(predicted_parameters(seen_by(study, logs, channels), Arm.of(study.arm), known))
+    study, known_values, logs = shaken()
+    motor_only, with_accelerometers = (
+        relative(
+            predicted_parameters(seen_by(study, logs, channels), Arm.of(study.arm), known_values)
+        )
         for channels in (MOTOR, (*MOTOR, "a1", "a2"))
     )
     for joint in (1, 2):
-        assert alone["gear_stiffness", joint] > 1.5 * more["gear_stiffness", joint]
-        assert alone["gear_damping", joint] > 1.5 * more["gear_damping", joint]
+        assert (
+            motor_only["gear_stiffness", joint] > 1.5 * with_accelerometers["gear_stiffness", joint]
+        )
+        assert motor_only["gear_damping", joint] > 1.5 * with_accelerometers["gear_damping", joint]
 
 
 def test_records_that_excite_no_gear_predict_nothing() -> None:
-    study, known, logs = shaken()
+    study, true_values, logs = shaken()
     motion = [replace(log, experiment=replace(log.experiment, use="motion")) for log in logs]
-    assert predicted_parameters(motion, Arm.of(study.arm), known) == ()
+    assert predicted_parameters(motion, Arm.of(study.arm), true_values) == ()

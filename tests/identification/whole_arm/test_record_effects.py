@@ -1,4 +1,4 @@
-"""Effects that the core does not know: found where records have them, left out where they do not."""
+"""Effects outside the core: estimated where the records contain them, removed elsewhere."""
 
 from __future__ import annotations
 
@@ -34,28 +34,28 @@ from tuning_runs import shaken_study, truth, written_logs
 
 PRIMARY = (COULOMB, "motor_inertia", STIFFNESS, "gear_damping")
 GAINS = (0.04, -0.01, -0.03)
-"""Relative changes of a drive's gain, from one amplitude to the next."""
-ZERO = 0.05  # [rad] that an encoder is off by
+"""Relative change of the drive gain at each amplitude."""
+ZERO = 0.05  # [rad] zero error of an encoder
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Records with an effect of a joint, and those without."""
+    """Records with one effect of a joint, and records without it."""
 
     effect: EffectName
     joint: int
     records: Runs
     sizes: Values
     plain: Runs
-    by_record: Key | None = None  # what changes
+    by_record: Key | None = None  # parameter that changes by record
 
     @property
     def asked(self) -> tuple[tuple[EffectName, ...], ...]:
-        """What the joints up to that one are asked for."""
+        """Effects to fit, for all joints up to the one of the effect."""
         return *[()] * (self.joint - 1), (self.effect,)
 
     def record(self) -> Dataset:
-        """The first one, on an arm with the effect."""
+        """First record, on an arm with the effect."""
         arm = self.records.study.arm
         joints = list(arm.joints)
         joints[self.joint - 1] = replace(joints[self.joint - 1], effects=(self.effect,))
@@ -63,30 +63,30 @@ class Case:
 
 
 def each(name: str, names: Sequence[str], changes: Sequence[float]) -> Values:
-    """Sizes of records, two to an amplitude: either joint's."""
+    """Changes in each record; two records have the same amplitude, one for each joint."""
     twice = [change for change in changes for _ in range(2)]
     return {(of_record(name, record), 1): c for record, c in zip(names, twice, strict=True)}
 
 
 def warmed() -> Case:
-    found = runs((COULOMB, 1))
-    sizes = each("friction_change", found.names, CHANGES)
-    return Case("friction-by-record", 1, found, sizes, runs(), (COULOMB, 1))
+    changed = runs((COULOMB, 1))
+    sizes = each("friction_change", changed.names, CHANGES)
+    return Case("friction-by-record", 1, changed, sizes, runs(), (COULOMB, 1))
 
 
 def amplified() -> Case:
-    every = each("drive_gain_change", runs().names, GAINS)
-    found = runs().amplified(1, list(every.values()))
-    # a drive that has no voltage shows no gain
-    sizes = {key: gain for key, gain in every.items() if "prbs-j1" in key[0]}
-    return Case("drive-gain-by-record", 1, found, sizes, runs())
+    gains = each("drive_gain_change", runs().names, GAINS)
+    changed = runs().amplified(1, list(gains.values()))
+    # a drive without voltage does not determine its gain
+    sizes = {key: gain for key, gain in gains.items() if "prbs-j1" in key[0]}
+    return Case("drive-gain-by-record", 1, changed, sizes, runs())
 
 
 def turned(joint: int, *, vertical: bool) -> Case:
-    plain = runs(vertical=vertical)
-    ratio = plain.study.arm.joints[joint - 1].gear_ratio
-    records = plain.beside({f"theta_m{joint}": -ZERO / ratio})
-    return Case("encoder-zero", joint, records, {("encoder_zero", joint): ZERO}, plain)
+    reference = runs(vertical=vertical)
+    ratio = reference.study.arm.joints[joint - 1].gear_ratio
+    records = reference.beside({f"theta_m{joint}": -ZERO / ratio})
+    return Case("encoder-zero", joint, records, {("encoder_zero", joint): ZERO}, reference)
 
 
 CASES: dict[str, Callable[[], Case]] = {
@@ -114,69 +114,71 @@ def plain(*asked: tuple[EffectName, ...], vertical: bool = False) -> ArmModel:
 
 
 def test_every_effect_that_the_core_does_not_know_has_its_records() -> None:
-    own = {effect.name for effect in all_effects() if isinstance(effect, RecordEffect)}
-    assert {case(name).effect for name in CASES} == own
+    record_effects = {effect.name for effect in all_effects() if isinstance(effect, RecordEffect)}
+    assert {case(name).effect for name in CASES} == record_effects
 
 
 @EACH
 def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
-    found, has = model(name, named=False), case(name)
-    assert found.criticism is not None
-    first = found.criticism.score_tests[0]
+    fit, has = model(name, named=False), case(name)
+    assert fit.criticism is not None
+    first = fit.criticism.score_tests[0]
     assert (first.joint, first.effect, first.evident) == (has.joint, has.effect, True)
-    assert not any(one.evident for one in found.criticism.score_tests[1:])
-    likely = [w.code for w in found.warnings if w.code.endswith("-likely")]
+    assert not any(test.evident for test in fit.criticism.score_tests[1:])
+    likely = [w.code for w in fit.warnings if w.code.endswith("-likely")]
     assert likely == [effect_named(has.effect).warning_code]
 
 
 @EACH
 def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
-    found, has = model(name, named=True), case(name)
-    assert found.status == "converged"
-    own = sizes_of((has.joint, has.effect), has.records.names)
-    assert set(has.sizes) <= set(own)
+    fit, has = model(name, named=True), case(name)
+    assert fit.status == "converged"
+    size_keys = sizes_of((has.joint, has.effect), has.records.names)
+    assert set(has.sizes) <= set(size_keys)
     assert all(
-        found.values[key] == pytest.approx(0.0, abs=1e-6) for key in set(own) - set(has.sizes)
+        fit.values[key] == pytest.approx(0.0, abs=1e-6) for key in set(size_keys) - set(has.sizes)
     )
-    reported = {(p.name, p.joint): p for p in found.parameters}
+    reported = {(p.name, p.joint): p for p in fit.parameters}
     for key, true in has.sizes.items():
         parameter = reported[key]
         assert parameter.value is not None
         assert parameter.std is not None
         assert abs(parameter.value - true) < 4.0 * parameter.std, key
-    values = in_records(found.values, has)
+    values = in_records(fit.values, has)
     for key, true in in_records(has.records.known | has.sizes, has).items():
         assert values[key] == pytest.approx(true, rel=0.1 if key in has.sizes else 0.005), key
-    assert not [w for w in found.warnings if w.code in ("only-together", "effect-left-out")]
+    assert not [w for w in fit.warnings if w.code in ("only-together", "effect-left-out")]
 
 
 def in_records(values: Mapping[Key, float], has: Case) -> Values:
-    """Primary parameters, sizes, and in place of sizes of records what they change there.
+    """Primary parameters and sizes; changes by record are relative to the mean over the records.
 
-    Of a parameter and its changes in all records only products are known well.
+    Only the product of a parameter and its change is identifiable.
     """
-    found: Values = {(name, joint): values[name, joint] for name in PRIMARY for joint in (1, 2)}
+    values_of_case: Values = {
+        (name, joint): values[name, joint] for name in PRIMARY for joint in (1, 2)
+    }
     if not has.by_record:
-        return found | {key: values[key] for key in has.sizes}
-    whole = found.pop(has.by_record)
-    products = np.array([whole * (1.0 + values[key]) for key in has.sizes])
-    named = zip(has.sizes, (products / products.mean() - 1.0).tolist(), strict=True)
-    return found | dict(named) | {has.by_record: float(products.mean())}
+        return values_of_case | {key: values[key] for key in has.sizes}
+    zero_change_value = values_of_case.pop(has.by_record)
+    products = np.array([zero_change_value * (1.0 + values[key]) for key in has.sizes])
+    changes = zip(has.sizes, (products / products.mean() - 1.0).tolist(), strict=True)
+    return values_of_case | dict(changes) | {has.by_record: float(products.mean())}
 
 
 def test_what_the_rigid_step_knows_is_of_its_own_records() -> None:
-    """It is right of all but Coulomb friction, and far off there."""
+    """The Coulomb friction of the rigid step is wrong; its other parameters are correct."""
     has = case("friction")
     wrong = replace(has.records, known={**has.records.known, (COULOMB, 1): 0.045})
-    found = fitted(wrong, *has.asked)
+    fit = fitted(wrong, *has.asked)
     right = model("friction", named=True)
     for name in PRIMARY[1:]:
-        assert found.values[name, 1] == pytest.approx(right.values[name, 1], rel=1e-3), name
+        assert fit.values[name, 1] == pytest.approx(right.values[name, 1], rel=1e-3), name
     for key in has.sizes:
-        products = [m.values[COULOMB, 1] * (1.0 + m.values[key]) for m in (found, right)]
+        products = [m.values[COULOMB, 1] * (1.0 + m.values[key]) for m in (fit, right)]
         assert products[0] == pytest.approx(products[1], rel=1e-3)
-    assert "friction_change[rigid step]" in {p.name for p in found.parameters}
-    assert "stages-disagree" not in {w.code for w in found.warnings}
+    assert "friction_change[rigid step]" in {p.name for p in fit.parameters}
+    assert "stages-disagree" not in {w.code for w in fit.warnings}
 
 
 @EACH
@@ -185,7 +187,7 @@ def test_records_without_an_effect_show_none(name: str) -> None:
     vertical = has.plain.study.arm.gravity is not None
     without_it, asked = plain(vertical=vertical), plain(*has.asked, vertical=vertical)
     assert without_it.criticism is not None
-    assert not any(one.evident for one in without_it.criticism.score_tests)
+    assert not any(test.evident for test in without_it.criticism.score_tests)
     assert not any(w.code.endswith("-likely") for w in without_it.warnings)
     left_out = [w.message.split()[0] for w in asked.warnings if w.code == "effect-left-out"]
     assert left_out == [has.effect]
@@ -203,31 +205,33 @@ def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> Non
     assert tangent.shape[2] == len(keys) + len(local)
     for k, key in enumerate(keys):
         if key[0] not in (base_name(key[0]), of_record(base_name(key[0]), record.log.name)):
-            assert not tangent[..., k].any()  # another record's
+            assert not tangent[..., k].any()  # belongs to another record
             continue
         step = 1e-5 * max(abs(values[key]), 1e-3)
         ends = [
-            record.linearised(values | {key: values[key] + off}, local, ())[0]
-            for off in (step, -step)
+            record.linearised(values | {key: values[key] + change}, local, ())[0]
+            for change in (step, -step)
         ]
         slope = (ends[0] - ends[1]) / (2.0 * step)
-        # rounding in a difference of two runs, and the instants of friction's events
+        # rounding of the difference, and times of friction events
         assert np.linalg.norm(tangent[..., k] - slope) < 2e-3 * np.linalg.norm(slope), key
 
 
 def test_what_no_record_can_show_stays_at_its_prior() -> None:
-    """Joint 1 of a horizontal arm may stand anywhere."""
-    found = plain()
-    assert found.criticism is not None
+    """The zero of joint 1 of a horizontal arm is not identifiable."""
+    model_without = plain()
+    assert model_without.criticism is not None
     (zero,) = (
-        one for one in found.criticism.score_tests if (one.joint, one.effect) == (1, "encoder-zero")
+        test
+        for test in model_without.criticism.score_tests
+        if (test.joint, test.effect) == (1, "encoder-zero")
     )
     assert zero.gain == pytest.approx(0.0, abs=1e-6)
     assert zero.stds["encoder_zero"] == pytest.approx(effect_named("encoder-zero").prior_std)
     assert zero.sizes["encoder_zero"] == pytest.approx(0.0, abs=1e-6)
-    asked = plain(("encoder-zero",))
-    assert [w.code for w in asked.warnings] == ["effect-left-out"]
-    assert asked.values == found.values
+    model_with = plain(("encoder-zero",))
+    assert [w.code for w in model_with.warnings] == ["effect-left-out"]
+    assert model_with.values == model_without.values
 
 
 def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
@@ -254,17 +258,18 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
     assert std is not None
     np.testing.assert_allclose(slope, space.slope(z) / std)
     np.testing.assert_allclose(residual, space.parameters(z) / std)
-    sure = 1e-4 * np.eye(4)
-    assert list(idle(space, z, sure)) == [(1, "friction-by-record")]
+    small_covariance = 1e-4 * np.eye(4)
+    assert list(idle(space, z, small_covariance)) == [(1, "friction-by-record")]
     assert without(space, {(1, "friction-by-record")}, arm).keys == space.keys[2:]
     assert without(space, {(1, "friction-by-record")}, arm).own_prior[0].shape == (2, 2)
 
 
 def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:
     has = case("friction")
-    bare = dataset_of(has.records.logs[0], Arm.of(has.records.study.arm), 80.0)
+    without_effect = dataset_of(has.records.logs[0], Arm.of(has.records.study.arm), 80.0)
     runs_of = [
-        one.run(has.records.known, one.start(), one.quantities()) for one in (has.record(), bare)
+        record.run(has.records.known, record.start(), record.quantities())
+        for record in (has.record(), without_effect)
     ]
     for name, run in runs_of[0].items():
         np.testing.assert_array_equal(run, runs_of[1][name])
@@ -275,32 +280,34 @@ def written(study: Study, values: Values, simulator: Simulator = simulate) -> li
 
 
 def test_virtual_arms_change_from_record_to_record() -> None:
-    known = truth()[1]
+    true_values = truth()[1]
     changes = {("friction_change[prbs-j1]", 1): 0.2, ("friction_change[prbs-j2]", 1): -0.1}
-    found = written(shaken_study(rig(("friction-by-record",)), 8.0), known | changes)
-    for log, factor in zip(found, (1.2, 0.9), strict=True):
-        plain = shaken_study(rig(()), 8.0)
-        alike = written(plain, known | {(COULOMB, 1): factor * known[COULOMB, 1]})
-        (same,) = (one for one in alike if one.name == log.name)
+    changed = written(shaken_study(rig(("friction-by-record",)), 8.0), true_values | changes)
+    for log, factor in zip(changed, (1.2, 0.9), strict=True):
+        reference = shaken_study(rig(()), 8.0)
+        alike = written(reference, true_values | {(COULOMB, 1): factor * true_values[COULOMB, 1]})
+        (expected,) = (log_of_record for log_of_record in alike if log_of_record.name == log.name)
         for name, samples in log.channels.items():
-            np.testing.assert_array_equal(samples, same.channels[name])
+            np.testing.assert_array_equal(samples, expected.channels[name])
 
 
 def test_virtual_encoders_have_zeros() -> None:
-    known, ratio = truth()[1], 0.01
+    true_values, ratio = truth()[1], 0.01
     study = shaken_study(rig(("encoder-zero",)), 8.0)
-    found = written(study, known | {("encoder_zero", 1): ZERO})
+    changed = written(study, true_values | {("encoder_zero", 1): ZERO})
     posture = From((ZERO, 0.0))
-    for log, same in zip(found, written(shaken_study(rig(()), 8.0), known, posture), strict=True):
+    for log, expected in zip(
+        changed, written(shaken_study(rig(()), 8.0), true_values, posture), strict=True
+    ):
         for name, samples in log.channels.items():
             turned_by = ZERO / ratio if name == "theta_m1" else 0.0
-            np.testing.assert_allclose(samples + turned_by, same.channels[name], atol=1e-12)
+            np.testing.assert_allclose(samples + turned_by, expected.channels[name], atol=1e-12)
 
 
 def test_a_second_effect_is_named_beside_one_that_changes_by_record() -> None:
-    """The rigid step's records have their size once."""
+    """The change in the records of the rigid step is included once."""
     has = case("friction")
     turned_too = has.records.beside({"theta_m2": -ZERO / 0.01})
-    found = fitted(turned_too, *has.asked)
-    likely = [w.where for w in found.warnings if w.code == "encoder-zero-likely"]
+    fit = fitted(turned_too, *has.asked)
+    likely = [w.where for w in fit.warnings if w.code == "encoder-zero-likely"]
     assert likely == ["joint 2"]

@@ -1,4 +1,4 @@
-"""What a fit leaves and what might explain it: tests of the tests, on series and on virtual arms."""
+"""Residual analysis: calibration of the tests on simulated series and on virtual arms."""
 
 from __future__ import annotations
 
@@ -39,46 +39,46 @@ def test_a_spectral_density_is_welchs() -> None:
 
 
 def test_noise_has_the_colour_of_noise() -> None:
-    """The probability is that: as often below a twentieth as it says."""
+    """The p-values of white noise are uniform."""
     rng = np.random.default_rng(1)
-    odds = [
+    p_values = [
         coloured_alike(behind(rng.normal(size=3000)), ROW, KERNELS.smooth, T, 48.0)
         for _ in range(400)
     ]
-    for share in (0.05, 0.1):
-        spread = np.sqrt(share * (1.0 - share) / len(odds))
-        assert np.mean(np.array(odds) < share) == pytest.approx(share, abs=3.0 * spread)
-    assert np.median(odds) == pytest.approx(0.5, abs=0.15)
+    for level in (0.05, 0.1):
+        standard_error = np.sqrt(level * (1.0 - level) / len(p_values))
+        assert np.mean(np.array(p_values) < level) == pytest.approx(level, abs=3.0 * standard_error)
+    assert np.median(p_values) == pytest.approx(0.5, abs=0.15)
 
 
 def test_a_forgotten_mode_has_another_colour() -> None:
     rng = np.random.default_rng(2)
     ringing = signal.lfilter([1.0], [1.0, -1.95, 0.96], rng.normal(size=3000))
-    left = behind(rng.normal(size=3000) + 0.3 * ringing / np.std(ringing))
-    assert coloured_alike(left, ROW, KERNELS.smooth, T, 48.0) < 1e-3
+    residual = behind(rng.normal(size=3000) + 0.3 * ringing / np.std(ringing))
+    assert coloured_alike(residual, ROW, KERNELS.smooth, T, 48.0) < 1e-3
 
 
 def test_what_is_independent_of_inputs_follows_none() -> None:
     rng = np.random.default_rng(3)
-    odds = []
+    p_values = []
     for _ in range(300):
         inputs = np.column_stack([behind(rng.normal(size=3000)) for _ in range(2)])
-        odds.append(follows(behind(rng.normal(size=3000)), inputs, ROW)[3])
-    # odds for all delays together are an upper end
-    assert np.mean(np.array(odds) < 0.05) < 0.05 + 3.0 * np.sqrt(0.05 / 300.0)
+        p_values.append(follows(behind(rng.normal(size=3000)), inputs, ROW)[3])
+    # the p-value for all delays together is conservative
+    assert np.mean(np.array(p_values) < 0.05) < 0.05 + 3.0 * np.sqrt(0.05 / 300.0)
 
 
 @pytest.mark.parametrize("delay", [0, 3, 9])
 def test_what_follows_an_input_says_which_and_how_late(delay: int) -> None:
     rng = np.random.default_rng(4)
     inputs = np.column_stack([behind(rng.normal(size=6000)) for _ in range(2)])
-    left = rng.normal(size=len(inputs)) * np.std(inputs)
-    left[delay:] -= 0.5 * inputs[: len(inputs) - delay, 1]
-    joint, correlation, late, odds = follows(left, inputs, ROW)
+    residual = rng.normal(size=len(inputs)) * np.std(inputs)
+    residual[delay:] -= 0.5 * inputs[: len(inputs) - delay, 1]
+    joint, correlation, estimated_delay, p_value = follows(residual, inputs, ROW)
     assert joint == 2
     assert correlation < -0.2
-    assert late == pytest.approx(delay * ROW, abs=0.1 * ROW)
-    assert odds < 1e-6
+    assert estimated_delay == pytest.approx(delay * ROW, abs=0.1 * ROW)
+    assert p_value < 1e-6
 
 
 def test_a_still_channel_follows_nothing() -> None:
@@ -87,28 +87,28 @@ def test_a_still_channel_follows_nothing() -> None:
 
 
 def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
-    nothing = np.zeros(2)
+    zeros = np.zeros(2)
     return ResidualTest(
-        "prbs", channel, deviation, 1.0, nothing, nothing, nothing, 21.0, 0.5, 2, 0.4, 0.004, odds
+        "prbs", channel, deviation, 1.0, zeros, zeros, zeros, 21.0, 0.5, 2, 0.4, 0.004, odds
     )
 
 
 def test_only_what_is_of_high_variance_is_worth_a_word() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
-    (said,) = residual_warnings(tests, explained=True)
-    assert said.code == "residual-not-noise"
-    assert "a2 are 5 times" in said.message
-    assert "near 21 Hz" in said.message
-    assert "joint 2's input by 4 ms" in said.message
-    (unforeseen,) = residual_warnings([replace(tests[1], input_probability=0.5)], explained=False)
-    assert "none of the effects that the program knows" in unforeseen.message
-    assert "none of the effects" not in said.message
-    assert "without linear dependence on an input" in unforeseen.message
+    (warning,) = residual_warnings(tests, explained=True)
+    assert warning.code == "residual-not-noise"
+    assert "a2 are 5 times" in warning.message
+    assert "near 21 Hz" in warning.message
+    assert "joint 2's input by 4 ms" in warning.message
+    (unexplained,) = residual_warnings([replace(tests[1], input_probability=0.5)], explained=False)
+    assert "none of the effects that the program knows" in unexplained.message
+    assert "none of the effects" not in warning.message
+    assert "without linear dependence on an input" in unexplained.message
 
 
 @pytest.mark.parametrize("effect", ALL)
 def test_an_effect_that_is_not_in_the_model_is_named(effect: EffectName) -> None:
-    """It comes first, by about its size, and the warning says what to do."""
+    """The effect ranks first with about its size, and the warning states the remedy."""
     model = tuned((effect,), ())
     assert model.criticism is not None
     first = model.criticism.score_tests[0]
@@ -116,12 +116,12 @@ def test_an_effect_that_is_not_in_the_model_is_named(effect: EffectName) -> None
     assert first.evident
     for key in sizes_of((1, effect)):
         size, std = first.sizes[key[0]], first.stds[key[0]]
-        # one linear step, and from parameters that have taken up a part of it
+        # one linear step, from parameters that partly compensate for the effect
         assert 0.3 < size / SIZES[key] < 2.0
         assert std < 0.1 * abs(size)
-    said = {c.code: c for c in model.warnings}[f"{effect}-likely"]
-    assert said.where == "joint 1"
-    assert f'effects = ["{effect}"]' in said.message
+    warning = {c.code: c for c in model.warnings}[f"{effect}-likely"]
+    assert warning.where == "joint 1"
+    assert f'effects = ["{effect}"]' in warning.message
 
 
 @pytest.mark.parametrize(
@@ -143,22 +143,22 @@ def test_sizes_without_sign_are_not_below_nothing(
 
 
 POSSIBLE = sum(1 if effect.first_joint_only else 2 for effect in all_effects())
-"""Effects that two joints may have."""
+"""Number of possible effects of two joints."""
 
 
 def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
     model = tuned((), ())
     assert model.criticism is not None
     assert len(model.criticism.score_tests) == POSSIBLE
-    assert not any(one.evident for one in model.criticism.score_tests)
-    assert max(one.gain for one in model.criticism.score_tests) < 16.0
+    assert not any(test.evident for test in model.criticism.score_tests)
+    assert max(test.gain for test in model.criticism.score_tests) < 16.0
     assert not any(c.code.endswith("-likely") for c in model.warnings)
 
 
 def test_what_is_fitted_is_no_longer_a_candidate() -> None:
     model = tuned(("hysteresis",), ("hysteresis",))
     assert model.criticism is not None
-    tested = {(one.joint, one.effect) for one in model.criticism.score_tests}
+    tested = {(test.joint, test.effect) for test in model.criticism.score_tests}
     assert (1, "hysteresis") not in tested
     assert len(tested) == POSSIBLE - 1
-    assert not any(one.evident for one in model.criticism.score_tests)
+    assert not any(test.evident for test in model.criticism.score_tests)

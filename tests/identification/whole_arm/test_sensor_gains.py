@@ -1,4 +1,4 @@
-"""What a link sensor would buy, beside what it does buy where a virtual arm has it."""
+"""Predicted benefit of an additional link sensor, against the actual one on a virtual arm."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ GEARS = [(name, joint) for name in ("gear_stiffness", "gear_damping") for joint 
 
 
 def without_links(logs: tuple[Log, ...], joints: set[int]) -> list[Log]:
-    """The records without the link channels of some joints."""
-    gone = {f"{name}{i}" for name in ("a", "gyro") for i in joints}
+    """Records without the link channels of some joints."""
+    removed = {f"{name}{i}" for name in ("a", "gyro") for i in joints}
     return [
-        replace(log, channels={n: x for n, x in log.channels.items() if n not in gone})
+        replace(log, channels={n: x for n, x in log.channels.items() if n not in removed})
         for log in logs
     ]
 
 
 @cache
 def tuned(*missing: int, spring: str = "linear") -> ArmModel:
-    study, known, logs = shaken(spring)
+    study, true_values, logs = shaken(spring)
     records = without_links(logs, set(missing))
-    joints = joint_models(study, known, 0.05, FACTORS)
-    return tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    return tune(records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
 def std_of(model: ArmModel, name: str, joint: int) -> float:
-    found: dict[tuple[str, int | None], Parameter] = {
+    parameters: dict[tuple[str, int | None], Parameter] = {
         (p.name, p.joint): p for p in model.parameters
     }
-    std = found[name, joint].std
+    std = parameters[name, joint].std
     assert std is not None
     return std
 
@@ -56,16 +56,16 @@ def predicted(model: ArmModel, link: int, name: str, joint: int) -> float:
 @pytest.mark.parametrize("link", [1, 2])
 def test_an_accelerometer_buys_what_is_predicted(link: int) -> None:
     without, with_it = tuned(1, 2), tuned(3 - link)
-    ratios = [predicted(without, link, *one) / std_of(with_it, *one) for one in GEARS]
+    ratios = [predicted(without, link, *gear) / std_of(with_it, *gear) for gear in GEARS]
     assert all(1.0 / 1.5 < ratio < 1.5 for ratio in ratios), ratios
 
 
 def test_a_place_where_the_link_hardly_moves_buys_nothing() -> None:
-    """At 0.27 m the accelerometer sits near the second link's centre of percussion."""
+    """At 0.27 m, the accelerometer is near the centre of percussion of the second link."""
     without, with_it = tuned(1, 2), tuned(1)
-    for one in GEARS:
-        assert predicted(without, 2, *one) > 0.8 * std_of(without, *one)
-        assert std_of(with_it, *one) > 0.8 * std_of(without, *one)
+    for gear in GEARS:
+        assert predicted(without, 2, *gear) > 0.8 * std_of(without, *gear)
+        assert std_of(with_it, *gear) > 0.8 * std_of(without, *gear)
 
 
 def test_a_link_with_a_sensor_needs_no_other() -> None:

@@ -1,4 +1,4 @@
-"""Late link sensors and such out of scale, in the whole-arm fit."""
+"""Delay, scale and drift of link sensors in the whole-arm fit."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CUTOFF = 80.0
 
 
 def read_so(log: Log, late: tuple[float, float], scale: tuple[float, float]) -> Log:
-    """The log of a rig whose accelerometers are so late [s] and read so many times the motion."""
+    """Log with delays [s] and scale factors of the accelerometers."""
     channels = dict(log.channels)
     for i in (1, 2):
         ahead = -late[i - 1] / log.sample_time
@@ -40,15 +40,15 @@ def tuned(
     *,
     reported: bool = False,
 ) -> tuple[Study, Values, ArmModel]:
-    study, known, logs = shaken()
+    study, true_values, logs = shaken()
     records = [read_so(log, late, scale) for log in logs]
-    joints = joint_models(study, known, 0.05, FACTORS)
-    begin: dict[Key, float] = {("accelerometer_delay", i): late[i - 1] for i in (1, 2)}
-    start = begin if reported else None
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    delays: dict[Key, float] = {("accelerometer_delay", i): late[i - 1] for i in (1, 2)}
+    start = delays if reported else None
     model = tune(
-        records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm), start=start
+        records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm), start=start
     )
-    return study, known, model
+    return study, true_values, model
 
 
 def constants(model: ArmModel) -> set[Key]:
@@ -56,7 +56,7 @@ def constants(model: ArmModel) -> set[Key]:
 
 
 def test_a_clean_rig_has_no_sensor_constants() -> None:
-    """So that its intervals are as narrow, and its fit as quick, as without any of this."""
+    """Ideal sensors cost neither accuracy nor time."""
     _, _, model = tuned()
     assert constants(model) == set()
     assert not {c.code for c in model.warnings} & {"sensor-delay", "sensor-scale"}
@@ -74,37 +74,39 @@ def test_a_clean_rig_has_no_sensor_constants() -> None:
 def test_late_sensors_and_wrong_scales_are_found_and_corrected(
     late: tuple[float, float], scale: tuple[float, float], reported: bool
 ) -> None:
-    _, known, model = tuned(late, scale, reported=reported)
+    _, true_values, model = tuned(late, scale, reported=reported)
     assert model.status == "converged"
-    found = {(p.name, p.joint): p for p in model.parameters}
+    estimates = {(p.name, p.joint): p for p in model.parameters}
     wrong = {("accelerometer_delay", i): d for i, d in enumerate(late, 1) if d}
     wrong |= {("accelerometer_scale", i): s for i, s in enumerate(scale, 1) if s != 1.0}
     assert wrong.keys() <= constants(model)
-    for (name, joint), true in (*wrong.items(), *known.items()):
-        p = found.get((name, joint))
+    for (name, joint), true in (*wrong.items(), *true_values.items()):
+        p = estimates.get((name, joint))
         if p is None or p.value is None or p.std is None or p.ci95 is None:
             continue
         assert abs(p.value - true) < 4.0 * p.std, (name, joint)
     for key in wrong:
-        assert found[key].unit == ("s" if key[0].endswith("delay") else "1")
-    # a tenth of a per cent of what 1 ms alone would move gear damping by
+        assert estimates[key].unit == ("s" if key[0].endswith("delay") else "1")
+    # 0.1 % of the error that a delay of 1 ms would cause
     for i in (1, 2):
-        damping = found["gear_damping", i].value
-        assert damping == pytest.approx(known["gear_damping", i], rel=0.03)
-    said = {(c.code, c.where) for c in model.warnings}
+        damping = estimates["gear_damping", i].value
+        assert damping == pytest.approx(true_values["gear_damping", i], rel=0.03)
+    warned = {(c.code, c.where) for c in model.warnings}
     for name, joint in wrong:
-        assert (f"sensor-{name.rsplit('_', 1)[1]}", f"joint {joint}") in said
+        assert (f"sensor-{name.rsplit('_', 1)[1]}", f"joint {joint}") in warned
 
 
 def test_what_is_held_is_not_estimated() -> None:
-    study, known, logs = shaken()
+    study, true_values, logs = shaken()
     records = [read_so(log, (1e-3, 1e-3), (1.0, 1.0)) for log in logs]
-    joints = joint_models(study, known, 0.05, FACTORS)
+    joints = joint_models(study, true_values, 0.05, FACTORS)
     options = TuningOptions(hold=("accelerometer_delay 1",))
-    model = tune(records, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm), options)
-    found = constants(model)
-    assert ("accelerometer_delay", 1) not in found
-    assert ("accelerometer_delay", 2) in found
+    model = tune(
+        records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm), options
+    )
+    estimated = constants(model)
+    assert ("accelerometer_delay", 1) not in estimated
+    assert ("accelerometer_delay", 2) in estimated
 
 
 def test_an_end_of_the_range_is_a_bound() -> None:
@@ -116,9 +118,9 @@ def test_an_end_of_the_range_is_a_bound() -> None:
 
 
 def test_derivatives_are_those_of_the_difference() -> None:
-    """Of simulated less measured channels, where both agree: on a noise-free record."""
-    study, known, logs = shaken(noisy=False, counts=False)
-    values = dict(known)
+    """Derivatives of simulated minus measured channels, on a noise-free record."""
+    study, true_values, logs = shaken(noisy=False, counts=False)
+    values = dict(true_values)
     late, scale = 0.6e-3, 1.03
     record = dataset_of(read_so(logs[0], (late, late), (scale, 1.0)), Arm.of(study.arm), CUTOFF)
     values |= {("accelerometer_delay", 1): late, ("accelerometer_delay", 2): late}
@@ -138,17 +140,17 @@ def test_derivatives_are_those_of_the_difference() -> None:
         h = {"gear_stiffness": 5.0}.get(key[0], 2e-5)
         ends = [difference({**values, key: values[key] + sign * h}) for sign in (1.0, -1.0)]
         slope = (ends[0] - ends[1]) / (2.0 * h)
-        # what the measured slope has beside the simulated one: the integrator's error
+        # the measured derivative differs by the integration error
         size = np.max(np.abs(slope))
         assert np.max(np.abs(tangent[..., k] - slope)[10:-10]) < 0.02 * size, key
 
 
 RATES = {"prbs-j1": 1.2, "prbs-j2": -0.8}
-"""[m/s^3] by which joint 1's accelerometer drifts, tenths of m/s^2 in the record."""
+"""Drift [m/s^3] of the accelerometer of joint 1; a few tenths of m/s^2 within a record."""
 
 
 def drifting(rates: Mapping[str, float]) -> list[Log]:
-    """The rig's records, with drifts of joint 1's accelerometer."""
+    """Records of the rig with drift of the accelerometer of joint 1."""
     logs = []
     for log in shaken()[2]:
         a1 = log.channels["a1"] + rates.get(log.name, 0.0) * log.time
@@ -158,20 +160,20 @@ def drifting(rates: Mapping[str, float]) -> list[Log]:
 
 @cache
 def tuned_drifting(*held: str) -> ArmModel:
-    study, known, _ = shaken()
-    joints = joint_models(study, known, 0.05, FACTORS)
-    rigid, options = rigid_model(study, known, 0.01, 1.0), TuningOptions(hold=held)
+    study, true_values, _ = shaken()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    rigid, options = rigid_model(study, true_values, 0.01, 1.0), TuningOptions(hold=held)
     return tune(drifting(RATES), rigid, joints, Arm.of(study.arm), options)
 
 
 def test_drifting_sensors_are_found_and_corrected() -> None:
-    known, model = shaken()[1], tuned_drifting()
+    true_values, model = shaken()[1], tuned_drifting()
     assert model.status == "converged"
     wrong = {(of_record("accelerometer_drift", name), 1): r for name, r in RATES.items()}
     assert constants(model) == set(wrong)
-    found = {(p.name, p.joint): p for p in model.parameters}
+    estimates = {(p.name, p.joint): p for p in model.parameters}
     for key, rate in wrong.items():
-        p = found[key]
+        p = estimates[key]
         assert p.value is not None
         assert p.std is not None
         assert p.unit == "m/s^3"
@@ -179,10 +181,10 @@ def test_drifting_sensors_are_found_and_corrected() -> None:
         assert abs(p.value - rate) < 4.0 * p.std
     for name in ("motor_inertia", "motor_coulomb_friction", "gear_stiffness", "gear_damping"):
         for joint in (1, 2):
-            assert model.values[name, joint] == pytest.approx(known[name, joint], rel=0.005)
-    said = [c for c in model.warnings if c.code == "sensor-drift"]
-    assert [c.message.split()[1] for c in said] == list(RATES)
-    assert "the accelerometer drifts by 1.2" in said[0].message
+            assert model.values[name, joint] == pytest.approx(true_values[name, joint], rel=0.005)
+    drift_warnings = [c for c in model.warnings if c.code == "sensor-drift"]
+    assert [c.message.split()[1] for c in drift_warnings] == list(RATES)
+    assert "the accelerometer drifts by 1.2" in drift_warnings[0].message
 
 
 @pytest.mark.parametrize(
@@ -196,28 +198,28 @@ def test_drifts_that_are_held_are_not_estimated(held: str) -> None:
 
 
 def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
-    study, known, logs = shaken(noisy=False, counts=False)
+    study, true_values, logs = shaken(noisy=False, counts=False)
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     keys: list[Key] = [(of_record("accelerometer_drift", name), 1) for name in RATES]
     keys.append(("accelerometer_scale", 1))
     assert keys[0] in record.sensor_constants()
     assert keys[1] not in record.sensor_constants()
-    values = {**known, keys[0]: 0.7, keys[1]: 9.0, keys[2]: 1.02}
-    seen, tangent = record.linearised(values, np.zeros(0), keys)
+    values = {**true_values, keys[0]: 0.7, keys[1]: 9.0, keys[2]: 1.02}
+    rows, tangent = record.linearised(values, np.zeros(0), keys)
     assert not tangent[..., 1].any()
     for k in (0, 2):
         more = record.linearised({**values, keys[k]: values[keys[k]] + 1.0}, np.zeros(0), [])[0]
-        np.testing.assert_allclose(more - seen, tangent[..., k], atol=1e-9)
-    (moved,) = np.flatnonzero(tangent[..., 0].any(axis=0))
-    assert record.channels[moved].name == "a1"
-    slope = np.polyfit(record.time, tangent[:, moved, 0], 1)[0]
+        np.testing.assert_allclose(more - rows, tangent[..., k], atol=1e-9)
+    (channel,) = np.flatnonzero(tangent[..., 0].any(axis=0))
+    assert record.channels[channel].name == "a1"
+    slope = np.polyfit(record.time, tangent[:, channel, 0], 1)[0]
     assert slope == pytest.approx(1.0)
 
 
 def test_a_scale_that_is_nothing_does_not_stay() -> None:
-    study, known, _ = shaken()
-    joints = joint_models(study, known, 0.05, FACTORS)
-    rigid = rigid_model(study, known, 0.01, 1.0)
+    study, true_values, _ = shaken()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    rigid = rigid_model(study, true_values, 0.01, 1.0)
     start: dict[Key, float] = {("accelerometer_scale", 1): 1.0}
     model = tune(shaken()[2], rigid, joints, Arm.of(study.arm), start=start)
     assert constants(model) == set()

@@ -1,4 +1,4 @@
-"""Starts of curves that lost a bend."""
+"""Restarts for gear curves that have lost a knee."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ NAMES = (*SLOPES, *KNEES)
 
 
 def curve(*numbers: float) -> Values:
-    rest: Values = {("motor_inertia", 1): 1e-4, **{(name, 2): 1.0 for name in NAMES}}
-    return rest | {(name, 1): value for name, value in zip(NAMES, numbers, strict=True)}
+    other_values: Values = {("motor_inertia", 1): 1e-4, **{(name, 2): 1.0 for name in NAMES}}
+    return other_values | {(name, 1): value for name, value in zip(NAMES, numbers, strict=True)}
 
 
 def torque(values: Values, torsion: float) -> float:
@@ -34,15 +34,15 @@ def test_a_curve_that_bends_twice_is_left_alone() -> None:
 @pytest.mark.parametrize(
     "lost",
     [
-        curve(1e4, 1.5e4, 9e4, 8.0, 90.0),  # the second knee ran off
-        curve(1e4, 1.5e4, 1.5e4, 8.0, 20.0),  # the slopes beyond are one
-        curve(3e4, 1e4, 1.5e4, 0.1, 8.0),  # the first knee is at zero
-        curve(1e4, 1e4, 1.5e4, 3.0, 8.0),  # the slopes before are one
-        curve(1e4, 1.2e4, 1.5e4, 7.5, 8.5),  # the knees are one
+        curve(1e4, 1.5e4, 9e4, 8.0, 90.0),  # second knee out of range
+        curve(1e4, 1.5e4, 1.5e4, 8.0, 20.0),  # second and third slope equal
+        curve(3e4, 1e4, 1.5e4, 0.1, 8.0),  # first knee at zero
+        curve(1e4, 1e4, 1.5e4, 3.0, 8.0),  # first and second slope equal
+        curve(1e4, 1.2e4, 1.5e4, 7.5, 8.5),  # knees nearly equal
     ],
 )
 def test_one_bend_is_split(lost: Values) -> None:
-    """Three curves near the one that was found, of rising knees, each with every bend in reach."""
+    """Three starts near the estimated curve, with increasing, reachable knees."""
     starts = list(other_starts(LAW, lost, 1, LARGEST))
     assert len(starts) == 3
     for start in starts:

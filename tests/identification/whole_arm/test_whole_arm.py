@@ -1,4 +1,4 @@
-"""Every parameter of the whole arm at once, on records of virtual arms and of the lab's."""
+"""Whole-arm fit of all parameters, on records of virtual arms and lab arms."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 
 
 def errors_of(model: ArmModel, known: Values) -> dict[tuple[str, int | None], tuple[float, float]]:
-    """Of each parameter that is reported, relative to its true value and to its deviation."""
-    found = {}
+    """Relative error and normalised error of each reported parameter."""
+    errors = {}
     for p in model.parameters:
         true = known.get((p.name, p.joint), 0.0)
         if p.value is not None and p.std is not None and true != 0.0:
-            found[p.name, p.joint] = (p.value / true - 1.0, (p.value - true) / p.std)
-    return found
+            errors[p.name, p.joint] = (p.value / true - 1.0, (p.value - true) / p.std)
+    return errors
 
 
 def warnings(model: ArmModel, code: str) -> list[str]:
@@ -72,23 +72,23 @@ def from_wrong_starts(
     share: float = 0.05,
     start: Values | None = None,
 ) -> ArmModel:
-    """Joint models off by that share either way, a rigid model whose inertias are 1 % off."""
+    """Fit from joint models with relative errors `share`; inertias of the rigid model have 1 %."""
     joints = joint_models(study, known, share, FACTORS)
     model = rigid_model(study, known, 0.01, 1.0)
     return tune(records, model, joints, Arm.of(study.arm), options, start=start)
 
 
 def rig_records() -> tuple[Study, Values, list[Log]]:
-    """Half a second of either joint in open loop, and a servoed step of joint 2."""
-    study, known, shakes = shaken()
+    """Open-loop records of 0.5 s, one for each joint, and a servoed step of joint 2."""
+    study, true_values, shakes = shaken()
     step = next(log for log in rig_logs()[1] if log.name == "step-j2")
     first = {name: channel[:3200] for name, channel in step.channels.items()}
-    return study, known, [*shakes, replace(step, time=step.time[:3200], channels=first)]
+    return study, true_values, [*shakes, replace(step, time=step.time[:3200], channels=first)]
 
 
 def tuned(options: TuningOptions | None = None, share: float = 0.2) -> ArmModel:
-    study, known, records = rig_records()
-    return from_wrong_starts(records, study, known, options, share)
+    study, true_values, records = rig_records()
+    return from_wrong_starts(records, study, true_values, options, share)
 
 
 @cache
@@ -97,19 +97,19 @@ def standard() -> ArmModel:
 
 
 def test_wrong_starts_come_back() -> None:
-    """From joint models that are 20 % off."""
+    """Joint models with errors of 20 %."""
     model = standard()
-    known = truth()[1]
+    true_values = truth()[1]
     assert model.status == "converged"
-    errors = errors_of(model, known)
-    for (name, joint), (relative, deviations) in errors.items():
+    errors = errors_of(model, true_values)
+    for (name, joint), (relative, normalised) in errors.items():
         limit = 0.003
         if "damping" in name or name.startswith("total"):
             limit = 0.02
         elif name.endswith("viscous_friction"):
-            limit = 0.3  # of the two only the sum is well known
+            limit = 0.3  # only the sum is well identified
         assert abs(relative) < limit, (name, joint, relative)
-        assert abs(deviations) < 4.0, (name, joint, deviations)
+        assert abs(normalised) < 4.0, (name, joint, normalised)
     reported = {name for name, _ in errors}
     assert {name for name in JOINT_NAMES if "viscous" not in name} <= reported
     assert {"alpha", "beta", "gamma", "total_viscous_friction"} <= reported
@@ -117,8 +117,8 @@ def test_wrong_starts_come_back() -> None:
     for parameter, variance in zip(model.parameters, np.diag(model.covariance), strict=True):
         if parameter.value is not None and parameter.std is not None:
             assert parameter.std == pytest.approx(np.sqrt(variance))
-            reach = 1.96 * parameter.std
-            assert parameter.ci95 == (parameter.value - reach, parameter.value + reach)
+            half_width = 1.96 * parameter.std
+            assert parameter.ci95 == (parameter.value - half_width, parameter.value + half_width)
 
 
 def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
@@ -129,7 +129,7 @@ def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
         assert list(fits) == ["omega_m1", "omega_m2", "a1", "a2"]
         before = model.initial_fit_percent[name]
         assert all(fits[channel] > before[channel] for channel in fits)
-        # noise is a twentieth of the accelerometer that moves least
+        # the noise is 5 % of the accelerometer with the smallest signal
         assert min(fits.values()) > 90.0
     assert [p.experiment for p in model.simulated] == ["step-j2"]
     assert [p.experiment for p in model.initial] == ["step-j2"]
@@ -141,10 +141,10 @@ def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
 
 
 def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
-    """Doubled gains: the recorded voltages explain the motion. Softer gears: nothing does."""
+    """The recorded voltages explain doubled servo gains, but not softer gears."""
     model = standard()
     study, records = rig_logs()
-    log = next(each for each in records if each.name == "step-check-j1")
+    log = next(candidate for candidate in records if candidate.name == "step-check-j1")
     assert study.arm.servo is not None
     gains = tuple(2.0 * kp for kp in study.arm.servo.kp)
     servo = replace(study.arm.servo, kp=gains)
@@ -159,7 +159,7 @@ def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
     arm = validation.predict_elastic(replace(model, values=soft), log, Arm.of(study.arm))
     assert arm.unexplained
     assert not arm.is_servo_at_fault
-    # as wide as these intervals are then, the same error is explained
+    # wide confidence intervals explain the same error
     std = [0.4 * (p.value or 0.0) if p.name == "gear_stiffness" else 0.0 for p in model.parameters]
     vague = replace(model, values=soft, covariance=np.diag(np.square(std)))
     assert not validation.predict_elastic(vague, log, Arm.of(study.arm)).unexplained
@@ -173,14 +173,14 @@ def test_what_is_derived_adds_up() -> None:
     sum_1 = value["alpha", None] + value["beta", None] + 2.0 * value["gamma", None]
     assert by_name["link_inertia", 1].value == pytest.approx(sum_1)
     assert by_name["link_inertia", 2].value == pytest.approx(value["beta", None])
-    deviations = dict(zip(by_name, np.sqrt(np.diag(model.covariance)), strict=True))
+    stds = dict(zip(by_name, np.sqrt(np.diag(model.covariance)), strict=True))
     for joint in (1, 2):
         total = value["motor_viscous_friction", joint]
         total += 1e-4 * value["link_viscous_friction", joint]
         assert by_name["total_viscous_friction", joint].value == pytest.approx(total)
-        # better known than either of the two
-        split = deviations["motor_viscous_friction", joint]
-        assert deviations["total_viscous_friction", joint] < split
+        # more accurate than each of the two
+        split = stds["motor_viscous_friction", joint]
+        assert stds["total_viscous_friction", joint] < split
     assert {p.stage for p in model.parameters} == {"tuned"}
     units = {p.name: p.unit for p in model.parameters}
     assert units["gear_stiffness"] == "N m/rad"
@@ -194,8 +194,8 @@ def started_close() -> ArmModel:
 
 @cache
 def curved(amplitude: float) -> ArmModel:
-    study, known, records = shaken("three-slope", amplitude)
-    return from_wrong_starts(records, study, known)
+    study, true_values, records = shaken("three-slope", amplitude)
+    return from_wrong_starts(records, study, true_values)
 
 
 def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
@@ -208,10 +208,10 @@ def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
         for name in KNEES:
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
         assert abs(errors["gear_damping", joint][0]) < 0.01
-    assert max(abs(deviations) for _, deviations in errors.values()) < 4.0
+    assert max(abs(normalised) for _, normalised in errors.values()) < 4.0
     assert warnings(model, "not-reached") == []
     assert not any(p.name == "gear_stiffness" for p in model.parameters)
-    # a curve predicts steps of another size
+    # the curve also predicts steps of other amplitudes
     study, records = rig_logs("three-slope")
     for log in records:
         if log.name.startswith("step-check"):
@@ -221,18 +221,18 @@ def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
 
 def test_what_a_small_amplitude_does_not_reach_is_reported() -> None:
     model = curved(1.5)
-    vague = {(p.name, p.joint) for p in model.parameters if p.value is None}
-    curve = {key for key in vague if key[0] in (*SLOPES, *KNEES)}
+    missing = {(p.name, p.joint) for p in model.parameters if p.value is None}
+    curve = {key for key in missing if key[0] in (*SLOPES, *KNEES)}
     assert curve
-    said = warnings(model, "not-reached")
-    assert set(said) == {f"{name} of joint {joint}" for name, joint in curve}
-    # what simulating needs is there all the same
+    not_reached = warnings(model, "not-reached")
+    assert set(not_reached) == {f"{name} of joint {joint}" for name, joint in curve}
+    # the model has all values that a simulation requires
     assert curve <= set(model.values)
-    known = truth("three-slope")[1]
+    true_values = truth("three-slope")[1]
     reported = {(p.name, p.joint): p.value for p in model.parameters}
     for joint in (1, 2):
         name = "gear_stiffness_k1"
-        assert reported[name, joint] == pytest.approx(known[name, joint], rel=0.03)
+        assert reported[name, joint] == pytest.approx(true_values[name, joint], rel=0.03)
 
 
 def test_no_slope_is_reported_that_was_not_reached() -> None:
@@ -245,20 +245,20 @@ def test_no_slope_is_reported_that_was_not_reached() -> None:
 
 def test_friction_that_settles_is_found() -> None:
     times = (3e-4, 2e-4)
-    study, known, records = shaken("linear", 8.0, times)
-    model = from_wrong_starts(records, study, known)
+    study, true_values, records = shaken("linear", 8.0, times)
+    model = from_wrong_starts(records, study, true_values)
     assert model.status == "converged"
-    errors = errors_of(model, known)
+    errors = errors_of(model, true_values)
     for joint, time in enumerate(times, start=1):
         assert model.values[SETTLING, joint] == pytest.approx(time, rel=0.1)
         assert abs(errors[SETTLING, joint][1]) < 4.0
         assert abs(errors["motor_inertia", joint][0]) < 0.003
     where = [f"friction_settling_time of joint {joint}" for joint in (1, 2)]
     assert warnings(model, "friction-settles") == where
-    # without it other parameters must take its place
-    at_once = from_wrong_starts(records, study, known, TuningOptions(settling=False))
+    # without the settling time, other parameters compensate for it
+    at_once = from_wrong_starts(records, study, true_values, TuningOptions(settling=False))
     assert at_once.values[SETTLING, 1] == 0.0
-    assert errors_of(at_once, known)["motor_inertia", 1][0] > 0.004
+    assert errors_of(at_once, true_values)["motor_inertia", 1][0] > 0.004
     for name, fits in model.fit_percent.items():
         assert all(fits[c] > at_once.fit_percent[name][c] for c in fits)
 
@@ -268,36 +268,36 @@ def test_friction_that_acts_at_once_needs_no_time() -> None:
     assert warnings(model, "friction-settles") == []
     assert not any(p.name == SETTLING for p in model.parameters)
     assert model.values[SETTLING, 1] == model.values[SETTLING, 2] == 0.0
-    kept = tuned(TuningOptions(settling=True), share=0.05)
-    assert 0.0 < kept.values[SETTLING, 1] < 3e-5
+    with_settling = tuned(TuningOptions(settling=True), share=0.05)
+    assert 0.0 < with_settling.values[SETTLING, 1] < 3e-5
 
 
 def test_records_that_begin_in_motion() -> None:
-    study, known, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 600) for log in records], study, known)
+    study, true_values, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 600) for log in records], study, true_values)
     assert model.status == "converged"
-    errors = errors_of(model, known)
-    for (name, joint), (relative, deviations) in errors.items():
+    errors = errors_of(model, true_values)
+    for (name, joint), (relative, normalised) in errors.items():
         limit = 0.02 if "damping" in name or name.startswith("total") else 0.003
         if not name.endswith("viscous_friction") or name.startswith("total"):
             assert abs(relative) < limit, (name, joint, relative)
-        assert abs(deviations) < 4.0, (name, joint)
+        assert abs(normalised) < 4.0, (name, joint)
 
 
 def test_records_that_begin_in_motion_are_repeated() -> None:
-    study, known, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 600) for log in records], study, known)
+    study, true_values, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 600) for log in records], study, true_values)
     assert all(min(fits.values()) > 95.0 for fits in model.fit_percent.values())
 
 
 def test_records_that_begin_in_motion_elsewhere() -> None:
-    study, known, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 900) for log in records], study, known)
+    study, true_values, records = shaken("linear", 8.0)
+    model = from_wrong_starts([later(log, 900) for log in records], study, true_values)
     assert model.status == "converged"
 
 
 def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
-    """One elastic joint that swings a pendulum; a servo holds it up first."""
+    """Elastic joint with a pendulum, initially held up by a servo."""
     joint = Joint(
         spring="linear",
         gear_ratio=0.01,
@@ -329,7 +329,7 @@ def test_a_single_joint_under_gravity() -> None:
     named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))
     start = joint_model(study, 1, named, np.diag((0.05 * true) ** 2))
     model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], Arm.of(study.arm))
-    # one step shows the split of viscous friction so little that the search may creep along it
+    # one step hardly determines the individual viscous frictions, so they may converge slowly
     for name, limit in [
         ("motor_inertia", 0.005),
         ("link_inertia", 0.005),
@@ -346,11 +346,11 @@ def test_a_single_joint_under_gravity() -> None:
 
 
 def test_a_negative_viscous_friction_starts_positive() -> None:
-    study, known, records = rig_records()
-    joints = list(joint_models(study, known, 0.05, FACTORS))
+    study, true_values, records = rig_records()
+    joints = list(joint_models(study, true_values, 0.05, FACTORS))
     values = {**joints[0].values, "link_viscous_friction": -0.1, "motor_viscous_friction": 2.6e-4}
     joints[0] = replace(joints[0], values=values)
-    model = tune(records[:2], rigid_model(study, known, 0.01), joints, Arm.of(study.arm))
+    model = tune(records[:2], rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
     assert model.values["link_viscous_friction", 1] > 0.0
     assert model.values["motor_viscous_friction", 1] > 0.0
     total = next(p for p in model.parameters if p.name == "total_viscous_friction")
@@ -358,31 +358,31 @@ def test_a_negative_viscous_friction_starts_positive() -> None:
 
 
 def test_a_vague_viscous_friction_is_not_printed() -> None:
-    """Encoders alone, in a record of 3 V, tell little of where friction sits."""
-    study, known, records = shaken("linear", 3.0)
-    bare = [
+    """Encoders alone, with 3 V, hardly separate motor-side from link-side friction."""
+    study, true_values, records = shaken("linear", 3.0)
+    motor_records = [
         replace(log, channels={k: x for k, x in log.channels.items() if k[0] in "ut"})
         for log in records
     ]
-    model = from_wrong_starts(bare, study, known)
+    model = from_wrong_starts(motor_records, study, true_values)
     assert set(model.fit_percent["prbs-j1"]) == {"omega_m1", "omega_m2"}
-    vague = [(p.name, p.joint) for p in model.parameters if p.value is None]
-    assert ("link_viscous_friction", 1) in vague
-    assert set(warnings(model, "not-identifiable")) == {f"{n} of joint {j}" for n, j in vague}
-    assert set(vague) <= set(model.values)
-    errors = errors_of(model, known)
+    missing = [(p.name, p.joint) for p in model.parameters if p.value is None]
+    assert ("link_viscous_friction", 1) in missing
+    assert set(warnings(model, "not-identifiable")) == {f"{n} of joint {j}" for n, j in missing}
+    assert set(missing) <= set(model.values)
+    errors = errors_of(model, true_values)
     assert all(abs(errors["total_viscous_friction", joint][0]) < 0.05 for joint in (1, 2))
 
 
 def test_a_parameter_at_the_end_of_its_range_is_reported() -> None:
-    """A stiffness that starts at three tenths of the truth may only treble."""
-    study, known, records = rig_records()
-    joints = list(joint_models(study, known, 0.0, FACTORS))
-    start = 0.3 * known["gear_stiffness", 2]
+    """The range is a factor of three, and the stiffness starts at 0.3 of the true value."""
+    study, true_values, records = rig_records()
+    joints = list(joint_models(study, true_values, 0.0, FACTORS))
+    start = 0.3 * true_values["gear_stiffness", 2]
     joints[1] = replace(joints[1], values={**joints[1].values, "gear_stiffness": start})
     model = tune(
         records[1:2],
-        rigid_model(study, known, 0.01),
+        rigid_model(study, true_values, 0.01),
         joints,
         Arm.of(study.arm),
         TuningOptions(settling=False),
@@ -393,12 +393,12 @@ def test_a_parameter_at_the_end_of_its_range_is_reported() -> None:
 
 
 def test_inertias_that_rest_on_one_at_its_bound_are_at_it_as_well() -> None:
-    """beta may be at most 0.9 of the truth, which is then no inertia of any link."""
-    study, known, records = rig_records()
+    """beta is limited to 0.9 of the true value; the link inertias depend on it."""
+    study, true_values, records = rig_records()
     model = tune(
         records[1:2],
-        rigid_model(study, known, 0.01),
-        joint_models(study, known, 0.0, FACTORS),
+        rigid_model(study, true_values, 0.01),
+        joint_models(study, true_values, 0.0, FACTORS),
         Arm.of(study.arm),
         TuningOptions(settling=False, ranges={"beta": (0.5, 0.9)}),
     )
@@ -411,7 +411,7 @@ def test_too_few_iterations_are_reported() -> None:
     assert "iteration-limit" in [warning.code for warning in model.warnings]
     assert model.iterations < standard().iterations
     assert model.criticism is not None
-    assert max(test.share for test in model.criticism.score_tests) > 0.0  # of a cost that is known
+    assert max(test.share for test in model.criticism.score_tests) > 0.0  # the cost is known
 
 
 def test_iterations_stay_below_their_limit() -> None:
@@ -419,27 +419,27 @@ def test_iterations_stay_below_their_limit() -> None:
 
 
 def test_the_other_options_change_the_outcome() -> None:
-    usual = started_close()
+    reference = started_close()
     low = tuned(TuningOptions(cutoff_hz=30.0), share=0.05)
-    assert low.values != usual.values
+    assert low.values != reference.values
     assert low.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.01)
-    # a rigid model whose friction is right is believed, or not
-    doubtful = tuned(TuningOptions(least_deviation=0.5), share=0.05)
-    study, known, _ = rig_records()
+    # the option sets the weight of the correct friction of the rigid model
+    weak_prior = tuned(TuningOptions(least_deviation=0.5), share=0.05)
+    study, known_values, _ = rig_records()
     friction = ("total_viscous_friction", 1)
-    off = [
-        p.value - derived(known, study.arm)[friction]
-        for arm in (usual, doubtful)
+    errors = [
+        p.value - derived(known_values, study.arm)[friction]
+        for arm in (reference, weak_prior)
         for p in arm.parameters
         if (p.name, p.joint) == friction and p.value is not None
     ]
-    assert abs(off[1]) > 2.0 * abs(off[0])
+    assert abs(errors[1]) > 2.0 * abs(errors[0])
 
 
 def test_refusals() -> None:
-    study, known, records = rig_records()
-    joints = joint_models(study, known, 0.05, FACTORS)
-    model = rigid_model(study, known, 0.01)
+    study, true_values, records = rig_records()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    model = rigid_model(study, true_values, 0.01)
     checks = [log for log in rig_logs()[1] if log.experiment.use == "check"]
     with pytest.raises(NotIdentifiable, match='use = "frequency", "sweep" or "tuning"'):
         tune(checks, model, joints, Arm.of(study.arm))
@@ -451,21 +451,21 @@ def test_refusals() -> None:
     short = replace(records[0], time=records[0].time[:60], channels=brief)
     with pytest.raises(InvalidInput, match="record at least"):
         tune([short], model, joints, Arm.of(study.arm))
-    # a record that cannot be gone through again is none
-    deaf = [
+    # a record that cannot be simulated is not used
+    without_encoder = [
         replace(log, channels={k: x for k, x in log.channels.items() if k != "theta_m1"})
         for log in records
     ]
     with pytest.raises(NotIdentifiable, match="angle and the voltage of every motor"):
-        tune(deaf, model, joints, Arm.of(study.arm))
+        tune(without_encoder, model, joints, Arm.of(study.arm))
 
 
 def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
-    """Of the first 37 ms on joint 1, nothing depends on how friction acts on motor 2."""
-    study, known, records = rig_records()
+    """In the first 37 ms of a record of joint 1, the friction of motor 2 has no effect."""
+    study, true_values, records = rig_records()
     brief = {name: channel[:150] for name, channel in records[0].channels.items()}
     model = from_wrong_starts(
-        [replace(records[0], time=records[0].time[:150], channels=brief)], study, known
+        [replace(records[0], time=records[0].time[:150], channels=brief)], study, true_values
     )
     for parameter in model.parameters:
         assert parameter.std is None or np.isfinite(parameter.std)
@@ -477,38 +477,38 @@ def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
         (2, "gear_damping", -2.1, "gear_damping of joint 2"),
         (1, "motor_inertia", -1e-4, "motor_inertia of joint 1"),
         (2, "gear_stiffness", -12146.0, "gear_stiffness of joint 2"),
-        (1, "link_inertia", 0.2, "alpha"),  # no arm has a coupling that large
+        (1, "link_inertia", 0.2, "alpha"),  # impossible inertia matrix
     ],
 )
 def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, where: str) -> None:
-    """The fit ends where it does from a good start, and says what it did without."""
-    study, known, records = rig_records()
-    joints = list(joint_models(study, known, 0.05, FACTORS))
+    """The fit converges to the same parameters, and a warning lists the rejected start."""
+    study, true_values, records = rig_records()
+    joints = list(joint_models(study, true_values, 0.05, FACTORS))
     wrong = joints[joint - 1]
     joints[joint - 1] = replace(wrong, values={**wrong.values, name: value})
-    model = tune(records, rigid_model(study, known, 0.01), joints, Arm.of(study.arm))
+    model = tune(records, rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
     assert model.status == "converged"
     assert warnings(model, "start-rejected") == [where]
-    for key, (relative, deviations) in errors_of(model, known).items():
-        assert abs(deviations) < 4.0, key
+    for key, (relative, normalised) in errors_of(model, true_values).items():
+        assert abs(normalised) < 4.0, key
         if key[0] in ("gear_stiffness", "motor_inertia", "link_inertia"):
             assert abs(relative) < 0.003, key
 
 
 def test_a_start_that_nothing_shows_is_refused() -> None:
-    study, known, records = rig_records()
-    joints = joint_models(study, known, 0.05, FACTORS)
-    heavy = replace(joints[1], values={**joints[1].values, "link_inertia": -0.2})
-    model = rigid_model(study, known, 0.01)
+    study, true_values, records = rig_records()
+    joints = joint_models(study, true_values, 0.05, FACTORS)
+    negative_inertia = replace(joints[1], values={**joints[1].values, "link_inertia": -0.2})
+    model = rigid_model(study, true_values, 0.01)
     wrong = tuple(replace(p, value=-0.6) if p.name == "beta" else p for p in model.parameters)
-    upside_down = replace(model, parameters=wrong, solution=np.array([p.value for p in wrong]))
+    negative_beta = replace(model, parameters=wrong, solution=np.array([p.value for p in wrong]))
     with pytest.raises(NotIdentifiable, match="signs, units and assignment"):
-        tune(records, upside_down, [joints[0], heavy], Arm.of(study.arm))
+        tune(records, negative_beta, [joints[0], negative_inertia], Arm.of(study.arm))
 
 
 @cache
 def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
-    """Every stage up to tuning, started from one frequency record a joint."""
+    """Whole-arm fit of a lab study, started from one frequency record per joint."""
     study = read_study(folder / "study.toml")
     records = [logs.read_log(study, e) for e in study.experiments if e.use != "sweep"]
     motion = [
@@ -518,9 +518,11 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
     joints: list[JointModel] = []
     for joint in (1, 2):
         log = next(r for r in records if r.name == f"prbs-j{joint}")
-        seen = links.link_side(log, Arm.of(study.arm))
-        alone = decoupling.decouple(seen, model, Arm.of(study.arm))[joint - 1]
-        joints.append(physical.identify_joint([(seen, alone)], model, Arm.of(study.arm)))
+        link_signals = links.link_side(log, Arm.of(study.arm))
+        decoupled_joint = decoupling.decouple(link_signals, model, Arm.of(study.arm))[joint - 1]
+        joints.append(
+            physical.identify_joint([(link_signals, decoupled_joint)], model, Arm.of(study.arm))
+        )
     return study, records, tune(records, model, joints, Arm.of(study.arm))
 
 
@@ -532,7 +534,9 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
     folder = shared_data / "lab" / arm
     study, records, model = lab_model(folder)
     values = read_parameters(folder / "truth.json")
-    known = derived({**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study.arm)
+    true_values = derived(
+        {**values, ("friction_offset", 1): 0.0, ("friction_offset", 2): 0.0}, study.arm
+    )
     limits: dict[str, float] = {
         **dict.fromkeys(("alpha", "beta", "gamma"), inertia),
         **dict.fromkeys(("motor_inertia", "link_inertia", "gear_stiffness"), inertia),
@@ -541,7 +545,7 @@ def test_a_lab_arm(arm: str, inertia: float, damping: float, shared_data: Path) 
         "total_viscous_friction": 0.02,
         **dict.fromkeys(("gravity_torque_1", "gravity_torque_2"), inertia),
     }
-    errors = errors_of(model, known)
+    errors = errors_of(model, true_values)
     for (name, joint), (relative, _) in errors.items():
         assert abs(relative) < limits.get(name, np.inf), (name, joint, relative)
     reported = {name for name, _ in errors}
@@ -559,43 +563,45 @@ def test_a_lab_arm_is_searched_to_the_end(arm: str, shared_data: Path) -> None:
 
 
 def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
-    """Twice the largest torque: no derivative brings that knee back."""
-    study, known, records = shaken("three-slope", 10.0)
-    far: Values = {(KNEES[1], joint): 8.0 * known[KNEES[1], joint] for joint in (1, 2)}
-    model = from_wrong_starts(records, study, known, start=far)
-    errors = errors_of(model, known)
+    """A knee at twice the largest torque does not affect the records: its derivative is zero."""
+    study, true_values, records = shaken("three-slope", 10.0)
+    start: Values = {(KNEES[1], joint): 8.0 * true_values[KNEES[1], joint] for joint in (1, 2)}
+    model = from_wrong_starts(records, study, true_values, start=start)
+    errors = errors_of(model, true_values)
     for joint in (1, 2):
         for name in (*SLOPES[:2], KNEES[0]):
             assert abs(errors[name, joint][0]) < 0.02, (name, joint)
 
 
 def test_a_start_may_be_given() -> None:
-    """From the truth the space is short, and stays there."""
-    study, known, records = rig_records()
-    model = from_wrong_starts(records, study, known, share=0.2, start=known)
+    """A fit that starts at the true values needs fewer iterations."""
+    study, true_values, records = rig_records()
+    model = from_wrong_starts(records, study, true_values, share=0.2, start=true_values)
     assert model.status == "converged"
     assert model.iterations < 0.7 * standard().iterations
-    for (name, joint), (_, deviations) in errors_of(model, known).items():
-        assert abs(deviations) < 4.0, (name, joint, deviations)
+    for (name, joint), (_, normalised) in errors_of(model, true_values).items():
+        assert abs(normalised) < 4.0, (name, joint, normalised)
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_starts_from_far_end_at_the_same_place(spring: str, seed: int) -> None:
-    """30 % off in every parameter, 3 times off in the gears' damping, up or down by chance."""
-    study, known, records = shaken(spring, 10.0) if spring == "three-slope" else rig_records()
+    """Random start: 30 % error in every parameter, a factor of 3 in gear damping."""
+    study, true_values, records = shaken(spring, 10.0) if spring == "three-slope" else rig_records()
     rng = np.random.default_rng(seed)
-    far: Values = {}
-    while not far or far["alpha", None] * far["beta", None] < 1.02 * far["gamma", None] ** 2:
-        for key, value in known.items():
+    start: Values = {}
+    while (
+        not start or start["alpha", None] * start["beta", None] < 1.02 * start["gamma", None] ** 2
+    ):
+        for key, value in true_values.items():
             up = 3.0 if key[0] == "gear_damping" else 1.3
             down = 1.0 / 3.0 if key[0] == "gear_damping" else 0.7
-            far[key] = value * float(rng.choice([up, down]))
-    home = from_wrong_starts(records, study, known, start=known)
-    model = from_wrong_starts(records, study, known, start=far)
+            start[key] = value * float(rng.choice([up, down]))
+    reference = from_wrong_starts(records, study, true_values, start=true_values)
+    model = from_wrong_starts(records, study, true_values, start=start)
     assert model.status == "converged"
     ends = {(p.name, p.joint): p for p in model.parameters}
-    for p in home.parameters:
+    for p in reference.parameters:
         end = ends[p.name, p.joint]
         if p.value is not None and p.std is not None and end.value is not None:
             assert abs(end.value - p.value) < 0.5 * p.std, (p.name, p.joint)
