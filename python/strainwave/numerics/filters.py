@@ -120,9 +120,9 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     derivative[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
     for start in range(2, len(signal) - 2, _PIECE):
         stop = min(start + _PIECE, len(signal) - 2)
-        near = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]
-        far = signal[start + 2 : stop + 2] - signal[start - 2 : stop - 2]
-        derivative[start:stop] = (8.0 * near - far) / (12.0 * sample_time)
+        inner_difference = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]
+        outer_difference = signal[start + 2 : stop + 2] - signal[start - 2 : stop - 2]
+        derivative[start:stop] = (8.0 * inner_difference - outer_difference) / (12.0 * sample_time)
     return derivative
 
 

@@ -95,8 +95,8 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
     scale, R, targets = reduced.scale, reduced.own, reduced.right[:, 0]
     U, s, Vt = np.linalg.svd(R)
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
-    seen = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
-    x = Vt[seen].T @ ((U[:, seen].T @ targets) / s[seen])
+    is_identifiable = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
+    x = Vt[is_identifiable].T @ ((U[:, is_identifiable].T @ targets) / s[is_identifiable])
     common, local = reduced.nuisance(x)
     return Factor(
         root=root,
@@ -106,7 +106,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         scale=scale,
         singular=s,
         directions=Vt,
-        seen=seen,
+        seen=is_identifiable,
         leverage=reduced.leverage,
     )
 
@@ -203,8 +203,8 @@ def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Lo
     first = 0
     for part in equations.local:
         n = part.columns.n_columns
-        deviation = equations.local_deviation[first : first + n]
-        yield part, part.columns.scaled(root[part.rows], deviation)
+        std = equations.local_deviation[first : first + n]
+        yield part, part.columns.scaled(root[part.rows], std)
         first += n
 
 
@@ -237,9 +237,9 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         )
         # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        deviation = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
-        normalised = np.abs(residual[rows]) / deviation
-        root[rows] = np.sqrt(HUBER / np.maximum(normalised, HUBER)) / deviation
+        std = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
+        normalised = np.abs(residual[rows]) / std
+        root[rows] = np.sqrt(HUBER / np.maximum(normalised, HUBER)) / std
     return root
 
 
@@ -342,8 +342,8 @@ def _without_blocks(
     stops = [0, *np.cumsum(counts).tolist()]
     Z = Z.rows(order)
     right = np.ascontiguousarray(right[order])
-    whole, *without = _core.leave_out(Z.first, Z.entries, Z.n_columns, right, stops)
-    return whole, dict(zip(present.tolist(), without, strict=True))
+    full, *without = _core.leave_out(Z.first, Z.entries, Z.n_columns, right, stops)
+    return full, dict(zip(present.tolist(), without, strict=True))
 
 
 def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> BoolArray:

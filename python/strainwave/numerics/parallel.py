@@ -157,8 +157,8 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
     """Results of two jobs run by `side_by_side`."""
     jobs: list[Callable[[], First | Second]] = [first, second]
-    one, other = side_by_side(jobs)
-    return cast("First", one), cast("Second", other)
+    first_result, second_result = side_by_side(jobs)
+    return cast("First", first_result), cast("Second", second_result)
 
 
 def _one_after_another(job: Callable[[], Result]) -> Result:

@@ -110,45 +110,50 @@ def minimise(
     x, first = start, linearise(start)
     if first is None:
         return None
-    at = first
+    current = first
     growth, trusted_share = 2.0, 1.0
     evaluations = 1
     costs: list[float] = []
     while True:
-        free = ~space.bounded(x, at.factor[:, :-1].T @ at.factor[:, -1])
-        gain, _ = _step(at.factor, 0.0, free)
-        costs.append(at.cost)
-        gain_tolerance = tolerance + relative * at.cost
+        is_free = ~space.bounded(x, current.factor[:, :-1].T @ current.factor[:, -1])
+        gain, _ = _step(current.factor, 0.0, is_free)
+        costs.append(current.cost)
+        gain_tolerance = tolerance + relative * current.cost
         if gain < gain_tolerance:
-            return Found(x, at, evaluations, True)
+            return Found(x, current, evaluations, True)
         stalled = (
-            len(costs) > _PATIENCE and costs[-_PATIENCE - 1] - at.cost < _STUCK * gain_tolerance
+            len(costs) > _PATIENCE
+            and costs[-_PATIENCE - 1] - current.cost < _STUCK * gain_tolerance
         )
         is_discontinuous = (
-            len(costs) > _LOST and costs[-_LOST - 1] - at.cost < _STUCK * gain_tolerance
+            len(costs) > _LOST and costs[-_LOST - 1] - current.cost < _STUCK * gain_tolerance
         )
-        is_small_gain = gain < max(_HOPE * tolerance, _LITTLE * at.cost)
+        is_small_gain = gain < max(_HOPE * tolerance, _LITTLE * current.cost)
         if is_discontinuous or (stalled and is_small_gain):
-            return Found(x, at, evaluations, True)
+            return Found(x, current, evaluations, True)
         if evaluations >= max_evaluations:
-            return Found(x, at, evaluations, False)
-        predicted, step = _trusted_step(at.factor, damping, free, _Trust(space, x, trusted_share))
+            return Found(x, current, evaluations, False)
+        predicted, step = _trusted_step(
+            current.factor, damping, is_free, _Trust(space, x, trusted_share)
+        )
         trial = space.moved(x, step)
         candidate = linearise(trial)
         evaluations += 1
-        gain_ratio = (at.cost - candidate.cost) / max(predicted, 1e-300) if candidate else -np.inf
+        gain_ratio = (
+            (current.cost - candidate.cost) / max(predicted, 1e-300) if candidate else -np.inf
+        )
         if candidate is None or gain_ratio < _HELPS:
             damping, growth = max(damping * growth, _FELT), growth * 2.0
             trusted_share *= _SHORTER
             if abs(predicted) < tolerance:  # no step decreases the cost
-                return Found(x, at, evaluations, is_small_gain)
+                return Found(x, current, evaluations, is_small_gain)
             continue
         if gain_ratio > _GOOD:
             damping = max(damping / 5.0, _LEAST_DAMPING)
         elif gain_ratio < _POOR:
             damping *= 2.0
         growth, trusted_share = 2.0, min(1.0, trusted_share / _SHORTER)
-        x, at = trial, candidate
+        x, current = trial, candidate
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,14 +176,14 @@ def _trusted_step(
     Truncating a step would leave a narrow valley, so the free components minimise the model given
     the held ones. The predicted gain may be negative; the damping then increases.
     """
-    held = np.zeros(len(free))
+    fixed_step = np.zeros(len(free))
     while True:
-        predicted, step = _step(factor, damping, free, held)
+        predicted, step = _step(factor, damping, free, fixed_step)
         limited = trust.space.trusted(trust.x, step, trust.share)
         is_limited = free & (limited != step)
         if not np.any(is_limited):
             return predicted, step
-        held[is_limited] = limited[is_limited]
+        fixed_step[is_limited] = limited[is_limited]
         free = free & ~is_limited
 
 

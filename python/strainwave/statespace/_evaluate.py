@@ -73,19 +73,21 @@ class Evaluator:
             matrices = replace(matrices, K=np.zeros_like(matrices.K))
         if feedthrough is not None:
             matrices = replace(matrices, D=matrices.D * np.array(feedthrough))
-        free = self._linear_entries(feedthrough)
+        indices = self._linear_entries(feedthrough)
         values = matrices.pack()
-        values[free] = 0.0
+        values[indices] = 0.0
         whitener = np.eye(self.data.n_outputs)
         for solution in range(solutions):
             hessian, gradient = self.core.normal_equations(values, whitener)
             # The expansion point stays the same, so a second solution replaces the first.
-            block = hessian[np.ix_(free, free)]
+            block = hessian[np.ix_(indices, indices)]
             if not np.all(np.isfinite(block)):
                 raise np.linalg.LinAlgError("the predictor overflows over the record")
             scale = np.sqrt(np.maximum(np.diagonal(block), np.finfo(float).tiny))
-            step = np.linalg.lstsq(block / np.outer(scale, scale), -gradient[free] / scale, 1e-14)
-            values[free] += step[0] / scale
+            step = np.linalg.lstsq(
+                block / np.outer(scale, scale), -gradient[indices] / scale, 1e-14
+            )
+            values[indices] += step[0] / scale
             if solution + 1 < solutions:
                 residuals = self.residuals(self.unpack(values))
                 # If the predictor diverges, keep the first solution.

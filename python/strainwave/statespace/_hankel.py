@@ -24,8 +24,8 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
     Z'Z, and R is its Cholesky factor. If Z'Z is ill-conditioned, a blocked QR decomposition of Z is
     used.
 
-    `depth`: Number of samples in a row of Z. `order` (depth * (n_inputs + n_outputs),): Permutation
-        of the columns of Z.
+    `depth`: Number of samples in a row of Z.
+    `order`: Permutation of the columns of Z.
     """
     z = np.ascontiguousarray(np.hstack([data.inputs, data.outputs]))
     gram, rows = _core.hankel_gram(z, list(data.lengths), depth)

@@ -20,9 +20,7 @@ def innovations_gain(
     converges quadratically. A - K C is stable if the noise excites all modes on or outside the unit
     circle.
 
-    `Q` (n, n). `S` (n, p). `R` (p, p).
-
-    Returns K (n, p) and C P C' + R (p, p).
+    Q has shape (n, n), S (n, p) and R (p, p). Returns K (n, p) and C P C' + R (p, p).
     """
     n = len(A)
     weighted = np.linalg.solve(R, np.hstack([C, S.T]))

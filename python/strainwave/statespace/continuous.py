@@ -16,7 +16,7 @@ from strainwave.statespace.propagation import propagate
 NEAR_NYQUIST = 0.8
 
 # Largest condition number of the eigenvectors for which the eigendecomposition of A is used. For
-# nearly multiple poles, the slower scaling-and-squaring method is used.
+# nearly multiple poles, the slower inverse scaling-and-squaring method is used.
 WELL_CONDITIONED = 1e6
 
 # Coefficients of (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first. The truncation
@@ -84,8 +84,8 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
         )
     if np.linalg.cond(vectors).max() >= WELL_CONDITIONED:
         if A.ndim > 2:
-            each = np.stack([np.stack(_between_samples(one, T)) for one in A], axis=1)
-            return each[0], each[1], each[2]
+            stacked = np.stack([np.stack(_between_samples(matrix, T)) for matrix in A], axis=1)
+            return stacked[0], stacked[1], stacked[2]
         from scipy.linalg import logm
 
         logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T

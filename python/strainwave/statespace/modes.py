@@ -59,7 +59,7 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
         _, covariance = propagate(continuous, shapes, stacked=True)
         std = np.sqrt(np.maximum(np.diagonal(np.asarray(covariance)), 0.0))
     count = len(values_s)
-    each = tuple(
+    all_modes = tuple(
         Mode(
             value=complex(value),
             frequency_hz=float(values[i]),
@@ -69,7 +69,7 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
         )
         for i, value in enumerate(values_s)
     )
-    of_poles, of_zeros = each[: len(poles)], each[len(poles) :]
+    of_poles, of_zeros = all_modes[: len(poles)], all_modes[len(poles) :]
     return Modes(of_poles, of_zeros, _least_damped(of_poles), _least_damped(of_zeros))
 
 

@@ -20,8 +20,9 @@ HELD_OUT = 0.25
 # Minimum number of held-out samples per state: the fit of the initial state also uses them.
 LEAST_HELD_OUT = 10
 
-# What a model leaves of the held-out outputs, against the least any leaves, that does not matter:
-# a share, and percentage points for data that are all but exact.
+# An order is a candidate if its unexplained part of the held-out outputs exceeds the smallest one
+# by at most this fraction plus this number of percentage points. The second term applies to nearly
+# noise-free data.
 SHARE = 0.05
 POINTS = 0.1
 
@@ -67,7 +68,7 @@ def select_order(
         kept_models = [model_on_kept(order) for order in sorted_orders]
         fits = [_held_out_fit(model, held_out) for model in kept_models]
         is_sound = _sound(kept_models)
-    unexplained_percent = np.array([100.0 - np.mean(each) for each in fits])
+    unexplained_percent = np.array([100.0 - np.mean(percentages) for percentages in fits])
     if np.isfinite(unexplained_percent[is_sound]).any():
         is_candidate = is_sound & (
             unexplained_percent <= (1.0 + SHARE) * np.min(unexplained_percent[is_sound]) + POINTS

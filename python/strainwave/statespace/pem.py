@@ -101,12 +101,12 @@ def _without_gain(
     If the disturbances are white, K is zero and the predictor is as slow as the plant. In a short
     record, an estimate of K then only adds variance to all other entries.
     """
-    plain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
-    if best.covariance is None or not is_stable(plain.A):
+    without_gain = replace(best.matrices, K=np.zeros_like(best.matrices.K))
+    if best.covariance is None or not is_stable(without_gain.A):
         return None
     # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square here.
-    limit = best.cost + 0.5 * plain.K.size * np.log(evaluator.data.n_samples)
-    start = evaluator.linear(plain, feedthrough, gain=False, solutions=1)
+    limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
+    start = evaluator.linear(without_gain, feedthrough, gain=False, solutions=1)
     if evaluator.cost(start.pack()) > best.cost + _SURELY * (limit - best.cost):
         return None
     fit = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
@@ -119,10 +119,10 @@ def _restricted(
     evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit:
     """Fit with the gain of the restricted likelihood, and its covariance."""
-    moved = restricted(evaluator, best.matrices, best.covariance)
-    if moved is best.matrices:
+    restricted_matrices = restricted(evaluator, best.matrices, best.covariance)
+    if restricted_matrices is best.matrices:
         return best
-    refit = _fit(evaluator, moved, feedthrough, replace(options, max_iterations=0))
+    refit = _fit(evaluator, restricted_matrices, feedthrough, replace(options, max_iterations=0))
     if refit is None or refit.covariance is None:
         return best
     return replace(best, matrices=refit.matrices, covariance=refit.covariance, cost=refit.cost)
@@ -156,13 +156,19 @@ def _starts(
     else:
         realisations = [_from_model(start, data)]
     evaluator = Evaluator(data, realisations[0].order)
-    stable = [replace(each, A=reflected(each.A), K=np.zeros_like(each.K)) for each in realisations]
-    starts = [evaluator.linear(each, feedthrough, gain=False, solutions=1) for each in stable]
+    stable = [
+        replace(matrices, A=reflected(matrices.A), K=np.zeros_like(matrices.K))
+        for matrices in realisations
+    ]
+    starts = [
+        evaluator.linear(matrices, feedthrough, gain=False, solutions=1) for matrices in stable
+    ]
     if options.disturbance == "innovations":
         # With sensor noise only, K = 0 and the predictor is as slow as the arm. A gain from the
         # subspace method is then far from the optimum, so both starting values are compared.
         starts += [
-            evaluator.linear(each, feedthrough, gain=True, solutions=1) for each in realisations
+            evaluator.linear(matrices, feedthrough, gain=True, solutions=1)
+            for matrices in realisations
         ]
     return starts
 

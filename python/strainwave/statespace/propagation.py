@@ -66,9 +66,11 @@ def _directions(covariance: FloatArray) -> FloatArray:
         return np.zeros((len(covariance), 0))
     correlation = covariance[np.ix_(nonzero, nonzero)] / np.outer(std[nonzero], std[nonzero])
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    kept = values > NEGLIGIBLE * values[-1]
-    factor = np.zeros((len(covariance), int(kept.sum())))
-    factor[nonzero] = std[nonzero, None] * vectors[:, kept] * np.sqrt(values[kept])
+    is_significant = values > NEGLIGIBLE * values[-1]
+    factor = np.zeros((len(covariance), int(is_significant.sum())))
+    factor[nonzero] = (
+        std[nonzero, None] * vectors[:, is_significant] * np.sqrt(values[is_significant])
+    )
     return factor
 
 

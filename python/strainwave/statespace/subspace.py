@@ -252,8 +252,8 @@ def _by_predictor(
 
 
 def _oblique(factors: Factors, past: int) -> Directions:
-    R, known, lead = factors.past_and_future(past), *_places(factors.data, past)
-    L_wy = R[known:lead, lead:]  # future outputs on the past, with the future inputs projected out
+    R, start, stop = factors.past_and_future(past), *_places(factors.data, past)
+    L_wy = R[start:stop, stop:]  # future outputs on the past, with the future inputs projected out
     _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
     return Directions(L_wy, s, Vt.T)
 
@@ -262,7 +262,7 @@ def _moesp(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     """A and C from the extended observability matrix, states from the oblique projection."""
-    p, (known, lead) = factors.data.n_outputs, _places(factors.data, past)
+    p, (start, stop) = factors.data.n_outputs, _places(factors.data, past)
     R, directions = factors.past_and_future(past), factors.oblique(past)
     s = directions.singular_values
     n = order or _largest_gap(s)
@@ -271,7 +271,7 @@ def _moesp(
     A = np.asarray(np.linalg.lstsq(observability[:-p], observability[p:], rcond=None)[0])
     # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
     targets = directions.matrix @ np.linalg.pinv(observability).T
-    oblique = solve_upper(R[known:lead, known:lead], targets)
+    oblique = solve_upper(R[start:stop, start:stop], targets)
     return _from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
 
 
@@ -279,10 +279,10 @@ def _n4sid(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     """States from the unweighted oblique projection; A, B, C, D by regression on the states."""
-    R, (known, lead) = factors.past_and_future(past), _places(factors.data, past)
-    onto_past = solve_upper(R[known:lead, known:lead], R[known:lead, lead:])
+    R, (start, stop) = factors.past_and_future(past), _places(factors.data, past)
+    onto_past = solve_upper(R[start:stop, start:stop], R[start:stop, stop:])
     # the projection acts on w itself, not on w after removal of the future inputs
-    _, s, Vt = np.linalg.svd(np.linalg.qr(R[:lead, known:lead] @ onto_past, mode="r"))
+    _, s, Vt = np.linalg.svd(np.linalg.qr(R[:stop, start:stop] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
     observability = Vt[:n].T * np.sqrt(s[:n])
     oblique = onto_past @ np.linalg.pinv(observability).T
