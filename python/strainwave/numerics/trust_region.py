@@ -105,7 +105,8 @@ def minimise(
     `max_evaluations`: Maximum number of calls of `linearise`.
 
     `converged` is False if the evaluation limit is reached, or if no step decreases the cost
-    although a large decrease is predicted. Returns None if the problem is not defined at the start.
+    although a large decrease is predicted. A stalled iteration counts as converged. Returns None if
+    the problem is not defined at the start.
     """
     x, first = start, linearise(start)
     if first is None:
