@@ -1,19 +1,18 @@
 """One step of the two-link arm with three-slope gears, against C, SciPy and MuJoCo.
 
-All integrate the built-in arm, 10 V PRBS on joint 1, at 0.125 ms. The C loop has the same equations
-and Runge-Kutta's method, with friction by the sign of the velocity: no sticking, no events.
+All integrate the built-in arm under a 10 V PRBS on joint 1 at 0.125 ms. The C loop has the same
+equations and the same Runge-Kutta method; its friction follows the sign of the velocity, without
+stiction and events.
 """
 
 from __future__ import annotations
 
 import math
-import os
-import re
 import shutil
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -25,44 +24,20 @@ from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
 from strainwave.virtual import scara
 
-STEP = 1.25e-4
+STEP = 1.25e-4  # [s]
 SECONDS = 1.023
 STEPS = round(SECONDS / STEP)
 
 
 def rows() -> list[Row]:
-    single = _ours(arms=1)
-    c_single, c_batch, c_all = _c_peer()
-    few, many = _followed(15), _followed(25)
-    flags = "C, gcc, best of its flags"
+    single, few, many = _ours(), _with_derivatives(15), _with_derivatives(25)
     return [
-        Row("a step of one arm", single, flags, c_single),
+        Row("a step of one arm", single, "C, gcc, best of its flags", _c_peer()),
         Row("a step of one arm", single, "SciPy solve_ivp RK45, rtol 1e-6", _scipy()),
         Row("a step of one arm", single, "MuJoCo, RK4", _mujoco()),
         Row("a step with 15 derivatives", few, "15 more simulations", 16.0 * single),
         Row("a step with 25 derivatives", many, "25 more simulations", 26.0 * single),
-        Row("a step of an arm in a batch, 1 core", _batch(1), f"{flags}, 16 side by side", c_batch),
-        Row(
-            f"a step of an arm in a batch, {_cores()} cores",
-            _batch(_cores()),
-            f"{flags}, 16 side by side on each core",
-            c_all,
-        ),
     ]
-
-
-def _batch(threads: int) -> float:
-    """Ours in a process of its own, whose number of threads is set before it begins."""
-    code = "from benchmarks.bench_arm import _ours; print(_ours(arms=256))"
-    environment = os.environ | {"RAYON_NUM_THREADS": str(threads)}
-    printed = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True, env=environment
-    ).stdout
-    return float(printed)
-
-
-def _cores() -> int:
-    return os.cpu_count() or 1
 
 
 def _voltage() -> FloatArray:
@@ -70,93 +45,58 @@ def _voltage() -> FloatArray:
     return np.column_stack([np.append(one, 0.0), np.zeros(len(one) + 1)])
 
 
-def _ours(arms: int) -> float:
-    study = scara.study(Path())
-    rig = Arm.of(study.arm)
-    arm, one = rig.core, rig.parameter_vector(scara.parameters())
-    rng = np.random.default_rng(0)
-    many = one * (1.0 + 0.05 * rng.standard_normal((arms, len(one))) * (arms > 1))
-    voltage = _voltage()
-
-    def run() -> None:
-        arm.simulate(
-            many,
-            voltage,
-            motor_angle=(0.0, 0.0),
-            step=STEP,
-            steps_per_tick=8,
-            steps_per_sample=8,
-            samples=STEPS // 8,
-            record=["motor_velocity"],
-        )
-
-    return best_of(run) / (STEPS * arms)
+def _ours() -> float:
+    rig = Arm.of(scara.study(Path()).arm)
+    values = rig.parameter_vector(scara.parameters())[None, :]
+    return best_of(lambda: rig.core.simulate(values, **_experiment())) / STEPS
 
 
-def _followed(directions: int) -> float:
-    study = scara.study(Path())
-    rig = Arm.of(study.arm)
-    arm, values = rig.core, rig.parameter_vector(scara.parameters())
-    names = [name for name in arm.parameter_names if not name[0].startswith("gravity")]
-    voltage = _voltage()
+def _with_derivatives(count: int) -> float:
+    rig = Arm.of(scara.study(Path()).arm)
+    values = rig.parameter_vector(scara.parameters())
+    names = [name for name in rig.parameter_names if not name[0].startswith("gravity")][:count]
+    return (
+        best_of(lambda: rig.core.sensitivities(values, with_respect_to=names, **_experiment()))
+        / STEPS
+    )
 
-    def run() -> None:
-        arm.sensitivities(
-            values,
-            voltage,
-            with_respect_to=names[:directions],
-            motor_angle=(0.0, 0.0),
-            step=STEP,
-            steps_per_tick=8,
-            steps_per_sample=8,
-            samples=STEPS // 8,
-            record=["motor_velocity"],
-        )
 
-    return best_of(run) / STEPS
+def _experiment() -> dict[str, Any]:
+    return {
+        "voltage": _voltage(),
+        "motor_angle": (0.0, 0.0),
+        "step": STEP,
+        "steps_per_tick": 8,
+        "steps_per_sample": 8,
+        "samples": STEPS // 8,
+        "record": ["motor_velocity"],
+    }
 
 
 _FLAGS = (
-    "-O3 -march=native -ffast-math -fopenmp-simd",
-    "-O3 -march=native -ffast-math -fopenmp-simd -fno-ipa-sra",
-    "-O2 -ftree-vectorize -march=native -ffast-math -fopenmp-simd -fno-ipa-sra",
-    "-O2 -ftree-vectorize -march=native -ffast-math -fopenmp-simd -fno-ipa-sra"
-    " -mprefer-vector-width=512",
+    "-O3 -march=native -ffast-math",
+    "-O3 -march=native -ffast-math -fno-ipa-sra",
+    "-O2 -march=native -ffast-math -fno-ipa-sra",
 )
-"""Of which some vectorise the lanes' loop and others do not."""
+"""The fastest of these depends on the compiler."""
 
 
-def _c_peer() -> tuple[float | None, float | None, float | None]:
-    """The C loop's time a step: one trajectory, each of many, and each with all cores at it."""
+def _c_peer() -> float | None:
+    """Time of a step of the C loop [s]."""
     compiler = shutil.which("gcc")
     if compiler is None:
-        return None, None, None
+        return None
     source = Path(__file__).with_name("arm_peer.c")
+    times = []
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "arm_values.h").write_text(_c_values())
-        found = []
-        for k, flags in enumerate(_FLAGS):
-            program = str(Path(folder) / f"arm_peer_{k}")
+        program = str(Path(folder) / "arm_peer")
+        for flags in _FLAGS:
             build = [compiler, *flags.split(), "-I", folder, str(source), "-lm", "-o", program]
             subprocess.run(build, check=True)
-            found.append((*_c_times([program])[0], program))
-        single = min(one for one, _, _ in found)
-        _, batch, fastest = min(found, key=lambda times: times[1])
-        beside = [each for _, each in _c_times([fastest] * _cores())]
-    return single, batch, float(np.mean(beside)) / _cores()
-
-
-def _c_times(programs: list[str]) -> list[tuple[float, float]]:
-    """Runs programs at once; their two lines end in "N ns a step" and "N each"."""
-    running = [subprocess.Popen([name], stdout=subprocess.PIPE, text=True) for name in programs]
-    found = []
-    for each in running:
-        printed, _ = each.communicate()
-        times = re.search(r"([\d.]+) ns a step\n.* ([\d.]+) each", printed)
-        if times is None:
-            raise RuntimeError(f"the C loop printed {printed!r}")
-        found.append((1e-9 * float(times[1]), 1e-9 * float(times[2])))
-    return found
+            printed = subprocess.run([program], check=True, capture_output=True, text=True).stdout
+            times.append(1e-9 * float(printed))
+    return min(times)
 
 
 def _c_values() -> str:
@@ -196,7 +136,7 @@ def _braced(value: object) -> str:
 
 
 def _scipy() -> float:
-    """The same arm; friction regularised, for no solver of SciPy's finds stick and slip."""
+    """The same arm; friction is regularised, because SciPy has no set-valued friction."""
     from scipy.integrate import solve_ivp
 
     values, joints = scara.parameters(), scara.study(Path()).arm.joints
@@ -234,7 +174,7 @@ def _scipy() -> float:
         a1, a2 = (m22 * link[0] - m12 * link[1]) * scale, (m11 * link[1] - m12 * link[0]) * scale
         return [x[2], x[3], *motor, x[6], x[7], a1, a2, *torque]
 
-    # A tenth of the record is enough: the work grows in proportion.
+    # A tenth of the record suffices, because the work is proportional to its length.
     part = 0.1
     time = best_of(lambda: solve_ivp(field, (0.0, part), np.zeros(10), rtol=1e-6), repeats=2)
     return time / (part / STEP)

@@ -63,7 +63,7 @@ class Arm:
         effects: Sequence[Sequence[str]] | None = None,
         gear_corner: float = ...,
     ) -> Arm:
-        """A chain of 1 to 6 rigid links on joints that are placed anywhere in space.
+        """A chain of 1 to 7 rigid links on joints that are placed anywhere in space.
 
         A joint is "revolute" or "prismatic", its origin [m] and its roll, pitch and yaw [rad] at
         zero angle in the frame of the link before, and its axis in its own frame, as in URDF.

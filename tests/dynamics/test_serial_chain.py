@@ -208,8 +208,8 @@ def test_parameters_are_ten_per_link_then_those_of_joints() -> None:
 
 def test_invalid_chains_are_rejected() -> None:
     joint = ("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])
-    with pytest.raises(ValueError, match="a chain has 1 to 6 joints, got 7"):
-        chain([joint] * 7)
+    with pytest.raises(ValueError, match="a chain has 1 to 7 joints, got 8"):
+        chain([joint] * 8)
     with pytest.raises(ValueError, match="the axis of joint 2 has no direction"):
         chain([joint, ("revolute", [0.0] * 3, [0.0] * 3, [0.0] * 3)])
     with pytest.raises(ValueError, match='no joint of type "helical"'):

@@ -16,15 +16,17 @@
 //! | [`sensors`] | encoders, low-passes, IMUs, decimation |
 //! | [`experiment`] | whole experiments over any [`scalar::Real`] |
 //! | [`sensitivity`] | their derivatives |
-//! | [`dispatch`] | which scalar runs an experiment |
+//! | [`program`] | the functions to be compiled, and the scalars they run on |
+//! | [`compiled`] | arms of any number of joints behind one interface |
 
 pub mod actuation;
 pub mod arm;
-pub mod dispatch;
+pub mod compiled;
 pub mod experiment;
 pub mod joint;
 pub mod parameter;
 pub mod plant;
+pub mod program;
 pub mod scalar;
 pub mod sensitivity;
 pub mod sensors;

@@ -3,7 +3,7 @@
 use numpy::PyReadonlyArray2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_core::arm::{ChainJoint, JointType, OneLink, SerialChain, TwoLink};
+use strainwave_core::arm::{ChainJoint, JointType};
 use strainwave_core::experiment::{Clock, Quantity};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{self, Law};
@@ -62,37 +62,10 @@ impl Joints {
     }
 }
 
-pub fn two_link<const VERTICAL: bool>(
-    link_length: f64,
-    gravity: f64,
-    accelerometer_distance: &[f64],
-) -> PyResult<TwoLink<VERTICAL>> {
-    Ok(TwoLink {
-        link_length,
-        gravity,
-        accelerometer_distance: of_joints(accelerometer_distance)?,
-    })
-}
-
-pub fn one_link<const VERTICAL: bool>(
-    gravity: f64,
-    accelerometer_distance: &[f64],
-) -> PyResult<OneLink<VERTICAL>> {
-    let [accelerometer_distance] = of_joints(accelerometer_distance)?;
-    Ok(OneLink {
-        gravity,
-        accelerometer_distance,
-    })
-}
-
-pub fn serial_chain<const N: usize>(
-    joints: &[Placed],
-    gravity: [f64; 3],
-    accelerometer_distance: &[f64],
-) -> PyResult<SerialChain<N>> {
-    let mut placed = Vec::with_capacity(N);
-    for ((name, position, attitude, axis), &distance) in joints.iter().zip(accelerometer_distance) {
-        placed.push(ChainJoint {
+/// Joints of a chain with the distances of their accelerometers.
+pub fn chain_joints(joints: &[Placed], distances: &[f64]) -> PyResult<Vec<ChainJoint>> {
+    let placed = |((name, position, attitude, axis), &distance): (&Placed, &f64)| {
+        Ok(ChainJoint {
             joint_type: match name.as_str() {
                 "revolute" => JointType::Revolute,
                 "prismatic" => JointType::Prismatic,
@@ -102,11 +75,9 @@ pub fn serial_chain<const N: usize>(
             attitude: *attitude,
             axis: *axis,
             accelerometer_distance: distance,
-        });
-    }
-    SerialChain::new(&of_joints(&placed)?, gravity).map_err(|place| {
-        PyValueError::new_err(format!("the axis of joint {} has no direction", place + 1))
-    })
+        })
+    };
+    joints.iter().zip(distances).map(placed).collect()
 }
 
 /// A value for each of an arm's joints.
@@ -199,32 +170,20 @@ pub fn given<T: Clone>(
     Ok(values)
 }
 
-pub fn fixed<T: Copy, const N: usize>(values: &[T], name: &str) -> PyResult<[T; N]> {
-    values.try_into().map_err(|_| {
-        PyValueError::new_err(format!("{name}: expected {N} values, got {}", values.len()))
-    })
-}
-
-pub fn rows<const N: usize>(
-    matrix: &Matrix<'_>,
-    name: &str,
-    least: usize,
-) -> PyResult<Vec<[f64; N]>> {
+/// The rows of a matrix one after the other; at least so many, of so many columns.
+pub fn rows(matrix: &Matrix<'_>, name: &str, least: usize, columns: usize) -> PyResult<Vec<f64>> {
     let matrix = matrix.as_array();
-    if matrix.ncols() != N || matrix.nrows() < least {
-        let (rows, columns) = matrix.dim();
-        let text =
-            format!("{name}: expected at least {least} x {N} values, got {rows} x {columns}");
-        return Err(PyValueError::new_err(text));
+    let (got, got_columns) = matrix.dim();
+    if got_columns != columns || got < least {
+        return Err(PyValueError::new_err(format!(
+            "{name}: expected at least {least} x {columns} values, got {got} x {got_columns}"
+        )));
     }
-    Ok(matrix
-        .rows()
-        .into_iter()
-        .map(|row| std::array::from_fn(|i| row[i]))
-        .collect())
+    Ok(matrix.iter().copied().collect())
 }
 
-pub fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64; N]>; 3]> {
+/// The rows of a motion's angles, velocities and accelerations.
+pub fn same_rows(motion: [&Matrix<'_>; 3], columns: usize) -> PyResult<[Vec<f64>; 3]> {
     let samples = motion[0].as_array().nrows();
     if motion.iter().any(|part| part.as_array().nrows() != samples) {
         return Err(PyValueError::new_err(
@@ -233,8 +192,13 @@ pub fn same_rows<const N: usize>(motion: [&Matrix<'_>; 3]) -> PyResult<[Vec<[f64
     }
     let [q, dq, ddq] = motion;
     Ok([
-        rows(q, "angle", 0)?,
-        rows(dq, "velocity", 0)?,
-        rows(ddq, "acceleration", 0)?,
+        rows(q, "angle", 0, columns)?,
+        rows(dq, "velocity", 0, columns)?,
+        rows(ddq, "acceleration", 0, columns)?,
     ])
+}
+
+/// An error of the core as Python's ValueError.
+pub fn value_error(error: impl std::fmt::Display) -> PyErr {
+    PyValueError::new_err(error.to_string())
 }

@@ -38,7 +38,7 @@ fn row((owner, parameter): Declared) -> Row {
 fn parameter_table() -> Vec<Row> {
     let of = |owner, own: &'static [Parameter]| own.iter().map(move |&one| (owner, one));
     of("planar-two-link", TwoLink::<true>::PARAMETERS)
-        .chain(of("single-joint", OneLink::<true>::PARAMETERS))
+        .chain(of("single-joint", OneLink::PARAMETERS))
         .chain(of("serial", SerialChain::<1>::PARAMETERS))
         .chain(joint_parameters())
         .map(row)

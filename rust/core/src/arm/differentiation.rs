@@ -140,8 +140,7 @@ mod tests {
             check(&TwoLink::<false> { link_length, gravity, accelerometer_distance }, &values, &motion);
             check(&TwoLink::<true> { link_length, gravity, accelerometer_distance }, &values, &motion);
             let (motion, accelerometer_distance) = (motion.map(|[first, _]| [first]), 0.3);
-            check(&OneLink::<false> { gravity, accelerometer_distance }, &values[..2], &motion);
-            check(&OneLink::<true> { gravity, accelerometer_distance }, &values[..2], &motion);
+            check(&OneLink { gravity, accelerometer_distance }, &values[..2], &motion);
         }
     }
 }

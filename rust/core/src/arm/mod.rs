@@ -160,6 +160,12 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     }
 }
 
+/// One in a plane of motion with gravity, and zero in a horizontal one.
+#[inline(always)]
+fn has_gravity(gravity: f64) -> f64 {
+    if gravity == 0.0 { 0.0 } else { 1.0 }
+}
+
 /// Derivatives of one vector by the joint angles and by the joint velocities, rows by columns.
 #[derive(Clone, Copy, Debug)]
 pub struct Slopes<R, const N: usize> {

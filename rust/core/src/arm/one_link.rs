@@ -2,14 +2,14 @@
 
 use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
 use super::turn::Turn;
-use super::{Arm, Name, Slopes};
+use super::{Arm, Name, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// One link on one joint, revolute or prismatic, with or without gravity in the plane of motion.
+/// One link on one joint, revolute or prismatic.
 #[derive(Clone, Copy, Debug)]
-pub struct OneLink<const VERTICAL: bool> {
-    /// g [m/s^2] in the plane of motion; not looked at where that is horizontal.
+pub struct OneLink {
+    /// g [m/s^2] in the plane of motion; without it, the gravity torque has no effect.
     pub gravity: f64,
     /// l_a [m], the accelerometer's distance from the axis.
     pub accelerometer_distance: f64,
@@ -22,13 +22,13 @@ pub struct OneLinkBase<R> {
     g1: R,
 }
 
-impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
+impl Arm<1> for OneLink {
     type Base<R: Real> = OneLinkBase<R>;
     type Posture<R: Real> = Turn<R>;
 
     type Regressor<R: Real> = [[R; 1]; 2];
 
-    const FELT: [bool; 1] = [VERTICAL];
+    const FELT: [bool; 1] = [true];
     const PLANAR: bool = true;
 
     const PARAMETERS: &'static [Parameter] = &[
@@ -72,7 +72,10 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
     fn base<R: Real>(&self, values: &[R]) -> OneLinkBase<R> {
         OneLinkBase {
             inertia: values[0],
-            g1: values[1],
+            g1: match self.gravity {
+                0.0 => R::splat(0.0),
+                _ => values[1],
+            },
         }
     }
 
@@ -86,22 +89,12 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
 
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; 1]) -> Turn<R> {
-        if VERTICAL {
-            return Turn::of(q[0]);
-        }
-        Turn {
-            sin: R::splat(0.0),
-            cos: R::splat(1.0),
-        }
+        Turn::of(q[0])
     }
 
     #[inline(always)]
     fn near<R: Real>(&self, from: &Turn<R>, increment: &[R; 1]) -> Turn<R> {
-        if VERTICAL {
-            from.further(increment[0])
-        } else {
-            *from
-        }
+        from.further(increment[0])
     }
 
     #[inline(always)]
@@ -116,11 +109,7 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
 
     #[inline(always)]
     fn bias<R: Real>(&self, base: &OneLinkBase<R>, at: &Turn<R>, _: &[R; 1]) -> [R; 1] {
-        [if VERTICAL {
-            base.g1 * at.cos
-        } else {
-            R::splat(0.0)
-        }]
+        [base.g1 * at.cos]
     }
 
     #[inline(always)]
@@ -131,36 +120,26 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         _: &[R; 1],
         _: &[R; 1],
     ) -> Slopes<R, 1> {
-        let zero = R::splat(0.0);
         Slopes {
-            angle: [[if VERTICAL { -(base.g1 * at.sin) } else { zero }]],
-            velocity: [[zero]],
+            angle: [[-(base.g1 * at.sin)]],
+            velocity: [[R::splat(0.0)]],
         }
     }
 
     #[inline(always)]
     fn regressor<R: Real>(&self, at: &Turn<R>, _: &[R; 1], ddq: &[R; 1]) -> [[R; 1]; 2] {
-        let gravity = if VERTICAL { at.cos } else { R::splat(0.0) };
-        [[ddq[0]], [gravity]]
+        [[ddq[0]], [R::splat(has_gravity(self.gravity)) * at.cos]]
     }
 
     #[inline(always)]
     fn potential<R: Real>(&self, base: &OneLinkBase<R>, at: &Turn<R>) -> R {
-        if VERTICAL {
-            base.g1 * at.sin
-        } else {
-            R::splat(0.0)
-        }
+        base.g1 * at.sin
     }
 
     #[inline(always)]
     fn accelerometers<R: Real>(&self, at: &Turn<R>, _: &[R; 1], ddq: &[R; 1]) -> [R; 1] {
         let reading = R::splat(self.accelerometer_distance) * ddq[0];
-        [if VERTICAL {
-            R::splat(self.gravity).mul_add(at.cos, reading)
-        } else {
-            reading
-        }]
+        [R::splat(self.gravity).mul_add(at.cos, reading)]
     }
 
     #[inline(always)]
@@ -170,14 +149,9 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         _: &[R; 1],
         _: &[R; 1],
     ) -> (Slopes<R, 1>, [[R; 1]; 1]) {
-        let zero = R::splat(0.0);
         let slopes = Slopes {
-            angle: [[if VERTICAL {
-                -(R::splat(self.gravity) * at.sin)
-            } else {
-                zero
-            }]],
-            velocity: [[zero]],
+            angle: [[-(R::splat(self.gravity) * at.sin)]],
+            velocity: [[R::splat(0.0)]],
         };
         (slopes, [[R::splat(self.accelerometer_distance)]])
     }
@@ -194,7 +168,7 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         dq: &[R; 1],
         ddq: &[R; 1],
     ) -> [[R; 1]; LINK_SIGNALS] {
-        planar(&turns(at), self.felt(), 0.0, dq, ddq)
+        planar(&turns(at), self.gravity, 0.0, dq, ddq)
     }
 
     #[inline(always)]
@@ -204,15 +178,7 @@ impl<const VERTICAL: bool> Arm<1> for OneLink<VERTICAL> {
         dq: &[R; 1],
         ddq: &[R; 1],
     ) -> [LinkSignalSlopes<R, 1>; 1] {
-        planar_slopes(&turns(at), self.felt(), 0.0, dq, ddq)
-    }
-}
-
-impl<const VERTICAL: bool> OneLink<VERTICAL> {
-    /// Gravity in the plane of motion; none where the arm lies flat.
-    #[inline(always)]
-    fn felt(&self) -> f64 {
-        if VERTICAL { self.gravity } else { 0.0 }
+        planar_slopes(&turns(at), self.gravity, 0.0, dq, ddq)
     }
 }
 

@@ -2,17 +2,19 @@
 
 use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
 use super::turn::Turn;
-use super::{Arm, Name, Slopes};
+use super::{Arm, Name, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
-/// A planar arm of two links whose second angle is relative to the first, (3) and (4), with or
-/// without gravity in the plane of motion.
+/// A planar arm of two links whose second angle is relative to the first, (3) and (4).
+///
+/// A horizontal arm is a vertical one without gravity. `TwoLink<false>` is the same arm without the
+/// terms of gravity, which are a fifth of a step.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLink<const VERTICAL: bool> {
     /// l_1 [m], from axis to axis.
     pub link_length: f64,
-    /// g [m/s^2] in the plane of motion; not looked at where that is horizontal.
+    /// g [m/s^2] in the plane of motion; without it, the gravity torques have no effect.
     pub gravity: f64,
     /// l_a [m], the accelerometers' distances from each link's own axis.
     pub accelerometer_distance: [f64; 2],
@@ -111,12 +113,16 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     #[inline(always)]
     fn base<R: Real>(&self, values: &[R]) -> TwoLinkBase<R> {
+        let torque = |value: R| match self.gravity {
+            0.0 => R::splat(0.0),
+            _ => value,
+        };
         TwoLinkBase {
             alpha: values[0],
             beta: values[1],
             gamma: values[2],
-            g1: values[3],
-            g2: values[4],
+            g1: torque(values[3]),
+            g2: torque(values[4]),
         }
     }
 
@@ -224,8 +230,9 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ];
         let (mut inner, mut outer) = (zero, zero);
         if VERTICAL {
-            inner = at.first.cos;
-            outer = at.first.plus(at.second).cos;
+            let felt = R::splat(has_gravity(self.gravity));
+            inner = felt * at.first.cos;
+            outer = felt * at.first.plus(at.second).cos;
         }
         [
             [ddq[0], zero],
@@ -306,6 +313,17 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ddq: &[R; 2],
     ) -> [LinkSignalSlopes<R, 2>; 2] {
         planar_slopes(&self.turns(at), self.felt(), self.link_length, dq, ddq)
+    }
+}
+
+impl TwoLink<true> {
+    /// The same arm without the terms of gravity, for horizontal arms.
+    pub fn level(&self) -> TwoLink<false> {
+        TwoLink {
+            link_length: self.link_length,
+            gravity: 0.0,
+            accelerometer_distance: self.accelerometer_distance,
+        }
     }
 }
 

@@ -174,6 +174,22 @@ pub struct Task<A, const N: usize> {
     pub record: Vec<Quantity>,
 }
 
+impl<A: Copy, const N: usize> Task<A, N> {
+    /// The same experiment on another description of the arm.
+    pub fn with_arm<B>(&self, arm: impl Fn(&A) -> B) -> Task<B, N> {
+        Task {
+            config: Config {
+                arm: arm(&self.config.arm),
+                corner: self.config.corner,
+                joints: self.config.joints,
+            },
+            clock: self.clock,
+            servo: self.servo,
+            record: self.record.clone(),
+        }
+    }
+}
+
 /// What was recorded: for each quantity of the task, samples times joints.
 pub type Record<const N: usize> = RecordOf<f64, N>;
 

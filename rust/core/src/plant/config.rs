@@ -11,7 +11,7 @@ use crate::joint::gear::{self, Gears, Law, MOST_OF_A_LAW};
 use crate::joint::transmission::{DRIVE, GEAR_DAMPING, SETTLING};
 use crate::parameter::Parameter;
 use crate::plant::Plant;
-use crate::scalar::{Real, gather};
+use crate::scalar::Real;
 
 /// One joint's known constants.
 #[derive(Clone, Copy, Debug)]
@@ -198,13 +198,12 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             })
     }
 
-    /// The arm with given parameter values: lane `l` gets those of `values[l]`.
+    /// The arm with given parameter values.
     pub fn plant<R: Real, G: Gears, const EFFECTS: bool>(
         &self,
-        values: &[&[f64]],
+        values: &[f64],
     ) -> Plant<A, R, G, N, EFFECTS> {
-        assert_eq!(values.len(), R::LANES);
-        self.plant_of(|k| gather(|lane| R::One::splat(values[lane][k])))
+        self.plant_of(|k| R::splat(values[k]))
     }
 
     /// The arm whose `k`-th parameter is `value(k)`.

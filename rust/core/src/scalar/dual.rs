@@ -99,7 +99,6 @@ impl<S: Real, V: Real> Neg for Dual<S, V> {
 
 impl<S: Real, V: Real> Real for Dual<S, V> {
     const LANES: usize = S::LANES;
-    type One = Self;
 
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
@@ -158,14 +157,6 @@ impl<S: Real, V: Real> Real for Dual<S, V> {
     #[inline(always)]
     fn set_lane(&mut self, index: usize, value: f64) {
         self.value.set_lane(index, value);
-    }
-    #[inline(always)]
-    fn one(self, _: usize) -> Self {
-        self
-    }
-    #[inline(always)]
-    fn set_one(&mut self, _: usize, one: Self) {
-        *self = one;
     }
 
     /// f(x, p) = 0 makes x' = -(df/dp) / (df/dx).

@@ -24,13 +24,20 @@ impl<R: Real> Jet<R> {
         Self { value, tangent }
     }
 
+    /// Replaces one lane, value and derivative.
+    #[inline(always)]
+    fn take_lane(&mut self, lane: usize, other: Self) {
+        self.value.set_lane(lane, other.value.lane(lane));
+        self.tangent.set_lane(lane, other.tangent.lane(lane));
+    }
+
     /// In each lane one of two numbers.
     #[inline(always)]
     fn choose(self, other: Self, first: impl Fn(f64, f64) -> bool) -> Self {
         let mut all = self;
         for lane in 0..R::LANES {
             if !first(self.value.lane(lane), other.value.lane(lane)) {
-                all.set_one(lane, other.one(lane));
+                all.take_lane(lane, other);
             }
         }
         all
@@ -95,7 +102,6 @@ impl<R: Real> Neg for Jet<R> {
 
 impl<R: Real> Real for Jet<R> {
     const LANES: usize = R::LANES;
-    type One = Jet<R::One>;
 
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
@@ -132,7 +138,7 @@ impl<R: Real> Real for Jet<R> {
         for lane in 0..R::LANES {
             let negative = [self, sign].map(|of| of.lane(lane).is_sign_negative());
             if negative[0] != negative[1] {
-                all.set_one(lane, turned.one(lane));
+                all.take_lane(lane, turned);
             }
         }
         all
@@ -148,18 +154,6 @@ impl<R: Real> Real for Jet<R> {
     #[inline(always)]
     fn set_lane(&mut self, index: usize, value: f64) {
         self.value.set_lane(index, value);
-    }
-    #[inline(always)]
-    fn one(self, index: usize) -> Jet<R::One> {
-        Jet {
-            value: self.value.one(index),
-            tangent: self.tangent.one(index),
-        }
-    }
-    #[inline(always)]
-    fn set_one(&mut self, index: usize, one: Jet<R::One>) {
-        self.value.set_one(index, one.value);
-        self.tangent.set_one(index, one.tangent);
     }
 
     /// f(x, p) = 0 makes x' = -(df/dp) / (df/dx); the slope as that of [`super::Dual`].

@@ -50,7 +50,6 @@ operators!(
 
 impl Real for Fused {
     const LANES: usize = 1;
-    type One = Self;
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         // SAFETY: the processor has the features, as the top of this file says.
@@ -92,14 +91,6 @@ impl Real for Fused {
     fn set_lane(&mut self, _: usize, value: f64) {
         self.0 = value;
     }
-    #[inline(always)]
-    fn one(self, _: usize) -> Self {
-        self
-    }
-    #[inline(always)]
-    fn set_one(&mut self, _: usize, one: Self) {
-        *self = one;
-    }
 }
 
 macro_rules! vector {
@@ -123,7 +114,6 @@ macro_rules! vector {
 
         impl Real for $name {
             const LANES: usize = $lanes;
-            type One = Fused;
             #[inline(always)]
             fn scope<W: Work>(work: W) -> W::Output {
                 unsafe { $with(work) }
@@ -181,14 +171,6 @@ macro_rules! vector {
                 assert!(to.len() >= $lanes);
                 // SAFETY: as in `load`.
                 unsafe { to.as_mut_ptr().cast::<$register>().write_unaligned(self.0) }
-            }
-            #[inline(always)]
-            fn one(self, index: usize) -> Fused {
-                Fused(self.lane(index))
-            }
-            #[inline(always)]
-            fn set_one(&mut self, index: usize, one: Fused) {
-                self.set_lane(index, one.0);
             }
         }
     };

@@ -12,5 +12,5 @@ pub(crate) use aligned::Aligned;
 pub use dual::Dual;
 pub use jet::Jet;
 pub(crate) use real::apart;
-pub use real::{Lanes, MOST_LANES, Real, Work, gather};
+pub use real::{Lanes, MOST_LANES, Real, Work};
 pub(crate) use solve::{inverse, solve};

@@ -31,8 +31,6 @@ pub trait Real:
 {
     /// How many numbers stand side by side.
     const LANES: usize;
-    /// What stands in one lane.
-    type One: Real<One = Self::One>;
     /// Runs work compiled for the processor features that this scalar's operations need.
     ///
     /// Outside of such a scope each operation would be a call, so every hot function that is not
@@ -57,10 +55,6 @@ pub trait Real:
     fn lane(self, index: usize) -> f64;
     /// Replaces the number in one lane. A derivative that is carried along stays as it is.
     fn set_lane(&mut self, index: usize, value: f64);
-    /// What stands in one lane, with its derivatives.
-    fn one(self, index: usize) -> Self::One;
-    /// Replaces what stands in one lane, with its derivatives.
-    fn set_one(&mut self, index: usize, one: Self::One);
 
     /// The first numbers of a list, one a lane.
     #[inline(always)]
@@ -194,16 +188,6 @@ pub(crate) fn apart<R: Real, W: Work>(work: W) -> W::Output {
     R::scope(work)
 }
 
-/// A number per lane.
-#[inline(always)]
-pub fn gather<R: Real>(value: impl Fn(usize) -> R::One) -> R {
-    let mut all = R::splat(0.0);
-    for lane in 0..R::LANES {
-        all.set_one(lane, value(lane));
-    }
-    all
-}
-
 /// [`Lanes`] of a scalar.
 macro_rules! one_lane {
     ($type:ty) => {
@@ -227,7 +211,6 @@ one_lane!(f64);
 
 impl Real for f64 {
     const LANES: usize = 1;
-    type One = Self;
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
         work.run()
@@ -268,14 +251,6 @@ impl Real for f64 {
     #[inline(always)]
     fn set_lane(&mut self, _: usize, value: f64) {
         *self = value;
-    }
-    #[inline(always)]
-    fn one(self, _: usize) -> Self {
-        self
-    }
-    #[inline(always)]
-    fn set_one(&mut self, _: usize, one: Self) {
-        *self = one;
     }
 }
 

@@ -5,7 +5,7 @@
 
 use crate::actuation::current_loop::{CurrentLoop, StepTorque};
 use crate::arm::Arm;
-use crate::experiment::simulate::Group;
+use crate::experiment::simulate::Simulation;
 use crate::experiment::{Member, Quantity, Source, Task};
 use crate::joint::gear::Gears;
 use crate::plant::config::{Config, Role};
@@ -44,7 +44,7 @@ pub(crate) struct Through<S, const N: usize> {
 pub(crate) struct BlockTrajectory<
     'a,
     A: Arm<N>,
-    S: Real<One = S>,
+    S: Real,
     V: Lanes,
     G: Gears,
     const N: usize,
@@ -52,7 +52,7 @@ pub(crate) struct BlockTrajectory<
 > {
     pub(crate) block: TangentBlock<V, N>,
     /// The chain over numbers with derivatives, for what is not smooth.
-    dual: Group<'a, A, Dual<S, V>, G, N, EFFECTS>,
+    dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS>,
     /// Whether the torques depend on anything: they do where a servo closes the loop, and where a
     /// direction is by the size of what the drive does to a voltage.
     pub(crate) driven: bool,
@@ -70,7 +70,7 @@ pub(crate) struct BlockTrajectory<
     own: Vec<Option<(usize, usize)>>,
 }
 
-impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
+impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
     BlockTrajectory<'a, A, S, V, G, N, EFFECTS>
 {
     pub(crate) fn new(
@@ -80,8 +80,8 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
         let given = |source, value| seeded(source, value, directions);
-        let dual: Group<'a, A, Dual<S, V>, G, N, EFFECTS> =
-            Group::new(task, std::slice::from_ref(member), &given);
+        let dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS> =
+            Simulation::new(task, member, &given);
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
         let half = 0.5 * task.clock.step;
@@ -267,7 +267,7 @@ impl<'a, A: Arm<N>, S: Real<One = S>, V: Lanes, G: Gears, const N: usize, const 
         let per_second = V::splat(1.0 / self.half);
         for (k, quantity) in quantities.iter().enumerate() {
             let row = match quantity {
-                Quantity::Voltage => self.dual.voltage[0].map(|number| number.tangent),
+                Quantity::Voltage => self.dual.voltage.map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
                 Quantity::MotorAngle | Quantity::Encoder => x.motor_angles(&self.ratio),
                 Quantity::MotorVelocity => x.motor_velocities(&self.ratio, self.half),

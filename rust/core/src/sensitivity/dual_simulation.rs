@@ -1,9 +1,10 @@
 //! The chain of [`crate::experiment::simulate`] run over numbers with derivatives.
 
 use crate::arm::Arm;
-use crate::experiment::simulate::SideBySide;
-use crate::experiment::{Diverged, Member, Record, Source, Task};
+use crate::experiment::simulate::Simulate;
+use crate::experiment::{Diverged, Record, Source};
 use crate::joint::gear::Gears;
+use crate::program::Request;
 use crate::scalar::{Dual, Real};
 use crate::sensitivity::Sensitivities;
 
@@ -20,23 +21,24 @@ pub(crate) fn by_duals<
     const N: usize,
     const EFFECTS: bool,
 >(
-    task: &Task<A, N>,
-    member: &Member<'_, N>,
-    directions: &[Source],
+    request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
+    let Request {
+        task,
+        member,
+        directions,
+        decimation,
+    } = *request;
     let mut all = Sensitivities {
         values: Record::new(),
         tangents: vec![vec![0.0; task.clock.samples * N * directions.len()]; task.record.len()],
     };
-    let members = std::slice::from_ref(member);
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
         let given = |source, value| seeded(source, value, &directions[first..]);
-        let chain = SideBySide::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, members, given);
-        for record in Dual::<S, V>::scope(chain) {
-            all.take(&record?, first, directions.len());
-        }
+        let chain = Simulate::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, member, given);
+        all.take(&Dual::<S, V>::scope(chain)?, first, directions.len());
     }
-    Ok(all)
+    Ok(all.decimated(decimation, directions.len()))
 }
 
 /// A number that moves with the directions that are its own.

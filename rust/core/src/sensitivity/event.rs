@@ -37,7 +37,7 @@ impl EventSensitivity {
     /// beside the torque that holds the motor; of a sliding motor that will settle, times
     /// -tau/m_M.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, S: Real<One = S>, G: Gears, L: Real, const N: usize>(
+    pub(crate) fn new<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
         plant: &Plant<A, S, G, N>,
         asked: &JointConfig,
         effects: Option<&EffectSensitivity<L, N>>,
@@ -104,7 +104,7 @@ impl EventSensitivity {
 /// How a margin moves with the parameters of its joint, which is held in some way, if it moves with
 /// the holding torque by `by_torque` and against what friction can take up by `scale`.
 #[inline(always)]
-fn by_parameters<S: Real<One = S>, L: Real, const N: usize>(
+fn by_parameters<S: Real, L: Real, const N: usize>(
     spring: &impl Spring<S>,
     asked: &JointConfig,
     effects: Option<&EffectSensitivity<L, N>>,

@@ -7,7 +7,7 @@ use std::marker::PhantomData;
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
-use crate::experiment::simulate::Group;
+use crate::experiment::simulate::Simulation;
 use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Stretch};
@@ -40,15 +40,8 @@ pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EF
     pub(crate) scalars: PhantomData<(S, V, L, G)>,
 }
 
-impl<
-    A: Arm<N>,
-    S: Lanes<One = S>,
-    V: Lanes,
-    L: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
-> Work for ForwardSensitivity<'_, A, S, V, L, G, N, EFFECTS>
+impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for ForwardSensitivity<'_, A, S, V, L, G, N, EFFECTS>
 {
     type Output = Result<Sensitivities<N>, Diverged>;
 
@@ -61,12 +54,8 @@ impl<
         let Chain {
             nominal, buffer, ..
         } = chain;
-        let mut values_of = Vec::new();
-        for record in nominal.results() {
-            values_of = decimated::<V, N>(values(&record?), self.decimation);
-        }
         Ok(Sensitivities {
-            values: values_of,
+            values: decimated::<V, N>(values(&nominal.result()?), self.decimation),
             tangents: buffer.tangents,
         })
     }
@@ -75,7 +64,7 @@ impl<
 struct Chain<
     'a,
     A: Arm<N>,
-    S: Lanes<One = S>,
+    S: Lanes,
     V: Lanes,
     L: Lanes,
     G: Gears,
@@ -84,7 +73,7 @@ struct Chain<
 > {
     task: &'a Task<A, N>,
     asked: &'a Task<A, N>,
-    nominal: Group<'a, A, S, G, N>,
+    nominal: Simulation<'a, A, S, G, N>,
     /// Whether voltages were commanded at the last step.
     commanded: bool,
     /// What no parameter forces.
@@ -99,23 +88,15 @@ struct Chain<
     buffer: SampleBuffer<N>,
 }
 
-impl<
-    'a,
-    A: Arm<N>,
-    S: Lanes<One = S>,
-    V: Lanes,
-    L: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
-> Chain<'a, A, S, V, L, G, N, EFFECTS>
+impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
+    Chain<'a, A, S, V, L, G, N, EFFECTS>
 {
     fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
         let sizes = [task.record.len(), task.clock.samples, width, V::LANES];
         let (asked, member) = of.asked;
         let plain = |_, value| S::splat(value);
-        let nominal = Group::new(task, std::slice::from_ref(of.member), &plain);
+        let nominal = Simulation::new(task, of.member, &plain);
         let sensing = Sensing::new(task, nominal.sensors.as_ref());
         let trajectory = |first| {
             let directions = &of.directions[first..];
@@ -252,7 +233,7 @@ impl<
         } = stretch;
         let (nominal, trace) = (&self.nominal, &mut self.trace);
         let (plant, target) = (&nominal.plant, &nominal.target);
-        let current = &nominal.single_current;
+        let current = &nominal.current;
         let part = event.map_or(1.0, |event| event.0);
         let duration = part * length;
         let whole = (S::splat(*length), S::splat(part));
@@ -294,7 +275,7 @@ struct Redo<
     'c,
     'a,
     A: Arm<N>,
-    S: Lanes<One = S>,
+    S: Lanes,
     V: Lanes,
     L: Lanes,
     G: Gears,
@@ -302,15 +283,8 @@ struct Redo<
     const EFFECTS: bool,
 >(&'c mut Chain<'a, A, S, V, L, G, N, EFFECTS>);
 
-impl<
-    A: Arm<N>,
-    S: Lanes<One = S>,
-    V: Lanes,
-    L: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
-> Work for Redo<'_, '_, A, S, V, L, G, N, EFFECTS>
+impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for Redo<'_, '_, A, S, V, L, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]
@@ -320,16 +294,7 @@ impl<
 }
 
 /// [`BlockTrajectory::record`] in a scope of its own: where few steps are sampled, it is not in their way.
-struct Put<
-    'c,
-    'a,
-    A: Arm<N>,
-    S: Lanes<One = S>,
-    V: Lanes,
-    G: Gears,
-    const N: usize,
-    const EFFECTS: bool,
-> {
+struct Put<'c, 'a, A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> {
     trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
     quantities: &'c [Quantity],
     buffer: &'c mut SampleBuffer<N>,
@@ -338,7 +303,7 @@ struct Put<
     response: &'c Response<V, N>,
 }
 
-impl<A: Arm<N>, S: Lanes<One = S>, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
+impl<A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
     for Put<'_, '_, A, S, V, G, N, EFFECTS>
 {
     type Output = ();

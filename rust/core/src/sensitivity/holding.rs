@@ -30,7 +30,7 @@ pub(crate) struct Holding<S> {
     pub(crate) by_link: f64,
 }
 
-impl<S: Real<One = S>> Holding<S> {
+impl<S: Real> Holding<S> {
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, G: Gears, const N: usize>(
         plant: &Plant<A, S, G, N>,

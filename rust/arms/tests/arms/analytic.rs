@@ -1,9 +1,6 @@
 //! Motions whose solution is known in closed form.
 
-mod common;
-
-use common::{LINEAR, RIGID, Run, at_rest, config};
-use strainwave_core::arm::OneLink;
+use crate::common::{LINEAR, RIGID, Run, at_rest, level_joint};
 use strainwave_core::experiment::{Initial, Quantity};
 
 const N: f64 = 0.01;
@@ -21,7 +18,7 @@ fn two_inertias_on_a_spring_ring_at_their_mode() {
     let parameters = one_joint(link, motor, 0.0, k);
     let twist = 1e-3;
     let run = Run {
-        config: config::<OneLink<false>, 1>([LINEAR]),
+        config: level_joint(LINEAR),
         parameters: &parameters,
         voltage: &[[0.0]],
         steps_per_tick: 1,
@@ -44,7 +41,7 @@ fn two_inertias_on_a_spring_ring_at_their_mode() {
 
 #[test]
 fn a_rigid_joint_follows_its_lagging_torque() {
-    let mut config = config::<OneLink<false>, 1>([RIGID]);
+    let mut config = level_joint(RIGID);
     config.joints[0].current_loop_hz = Some(200.0);
     let (link, motor) = (0.8, 1.5e-4);
     let parameters = [link, 0.0, motor, 0.0, 0.0, 0.0, 0.0];
@@ -77,7 +74,7 @@ fn dry_friction_ends_a_swing_inside_the_dead_band() {
     let band = f / (N * N * k); // [rad] at the motor: friction's torque over the spring's stiffness
     let begin = 10.5 * band;
     let run = Run {
-        config: config::<OneLink<false>, 1>([LINEAR]),
+        config: level_joint(LINEAR),
         parameters: &parameters,
         voltage: &[[0.0]],
         steps_per_tick: 1,
@@ -118,7 +115,7 @@ fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
     let (motor, k, f, pull) = (1.5e-4, 20e3, 0.06, 0.05);
     let parameters = one_joint(1e12, motor, f, k);
     let run = Run {
-        config: config::<OneLink<false>, 1>([LINEAR]),
+        config: level_joint(LINEAR),
         parameters: &parameters,
         voltage: &[[0.0]],
         steps_per_tick: 1,
@@ -152,7 +149,7 @@ fn a_ramp_of_torque_moves_a_standing_motor_at_the_right_instant() {
     let parameters = [0.0, 0.0, 1.5e-4, 0.0, 0.06, 0.0, 0.0];
     let voltage: Vec<[f64; 1]> = (0..2000).map(|k| [1e-3 * f64::from(k)]).collect();
     let run = Run {
-        config: config::<OneLink<false>, 1>([RIGID]),
+        config: level_joint(RIGID),
         parameters: &parameters,
         voltage: &voltage,
         steps_per_tick: 1,

@@ -1,18 +1,19 @@
 //! Derivatives of whole experiments against differences of the plain simulation.
 
-mod common;
-
 use std::iter::zip;
 
-use common::{BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, config};
+use crate::common::{
+    BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, by_duals, config, sensitivities, simulate,
+};
 use proptest::prelude::*;
+use strainwave_arms::WithPrograms;
 use strainwave_core::actuation::{PiVelocity, Servo};
 use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
-use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
+use strainwave_core::program::Width;
 use strainwave_core::sensitivity::Sensitivities;
 
 const RECORDED: [Quantity; 17] = [
@@ -47,7 +48,7 @@ struct Case<A, const N: usize> {
     reference: Vec<[f64; N]>,
 }
 
-impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
+impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
     /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
     /// percent, under random telegraph voltages or a servo.
     fn drawn(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
@@ -128,7 +129,7 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
     /// The same arm without the effects, whose sizes it may still be asked about.
     fn without_effects(mut self) -> Self {
         for (value, (name, _)) in zip(&mut self.parameters, self.task.config.parameter_names()) {
-            if common::is_size(name) {
+            if crate::common::is_size(name) {
                 *value = 0.0;
             }
         }
@@ -164,7 +165,7 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
 
     fn follow(&self, directions: &[Source], width: Width) -> Sensitivities<N> {
         let member = self.member(&self.parameters, self.initial);
-        sensitivities(&self.task, &member, directions, None, width).expect("finite")
+        sensitivities(&self.task, &member, directions, width).expect("finite")
     }
 
     /// The plain experiment with one number changed.
@@ -182,9 +183,7 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
             }
         }
         let member = self.member(&parameters, initial);
-        simulate(&self.task, &[member], Width::detect())
-            .remove(0)
-            .expect("finite")
+        simulate(&self.task, &member, Width::detect()).expect("finite")
     }
 
     /// What changes the motion by about as much as `part` of a parameter does.
@@ -195,6 +194,14 @@ impl<A: Arm<N> + BuiltIn, const N: usize> Case<A, N> {
             Source::LinkAngle(_) => 0.01,
             Source::LinkVelocity(_) => 1.0,
         }
+    }
+}
+
+impl Case<TwoLink<true>, 2> {
+    /// The same arm without gravity in its plane.
+    fn level(mut self) -> Self {
+        self.task.config.arm.gravity = 0.0;
+        self
     }
 }
 
@@ -278,7 +285,7 @@ const DIGITS: std::ops::RangeInclusive<i32> = 2..=7;
 /// The knees' rounded corners bend abruptly, so a difference over a long step can miss what one
 /// over a short step sees, which has more rounding: one of several lengths must agree. A direction
 /// is left out where all but the shortest change in which step a motor sticks or slips.
-fn check<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
+fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
     let directions = case.directions();
     let found = case.follow(&directions, Width::detect());
     let plain = case.moved(Source::Parameter(0), 0.0, &[0.0; N]);
@@ -310,7 +317,7 @@ fn check<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
 /// the shortest steps the eighth differences of a motion hold nothing else; they add up rounding of
 /// some deviation s to sqrt(12870) s, the slopes to 1.2 s. The largest of all rows and directions
 /// stands for some deviations.
-fn rounding<A: Arm<N> + BuiltIn, const N: usize>(
+fn rounding<A: WithPrograms<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
     differences: &[Vec<Differences<N>>],
@@ -387,7 +394,7 @@ struct Differences<const N: usize> {
 
 impl<const N: usize> Differences<N> {
     /// Nothing where the pattern of sliding changes.
-    fn of<A: Arm<N> + BuiltIn>(
+    fn of<A: WithPrograms<N> + BuiltIn>(
         case: &Case<A, N>,
         direction: Source,
         size: f64,
@@ -436,7 +443,7 @@ fn add<const N: usize>(sum: &mut Record<N>, weight: f64, record: &Record<N>) {
 
 /// The largest distance of two answers, relative to the largest of each column or, where that is
 /// nothing but rounding, to a hundredth of a percent of what would double the value.
-fn apart<A: Arm<N> + BuiltIn, const N: usize>(
+fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
     [one, other]: [&Sensitivities<N>; 2],
@@ -462,11 +469,11 @@ fn apart<A: Arm<N> + BuiltIn, const N: usize>(
 }
 
 /// The way through the variational equations against numbers with derivatives all along.
-fn check_ways<A: Arm<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
+fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
     let directions = case.directions();
     let width = Width::detect();
-    let slow = by_duals_at(&case.task, &member, &directions, width).expect("finite");
+    let slow = by_duals(&case.task, &member, &directions).expect("finite");
     let fast = case.follow(&directions, width);
     assert_eq!(slow.values, fast.values);
     // Numbers with derivatives take a twist's as the difference of two that are 10^5 times as
@@ -511,7 +518,8 @@ fn where_differences_have_not_settled() {
 fn where_a_gear_at_rest_has_a_dead_band_of_no_width() {
     let gears = [THREE_SLOPE, LINEAR];
     let arm =
-        Case::<TwoLink<false>, 2>::drawn_with(ALL, gears, 1_343_806_162_293_110_939, false, 400);
+        Case::<TwoLink<true>, 2>::drawn_with(ALL, gears, 1_343_806_162_293_110_939, false, 400)
+            .level();
     check_ways(&arm.without_effects());
 }
 
@@ -642,10 +650,10 @@ proptest! {
         let mut shares = Vec::new();
         let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
-        shares.push(check(&Case::<TwoLink<false>, 2>::drawn([one, other], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, other], seed, servo, 240).level()));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([other, one], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, RIGID], seed, servo, 240)));
-        shares.push(check(&Case::<OneLink<true>, 1>::drawn([one], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink, 1>::drawn([one], seed, servo, 240)));
         // Most draws leave the events where they are.
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
@@ -656,10 +664,10 @@ proptest! {
         let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..SMOOTH };
-        shares.push(check(&Case::<TwoLink<false>, 2>::drawn_with(SMOOTH, [one, other], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(SMOOTH, [one, other], seed, servo, 240).level()));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(SMOOTH, [other, RIGID], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
-        shares.push(check(&Case::<OneLink<true>, 1>::drawn_with(SMOOTH, [one], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink, 1>::drawn_with(SMOOTH, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 
@@ -689,17 +697,18 @@ proptest! {
 
     #[test]
     fn both_ways_and_all_widths_agree(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<TwoLink<false>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 400));
+        check_ways(&Case::<TwoLink<true>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 400).level());
         check_ways(&Case::<TwoLink<true>, 2>::drawn([LINEAR, THREE_SLOPE], seed, servo, 400));
-        check_ways(&Case::<OneLink<false>, 1>::drawn([THREE_SLOPE], seed, servo, 400));
-        check_ways(&Case::<OneLink<true>, 1>::drawn([LINEAR], seed, servo, 400));
+                for gear in [THREE_SLOPE, LINEAR] {
+            check_ways(&Case::<OneLink, 1>::drawn([gear], seed, servo, 400));
+        }
     }
 
     #[test]
     fn effects_that_an_arm_lacks_are_followed(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, stribeck: seed % 3 == 1, ..ALL };
-        check_ways(&Case::<TwoLink<false>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).without_effects());
+        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().without_effects());
         check_ways(&Case::<TwoLink<true>, 2>::drawn_with(some, [LINEAR, THREE_SLOPE], seed, servo, 400).without_effects());
-        check_ways(&Case::<OneLink<true>, 1>::drawn_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
+        check_ways(&Case::<OneLink, 1>::drawn_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
     }
 }

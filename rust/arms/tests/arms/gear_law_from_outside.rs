@@ -1,17 +1,15 @@
 //! A law of gears that the crate does not know, as a user of the crate would add one: it simulates
 //! and has its derivatives without a change anywhere else.
 
-mod common;
-
 use std::iter::zip;
 
-use common::config;
+use crate::common::config;
 use strainwave_core::arm::OneLink;
-use strainwave_core::dispatch::{Width, by_duals_with, sensitivities_with, simulate_with};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::gear::{GearLaw, Law, MOST_OF_A_LAW, Only, Spring};
 use strainwave_core::parameter::{Parameter, STIFFNESS, Sign};
 use strainwave_core::plant::config::Config;
+use strainwave_core::program::{Request, duals, forward, simulate};
 use strainwave_core::scalar::Real;
 
 /// T = k delta (1 + c |delta|).
@@ -76,7 +74,7 @@ const STEP: f64 = 2e-5;
 /// link_inertia, gravity; motor; k, c, damping, settling time.
 const PARAMETERS: [f64; 11] = [0.2, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0, 9e3, 400.0, 0.0, 0.0];
 
-fn task() -> Task<OneLink<false>, 1> {
+fn task() -> Task<OneLink, 1> {
     Task {
         config: config([Quadratic::LAW]),
         clock: Clock {
@@ -116,8 +114,7 @@ fn member<'a>(parameters: &'a [f64], still: &'a [[f64; 1]]) -> Member<'a, 1> {
 fn it_keeps_the_energy_that_its_spring_was_given() {
     let (task, still) = (task(), vec![[0.0]; 4001]);
     let member = member(&PARAMETERS, &still);
-    let record = simulate_with::<_, Only<Quadratic>, 1>(&task, &[member], Width::detect());
-    let record = record[0].as_ref().expect("finite");
+    let record = simulate::<_, Only<Quadratic>, 1, false>(&task, &member).expect("finite");
     let spring = Quadratic::spring(&[9e3, 400.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0);
     let energy = |k: usize| {
         let [motor, speed, link, rate] = [0, 1, 2, 3].map(|quantity| record[quantity][k][0]);
@@ -143,17 +140,20 @@ fn it_has_its_derivatives() {
     let (task, still) = (task(), vec![[0.0]; 4001]);
     let member = member(&PARAMETERS, &still);
     let directions = [0, 2, 7, 8, 9].map(Source::Parameter);
-    type Own = Only<Quadratic>;
-    for width in [Width::Portable, Width::detect()] {
-        let fast = sensitivities_with::<_, Own, 1>(&task, &member, &directions, width).unwrap();
-        let slow = by_duals_with::<_, Own, 1>(&task, &member, &directions, width).unwrap();
-        for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
-            for d in 0..directions.len() {
-                let most = slow.iter().skip(d).step_by(directions.len());
-                let most = most.fold(0.0f64, |most, one| most.max(one.abs()));
-                for (one, other) in zip(&fast[d..], &slow[d..]).step_by(directions.len()) {
-                    assert!((one - other).abs() <= 1e-8 * most, "{d}: {one} {other}");
-                }
+    let request = Request {
+        task: &task,
+        member: &member,
+        directions: &directions,
+        decimation: None,
+    };
+    let fast = forward::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
+    let slow = duals::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
+    for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
+        for d in 0..directions.len() {
+            let most = slow.iter().skip(d).step_by(directions.len());
+            let most = most.fold(0.0f64, |most, one| most.max(one.abs()));
+            for (one, other) in zip(&fast[d..], &slow[d..]).step_by(directions.len()) {
+                assert!((one - other).abs() <= 1e-8 * most, "{d}: {one} {other}");
             }
         }
     }
@@ -161,7 +161,7 @@ fn it_has_its_derivatives() {
 
 #[test]
 fn its_parameters_are_checked_and_named() {
-    let config: Config<OneLink<false>, 1> = config([Quadratic::LAW]);
+    let config: Config<OneLink, 1> = config([Quadratic::LAW]);
     let names: Vec<&str> = config.parameter_names().iter().map(|name| name.0).collect();
     assert_eq!(
         names[7..],

@@ -1,16 +1,15 @@
 //! Every controller: its law against what it should be in closed form, and derivatives of whole
 //! experiments in its loop.
 
-mod common;
-
 use std::iter::zip;
 
-use common::{LINEAR, RIGID, clock, config, scara};
+use crate::common::{
+    LINEAR, RIGID, by_duals, clock, config, level_joint, scara, sensitivities, simulate,
+};
 use strainwave_core::actuation::{Controller, PiPosition, PiVelocity, Servo};
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
-use strainwave_core::joint::gear::Law;
+use strainwave_core::program::Width;
 
 const PERIOD: f64 = 1e-3;
 
@@ -74,16 +73,9 @@ fn a_limited_output_leaves_the_integral_as_it_is() {
     assert_eq!(velocity.command(&mut memory, &[0.0], &[0.0], &[0.0]), [5.0]);
 }
 
-fn experiment<const N: usize>(
-    gears: [Law; N],
-    servo: Servo<N>,
-    samples: usize,
-) -> Task<OneLink<false>, N>
-where
-    OneLink<false>: strainwave_core::arm::Arm<N> + common::BuiltIn,
-{
+fn experiment(servo: Servo<1>, samples: usize) -> Task<OneLink, 1> {
     Task {
-        config: config(gears),
+        config: level_joint(RIGID),
         clock: clock(samples),
         servo: Some(servo),
         record: vec![
@@ -115,16 +107,14 @@ fn loops_end_where_they_should() {
     let parameters = [0.5, 0.0, 1e-4, 3e-4, 0.0, 0.0, 0.0];
     let mut lags = Vec::new();
     for servo in servos::<1>() {
-        let task = experiment([RIGID], servo, samples);
+        let task = experiment(servo, samples);
         let member = Member {
             parameters: &parameters,
             feed_forward: &still,
             reference: &reference,
             initial: at_rest(),
         };
-        let record = simulate(&task, &[member], Width::detect())
-            .remove(0)
-            .expect("finite");
+        let record = simulate(&task, &member, Width::detect()).expect("finite");
         let last = samples - 1;
         assert!((record[1][last][0] - 20.0).abs() < 1e-6);
         lags.push(1.0 + 20.0 * PERIOD * last as f64 - record[0][last][0]);
@@ -171,8 +161,8 @@ fn derivatives_go_through_the_loop() {
             Source::MotorVelocity(1),
         ];
         let width = Width::detect();
-        let fast = sensitivities(&task, &member, &directions, None, width).expect("finite");
-        let slow = by_duals_at(&task, &member, &directions, width).expect("finite");
+        let fast = sensitivities(&task, &member, &directions, width).expect("finite");
+        let slow = by_duals(&task, &member, &directions).expect("finite");
         for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
             for d in 0..directions.len() {
                 let column = slow.iter().skip(d).step_by(directions.len());
@@ -201,9 +191,7 @@ fn by_differences(task: &Task<TwoLink<true>, 2>, member: &Member<'_, 2>, tangent
             parameters: &parameters,
             ..*member
         };
-        simulate(task, &[moved], Width::detect())
-            .remove(0)
-            .expect("finite")
+        simulate(task, &moved, Width::detect()).expect("finite")
     });
     for quantity in 0..tangents.len() {
         let most = tangents[quantity].iter().skip(2).step_by(6);

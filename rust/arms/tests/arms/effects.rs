@@ -1,15 +1,16 @@
 //! What real gears and motors add, against what is known of it in closed form.
 
-mod common;
-
-use common::{Draw, LINEAR, RIGID, Run, at_rest, clock, config, is_size, scara, with_effects};
+use crate::common::{
+    Draw, LINEAR, RIGID, Run, at_rest, by_duals, clock, config, is_size, level, level_joint, scara,
+    sensitivities, simulate, with_effects,
+};
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
-use strainwave_core::dispatch::{Width, by_duals_at, sensitivities, simulate};
 use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::effects::{self, EffectKinds};
 use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
+use strainwave_core::program::Width;
 
 const N: f64 = 0.01;
 const ALL: EffectKinds = EffectKinds::ALL;
@@ -18,8 +19,8 @@ fn none() -> EffectKinds {
     EffectKinds::default()
 }
 
-fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink<false>, 1> {
-    let mut config = config([gear]);
+fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink, 1> {
+    let mut config = level_joint(gear);
     config.joints[0].effects = effects;
     config
 }
@@ -187,10 +188,10 @@ proptest! {
     }
 }
 
-type TwoLinks = (Config<TwoLink<false>, 2>, Vec<f64>);
+type TwoLinks = (Config<TwoLink<true>, 2>, Vec<f64>);
 
 fn two_links(effects: EffectKinds) -> TwoLinks {
-    let mut config = config([LINEAR; 2]);
+    let mut config = level([LINEAR; 2]);
     config
         .joints
         .iter_mut()
@@ -309,9 +310,8 @@ fn effects_of_no_size_change_nothing() {
 }
 
 #[test]
-fn a_batch_of_arms_with_effects_is_each_of_them() {
-    let (config, first) = two_links(ALL);
-    let other: Vec<f64> = first.iter().map(|value| 1.02 * value).collect();
+fn the_baseline_gives_arms_with_effects_the_same_motion() {
+    let (config, parameters) = two_links(ALL);
     let voltage = telegraph(5, 101);
     let reference = vec![[0.0; 2]; 101];
     let task = Task {
@@ -320,26 +320,16 @@ fn a_batch_of_arms_with_effects_is_each_of_them() {
         servo: None,
         record: vec![Quantity::MotorVelocity],
     };
-    let members = [&first, &other].map(|parameters| Member {
-        parameters,
+    let member = Member {
+        parameters: &parameters,
         feed_forward: &voltage,
         reference: &reference,
         initial: at_rest([0.0; 2]),
-    });
-    let together = simulate(&task, &members, Width::detect());
-    assert_ne!(together[0], together[1]);
-    for (k, member) in members.iter().enumerate() {
-        let alone = simulate(&task, std::slice::from_ref(member), Width::detect());
-        assert_eq!(alone[0], together[k]);
-        let portable = simulate(&task, std::slice::from_ref(member), Width::Portable);
-        let [fused, portable] = [&alone[0], &portable[0]].map(|all| all.as_ref().unwrap());
-        for (a, b) in fused[0]
-            .as_flattened()
-            .iter()
-            .zip(portable[0].as_flattened())
-        {
-            assert!((a - b).abs() < 1e-8 * (1.0 + a.abs())); // rounding, grown over 0.1 s
-        }
+    };
+    let [fused, portable] = [Width::detect(), Width::Portable]
+        .map(|width| simulate(&task, &member, width).expect("finite").remove(0));
+    for (a, b) in fused.as_flattened().iter().zip(portable.as_flattened()) {
+        assert!((a - b).abs() < 1e-8 * (1.0 + a.abs())); // rounding, grown over 0.1 s
     }
 }
 
@@ -400,7 +390,7 @@ fn derivatives_by_every_effects_parameters_are_differences() {
             let k = names.iter().position(|known| *known == (name, Some(1)));
             let k = k.expect("the joint has it");
             let width = Width::detect();
-            let found = by_duals_at(&task, &member, &[Source::Parameter(k)], width);
+            let found = by_duals(&task, &member, &[Source::Parameter(k)]);
             let found = found.expect("finite").tangents.remove(0);
             let size = 1e-5 * parameters[k];
             let [up, down] = [size, -size].map(|by| {
@@ -410,7 +400,7 @@ fn derivatives_by_every_effects_parameters_are_differences() {
                     parameters: &moved,
                     ..member
                 };
-                let all = simulate(&task, &[moved], width).remove(0);
+                let all = simulate(&task, &moved, width);
                 all.expect("finite")[0].as_flattened().to_vec()
             });
             let most = found.iter().fold(0.0f64, |most, one| most.max(one.abs()));
@@ -452,7 +442,7 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
         };
         let width = Width::detect();
         let run = |member: Member<'_, 2>| {
-            let all = simulate(&task, &[member], width).remove(0);
+            let all = simulate(&task, &member, width);
             all.expect("finite")[0].as_flattened().to_vec()
         };
         for size in &effect.parameters[..effect.sizes] {
@@ -461,7 +451,7 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
                 .position(|known| *known == (size.name, Some(1)));
             let k = k.expect("the joint has it");
             let direction = [Source::Parameter(k)];
-            let found = sensitivities(&task, &member, &direction, None, width);
+            let found = sensitivities(&task, &member, &direction, width);
             let found = found.expect("finite").tangents.remove(0);
             let by = 1e-3 * usual[k];
             let mut little = absent.clone();
@@ -516,7 +506,7 @@ fn a_tilt_of_a_right_angle_is_gravity() {
         ..none()
     };
     for gears in [[LINEAR; 2], [LINEAR, RIGID]] {
-        let mut level = config::<TwoLink<false>, 2>(gears);
+        let mut level = crate::common::level(gears);
         for joint in &mut level.joints {
             joint.effects = tilted;
         }

@@ -1,18 +1,20 @@
 //! Arms and runs that the tests share.
-#![allow(dead_code)] // each test file uses its own part
 
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
+use strainwave_arms::WithPrograms;
 use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
-use strainwave_core::dispatch::{Width, simulate};
-use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Task};
+use strainwave_core::experiment::{
+    Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
+};
 use strainwave_core::joint::effects::{self, Declared, EffectKinds};
-use strainwave_core::joint::gear::{self, CORNER, Cubic, GearLaw, Law, Linear, ThreeSlope};
+use strainwave_core::joint::gear::{self, CORNER, GearLaw, Law, Linear, ThreeSlope};
 use strainwave_core::plant::config::{Config, JointConfig};
+use strainwave_core::program::{Request, Width};
+use strainwave_core::sensitivity::Sensitivities;
 
 pub const LINEAR: Law = Linear::LAW;
 pub const THREE_SLOPE: Law = ThreeSlope::LAW;
-pub const CUBIC: Law = Cubic::LAW;
 pub const RIGID: Law = gear::RIGID;
 
 /// A joint with ideal electronics and sensors.
@@ -36,7 +38,7 @@ pub trait BuiltIn {
     fn built_in() -> Self;
 }
 
-impl<const VERTICAL: bool> BuiltIn for TwoLink<VERTICAL> {
+impl BuiltIn for TwoLink<true> {
     fn built_in() -> Self {
         Self {
             link_length: 0.35,
@@ -46,7 +48,7 @@ impl<const VERTICAL: bool> BuiltIn for TwoLink<VERTICAL> {
     }
 }
 
-impl<const VERTICAL: bool> BuiltIn for OneLink<VERTICAL> {
+impl BuiltIn for OneLink {
     fn built_in() -> Self {
         Self {
             gravity: 9.81,
@@ -76,7 +78,7 @@ impl<const N: usize> BuiltIn for SerialChain<N> {
     }
 }
 
-pub fn config<A: Arm<N> + BuiltIn, const N: usize>(gears: [Law; N]) -> Config<A, N> {
+pub fn config<A: WithPrograms<N> + BuiltIn, const N: usize>(gears: [Law; N]) -> Config<A, N> {
     Config {
         arm: A::built_in(),
         corner: CORNER,
@@ -105,6 +107,60 @@ pub fn clock(samples: usize) -> Clock {
     }
 }
 
+/// The two-link arm without gravity in its plane.
+pub fn level(gears: [Law; 2]) -> Config<TwoLink<true>, 2> {
+    let mut config = config::<TwoLink<true>, 2>(gears);
+    config.arm.gravity = 0.0;
+    config
+}
+
+/// The single joint without gravity in its plane.
+pub fn level_joint(gear: Law) -> Config<OneLink, 1> {
+    let mut config = config::<OneLink, 1>([gear]);
+    config.arm.gravity = 0.0;
+    config
+}
+
+/// Simulates by the programs of the arm.
+pub fn simulate<A: WithPrograms<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    width: Width,
+) -> Result<Record<N>, Diverged> {
+    task.config.arm.programs().simulate(task, member, width)
+}
+
+/// Derivatives by the programs of the arm.
+pub fn sensitivities<A: WithPrograms<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+    width: Width,
+) -> Result<Sensitivities<N>, Diverged> {
+    let request = Request {
+        task,
+        member,
+        directions,
+        decimation: None,
+    };
+    task.config.arm.programs().differentiate(&request, width)
+}
+
+/// Derivatives by dual numbers alone: slower, for every arm, and the reference for the others.
+pub fn by_duals<A: WithPrograms<N>, const N: usize>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+    directions: &[Source],
+) -> Result<Sensitivities<N>, Diverged> {
+    let request = Request {
+        task,
+        member,
+        directions,
+        decimation: None,
+    };
+    (task.config.arm.programs().general.duals)(&request)
+}
+
 /// One run: samples every step, voltage held for `steps_per_tick` steps.
 pub struct Run<'a, A, const N: usize> {
     pub config: Config<A, N>,
@@ -116,13 +172,13 @@ pub struct Run<'a, A, const N: usize> {
     pub steps: usize,
 }
 
-impl<A: Arm<N>, const N: usize> Run<'_, A, N> {
+impl<A: WithPrograms<N>, const N: usize> Run<'_, A, N> {
     /// The recorded quantities, one row a step.
     pub fn record(&self, quantities: &[Quantity]) -> Record<N> {
         self.record_on(quantities, Width::detect())
     }
 
-    pub fn record_on(&self, quantities: &[Quantity], width: Width) -> Record<N> {
+    fn record_on(&self, quantities: &[Quantity], width: Width) -> Record<N> {
         let ticks = self.steps / self.steps_per_tick + 1;
         let mut voltage = self.voltage.to_vec();
         voltage.resize(ticks.max(voltage.len()), *self.voltage.last().unwrap());
@@ -146,7 +202,7 @@ impl<A: Arm<N>, const N: usize> Run<'_, A, N> {
             reference: &reference,
             initial: self.initial,
         };
-        simulate(&task, &[member], width).remove(0).expect("finite")
+        simulate(&task, &member, width).expect("finite")
     }
 }
 

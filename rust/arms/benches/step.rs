@@ -1,0 +1,239 @@
+//! Price of one step of the integrator [ns] on one core, by program.
+//!
+//! The arm is the built-in SCARA-type arm with 5 kg at its tip, joint 1 under a random telegraph
+//! voltage. Each figure is the least of many runs, because other work slows some of them down.
+
+use std::time::Instant;
+
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+use strainwave_arms::WithPrograms;
+use strainwave_core::arm::{ChainJoint, JointType, SerialChain, TwoLink};
+use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
+use strainwave_core::joint::effects::EffectKinds;
+use strainwave_core::joint::gear::{CORNER, GearLaw, ThreeSlope};
+use strainwave_core::plant::config::{Config, JointConfig};
+use strainwave_core::program::{Request, Width};
+use strainwave_core::sensors::decimation::Decimation;
+
+/// Half a second: short, so that some of many runs are undisturbed.
+const STEPS: usize = 4000;
+const RUNS: usize = 400;
+const STEPS_PER_TICK: usize = 8;
+
+/// Taps of the low-pass per sample, as in a whole-arm fit.
+const TAPS_PER_ROW: usize = 14;
+
+/// glibc keeps freed memory below the size [bytes] of the largest block freed so far, and `identify`
+/// makes use of it. Otherwise every run would include clearing the pages of its results.
+const KEPT_MEMORY: usize = 31 << 20;
+
+/// A chain's steps take fifty times as long.
+const CHAIN_RUNS: usize = 20;
+const CHAIN: usize = 6;
+
+/// Parameters of the motors and gears, in the order of their names.
+const DRIVES: [[f64; 12]; 2] = [
+    [
+        1.5e-4, 2e-4, 0.06, 0.0, 0.5, 16e3, 25e3, 29e3, 7.0, 25.0, 20.0, 0.0,
+    ],
+    [
+        0.5e-4, 0.8e-4, 0.03, 0.0, 0.15, 4.7e3, 6.1e3, 7.1e3, 2.0, 6.9, 4.0, 0.0,
+    ],
+];
+
+fn main() {
+    drop(std::hint::black_box(vec![1_u8; KEPT_MEMORY]));
+    let widths = [Width::Portable, Width::Avx2, Width::Avx512];
+    for width in widths.into_iter().filter(|&one| one <= Width::detect()) {
+        println!("{width:?} [ns a step]");
+        for (name, gravity) in [("horizontal", 0.0), ("vertical", 9.81)] {
+            let arm = TwoLink {
+                link_length: 0.35,
+                gravity,
+                accelerometer_distance: [0.33, 0.27],
+            };
+            let gravity_torques = [gravity * 3.2, gravity * 0.75];
+            let links = [&[1.6097, 0.64425, 0.7875][..], &gravity_torques].concat();
+            bench_two_link(name, arm, &links, width);
+        }
+        bench_chain(width);
+    }
+}
+
+fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
+    let parameters = [links, DRIVES.as_flattened()].concat();
+    let plain = Bench::new(arm, &parameters, STEPS_PER_TICK, &[Quantity::MotorVelocity]);
+    println!(
+        "{name} two-link arm, simulation: {:.1}",
+        plain.simulation(width)
+    );
+    let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
+    let sensed = Bench::new(arm, &parameters, 1, &sensors);
+    let taps = vec![vec![0.01; TAPS_PER_ROW * STEPS_PER_TICK]; sensors.len()];
+    let low_pass = Decimation::new(taps, STEPS_PER_TICK);
+    let varied = sensed.directions(&["gravity_torque_1", "gravity_torque_2"]);
+    for count in [15, 25] {
+        let directions = &varied[..count];
+        println!(
+            "{name} two-link arm, {count} derivatives: {:.1}, with sensors through a low-pass {:.1}",
+            plain.derivatives(directions, None, width),
+            sensed.derivatives(directions, low_pass.as_ref(), width),
+        );
+    }
+    let mut stribeck = plain;
+    for joint in &mut stribeck.task.config.joints {
+        joint.effects.stribeck = true;
+    }
+    let [first, second] = DRIVES;
+    stribeck.parameters = [links, &first, &[0.02, 3.0], &second, &[0.01, 3.0]].concat();
+    let one = &stribeck.directions(&[])[..1];
+    println!(
+        "{name} two-link arm with Stribeck friction, simulation: {:.1}, with one derivative {:.1}",
+        stribeck.simulation(width),
+        stribeck.derivatives(one, None, width),
+    );
+}
+
+fn bench_chain(width: Width) {
+    let joint = |i: usize| ChainJoint {
+        joint_type: JointType::Revolute,
+        position: [0.0, 0.0, 0.2],
+        attitude: [std::f64::consts::FRAC_PI_2 * (i % 2) as f64, 0.0, 0.0],
+        axis: [0.0, 0.0, 1.0],
+        accelerometer_distance: 0.1,
+    };
+    let joints: [ChainJoint; CHAIN] = std::array::from_fn(joint);
+    let arm = SerialChain::new(&joints, [0.0, 0.0, -9.81]).expect("axes with a direction");
+    let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
+    let mut chain = Bench::new(arm, &[], STEPS_PER_TICK, &sensors);
+    let value = |name: &str| match name {
+        "link_mass" => 2.0,
+        "link_inertia_xx" | "link_inertia_yy" | "link_inertia_zz" => 0.05,
+        _ => 0.0,
+    };
+    let names = chain.task.config.parameter_names();
+    let links = names.iter().filter(|name| name.0.starts_with("link_"));
+    let links = links.filter(|name| name.0 != "link_viscous_friction");
+    chain.parameters = links.map(|name| value(name.0)).collect();
+    chain.parameters.extend([DRIVES[0]; CHAIN].as_flattened());
+    chain.runs = CHAIN_RUNS;
+    let varied = chain.directions(&[]);
+    println!(
+        "chain of {CHAIN}, simulation: {:.0}, with 25 derivatives {:.0}",
+        chain.simulation(width),
+        chain.derivatives(&varied[..25], None, width),
+    );
+}
+
+/// An arm in an experiment.
+struct Bench<A, const N: usize> {
+    task: Task<A, N>,
+    parameters: Vec<f64>,
+    voltage: Vec<[f64; N]>,
+    runs: usize,
+}
+
+impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
+    /// The arm under a random telegraph voltage on joint 1.
+    fn new(arm: A, parameters: &[f64], steps_per_sample: usize, record: &[Quantity]) -> Self {
+        let joint = |i: usize| JointConfig {
+            gear: ThreeSlope::LAW,
+            ratio: 0.01,
+            torque_per_volt: if i == 0 { 0.08 } else { 0.03 },
+            current_loop_hz: Some(1000.0),
+            encoder_counts: Some(8192.0),
+            accelerometer_hz: Some(300.0),
+            gyro_hz: Some(5.0),
+            imu_accelerometer_hz: None,
+            imu_gyro_hz: None,
+            effects: EffectKinds::default(),
+        };
+        let mut draw = SmallRng::seed_from_u64(1);
+        let mut tick = || {
+            let mut voltage = [0.0; N];
+            voltage[0] = if draw.random() { 10.0 } else { -10.0 };
+            voltage
+        };
+        Self {
+            task: Task {
+                config: Config {
+                    arm,
+                    corner: CORNER,
+                    joints: std::array::from_fn(joint),
+                },
+                clock: Clock {
+                    step: 1.25e-4,
+                    steps_per_tick: STEPS_PER_TICK,
+                    steps_per_servo: STEPS_PER_TICK,
+                    steps_per_sample,
+                    samples: STEPS / steps_per_sample + 1,
+                },
+                servo: None,
+                record: record.to_vec(),
+            },
+            parameters: parameters.to_vec(),
+            voltage: (0..=STEPS / STEPS_PER_TICK).map(|_| tick()).collect(),
+            runs: RUNS,
+        }
+    }
+
+    /// All parameters that change the motion, but for those of some names.
+    fn directions(&self, without: &[&str]) -> Vec<Source> {
+        let names = self.task.config.parameter_names();
+        let varies =
+            |k: &usize| names[*k].0 != "friction_settling_time" && !without.contains(&names[*k].0);
+        (0..names.len())
+            .filter(varies)
+            .map(Source::Parameter)
+            .collect()
+    }
+
+    fn member(&self) -> Member<'_, N> {
+        Member {
+            parameters: &self.parameters,
+            feed_forward: &self.voltage,
+            reference: &self.voltage,
+            initial: Initial {
+                motor_angle: [0.0; N],
+                motor_velocity: [0.0; N],
+                link_angle: None,
+                link_velocity: [0.0; N],
+                voltage: [0.0; N],
+            },
+        }
+    }
+
+    fn simulation(&self, width: Width) -> f64 {
+        let programs = self.task.config.arm.programs();
+        let member = self.member();
+        self.least(|| assert!(programs.simulate(&self.task, &member, width).is_ok()))
+    }
+
+    fn derivatives(
+        &self,
+        directions: &[Source],
+        decimation: Option<&Decimation>,
+        width: Width,
+    ) -> f64 {
+        let programs = self.task.config.arm.programs();
+        let request = Request {
+            task: &self.task,
+            member: &self.member(),
+            directions,
+            decimation,
+        };
+        self.least(|| assert!(programs.differentiate(&request, width).is_ok()))
+    }
+
+    /// The least time of a step [ns].
+    fn least(&self, run: impl Fn()) -> f64 {
+        let time = |_| {
+            let begin = Instant::now();
+            run();
+            begin.elapsed().as_secs_f64()
+        };
+        let least = (0..self.runs).map(time).fold(f64::INFINITY, f64::min);
+        1e9 * least / STEPS as f64
+    }
+}

@@ -1,0 +1,168 @@
+//! Arms of every kind behind one interface, [`CompiledArm`].
+//!
+//! Their programs take seconds each to compile. They are in crates of their own under
+//! `rust/programs`, which cargo compiles side by side.
+
+use strainwave_baseline as baseline;
+use strainwave_core::arm::{Arm, ChainJoint, OneLink, SerialChain, TwoLink};
+use strainwave_core::compiled::{CompiledArm, compiled};
+use strainwave_core::plant::config::{Config, JointConfig};
+use strainwave_core::program::{Programs, Width};
+
+/// The joints of an arm, from the base.
+#[derive(Clone, Copy, Debug)]
+pub struct Drives<'a> {
+    /// Known constants of each joint.
+    pub joints: &'a [JointConfig],
+    /// Half width [rad] over which the knees of three-slope gears are rounded; positive.
+    pub corner: f64,
+}
+
+/// An arm that cannot be made.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ArmError {
+    /// The number of joints does not fit the arm.
+    Joints {
+        /// The number of joints that the arm has.
+        expected: usize,
+        /// The number of joints with constants.
+        got: usize,
+    },
+    /// A chain has more joints than there are programs, or none.
+    ChainLength(usize),
+    /// The axis of a joint, from 0, has length zero.
+    Axis(usize),
+    /// The rounding of the knees is not positive.
+    Corner(f64),
+}
+
+/// The largest number of joints of a serial chain.
+pub const MAX_CHAIN_JOINTS: usize = 7;
+
+impl std::fmt::Display for ArmError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Joints { expected, got } => write!(f, "expected {expected} joints, got {got}"),
+            Self::ChainLength(got) => {
+                write!(f, "a chain has 1 to {MAX_CHAIN_JOINTS} joints, got {got}")
+            }
+            Self::Axis(joint) => write!(f, "the axis of joint {} has no direction", joint + 1),
+            Self::Corner(_) => write!(f, "gear_corner must be positive"),
+        }
+    }
+}
+
+impl std::error::Error for ArmError {}
+
+impl Drives<'_> {
+    fn with<A, const N: usize>(&self, arm: A) -> Result<Config<A, N>, ArmError> {
+        if self.corner <= 0.0 || self.corner.is_nan() {
+            return Err(ArmError::Corner(self.corner));
+        }
+        let joints = self.joints.try_into().map_err(|_| ArmError::Joints {
+            expected: N,
+            got: self.joints.len(),
+        })?;
+        Ok(Config {
+            arm,
+            corner: self.corner,
+            joints,
+        })
+    }
+}
+
+/// An arm that has compiled programs.
+pub trait WithPrograms<const N: usize>: Arm<N> {
+    /// Its programs.
+    fn programs(&self) -> Programs<Self, N>;
+}
+
+impl WithPrograms<2> for TwoLink<true> {
+    fn programs(&self) -> Programs<Self, 2> {
+        Programs {
+            fast: match self.gravity {
+                0.0 => strainwave_two_link_level::FAST,
+                _ => strainwave_two_link::FAST,
+            },
+            general: strainwave_two_link::GENERAL,
+            baseline: baseline::TWO_LINK,
+        }
+    }
+}
+
+impl WithPrograms<1> for OneLink {
+    fn programs(&self) -> Programs<Self, 1> {
+        Programs {
+            fast: strainwave_one_link::FAST,
+            general: strainwave_one_link::GENERAL,
+            baseline: baseline::ONE_LINK,
+        }
+    }
+}
+
+/// [`WithPrograms`] of chains, and [`serial_chain`].
+macro_rules! chains {
+    ($($joints:literal: $general:expr, $baseline:expr;)*) => {
+        $(
+            impl WithPrograms<$joints> for SerialChain<$joints> {
+                fn programs(&self) -> Programs<Self, $joints> {
+                    Programs {
+                        fast: $general.as_fast(),
+                        general: $general,
+                        baseline: $baseline,
+                    }
+                }
+            }
+        )*
+
+        /// A chain of rigid links on joints placed anywhere in space, under an acceleration of
+        /// gravity [m/s^2] in the base frame.
+        ///
+        /// # Errors
+        /// The numbers of joints differ or have no program, an axis has length zero, or the corner
+        /// is not positive.
+        ///
+        /// # Panics
+        /// The processor has no registers of that width.
+        pub fn serial_chain(
+            joints: &[ChainJoint],
+            gravity: [f64; 3],
+            drives: &Drives<'_>,
+            width: Width,
+        ) -> Result<Box<dyn CompiledArm>, ArmError> {
+            match joints.len() {
+                $($joints => {
+                    let joints = joints.try_into().expect("as many as were counted");
+                    let arm = SerialChain::<$joints>::new(joints, gravity);
+                    with_drives(arm.map_err(ArmError::Axis)?, drives, width)
+                })*
+                got => Err(ArmError::ChainLength(got)),
+            }
+        }
+    };
+}
+
+chains! {
+    1: strainwave_chain_4::GENERAL_1, baseline::CHAIN_1;
+    2: strainwave_chain_4::GENERAL_2, baseline::CHAIN_2;
+    3: strainwave_chain_4::GENERAL_3, baseline::CHAIN_3;
+    4: strainwave_chain_4::GENERAL_4, baseline::CHAIN_4;
+    5: strainwave_chain_5::GENERAL, baseline::CHAIN_5;
+    6: strainwave_chain_6::GENERAL, baseline::CHAIN_6;
+    7: strainwave_chain_7::GENERAL, baseline::CHAIN_7;
+}
+
+/// An arm with its drives: a planar one, or a chain of a known number of joints.
+///
+/// # Errors
+/// The number of joints does not fit, or the corner is not positive.
+///
+/// # Panics
+/// The processor has no registers of that width.
+pub fn with_drives<A: WithPrograms<N>, const N: usize>(
+    arm: A,
+    drives: &Drives<'_>,
+    width: Width,
+) -> Result<Box<dyn CompiledArm>, ArmError> {
+    Ok(compiled(drives.with(arm)?, arm.programs(), width))
+}

@@ -1,0 +1,12 @@
+//! Compiled arms against closed forms, identities and differences.
+//!
+//! One binary: programs are linked once.
+
+mod analytic;
+mod common;
+mod controllers;
+mod effects;
+mod gear_law_from_outside;
+mod gear_laws;
+mod identities;
+mod sensitivities;

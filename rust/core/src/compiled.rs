@@ -1,0 +1,362 @@
+//! Arms of any number of joints behind one interface: [`CompiledArm`].
+//!
+//! Inside of an arm's programs the number of joints is a constant; outside it is not. Lists of
+//! numbers are flat here, a row of joints for each sample or tick.
+
+use crate::actuation::{PiPosition, PiVelocity, Servo};
+use crate::arm::{Arm, Name};
+use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Source, Task};
+use crate::plant::config::{Config, InvalidParameter};
+use crate::plant::rigid;
+use crate::program::{Programs, Request, Width};
+use crate::sensors::decimation::Decimation;
+
+/// One experiment on an arm.
+#[derive(Clone, Debug)]
+pub struct Experiment {
+    /// The clocks.
+    pub clock: Clock,
+    /// The servo; `None`: every joint gets its feed-forward voltage.
+    pub servo: Option<ServoGains>,
+    /// Feed-forward voltage [V]: a row for each tick.
+    pub voltage: Vec<f64>,
+    /// Servo reference [rad/s]: a row for each tick; may be empty without a servo.
+    pub reference: Vec<f64>,
+    /// The start.
+    pub initial: InitialState,
+    /// The quantities to be recorded.
+    pub record: Vec<Quantity>,
+}
+
+/// Gains of a PI velocity servo, with a number for each joint.
+#[derive(Clone, Debug)]
+pub struct ServoGains {
+    /// kp [V s/rad].
+    pub kp: Vec<f64>,
+    /// ki [V/rad].
+    pub ki: Vec<f64>,
+    /// Largest output [V]; the integrals stop while it is reached.
+    pub limit: f64,
+    /// The joints under servo.
+    pub active: Vec<bool>,
+    /// Gains [1/s] of an outer position loop, if there is one.
+    pub position_gain: Option<Vec<f64>>,
+}
+
+/// Start of an experiment, with a number for each joint.
+#[derive(Clone, Debug)]
+pub struct InitialState {
+    /// theta_M [rad].
+    pub motor_angle: Vec<f64>,
+    /// dtheta_M [rad/s]; `None`: zero.
+    pub motor_velocity: Option<Vec<f64>>,
+    /// theta_L [rad]; `None`: in equilibrium with gravity.
+    pub link_angle: Option<Vec<f64>>,
+    /// dtheta_L [rad/s]; `None`: zero.
+    pub link_velocity: Option<Vec<f64>>,
+    /// Voltage [V] before the start, to which the torque has settled; `None`: zero.
+    pub voltage: Option<Vec<f64>>,
+}
+
+/// Link angles, velocities and accelerations, a row of joints for each sample.
+#[derive(Clone, Copy, Debug)]
+pub struct LinkMotion<'a> {
+    /// q [rad].
+    pub angle: &'a [f64],
+    /// dq [rad/s].
+    pub velocity: &'a [f64],
+    /// ddq [rad/s^2].
+    pub acceleration: &'a [f64],
+}
+
+/// Recorded quantities: for each of them samples times joints.
+pub type Recording = Vec<Vec<f64>>;
+
+/// Recorded quantities and their derivatives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Derivatives {
+    /// What [`CompiledArm::simulate`] gives, or its rows behind a low-pass.
+    pub values: Recording,
+    /// For each quantity samples, or rows, times joints times directions.
+    pub tangents: Vec<Vec<f64>>,
+}
+
+/// A list whose size does not fit the arm or the clock.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct WrongSize {
+    /// The name of the list.
+    pub name: &'static str,
+    /// The size it must have.
+    pub expected: usize,
+    /// The size it has.
+    pub got: usize,
+}
+
+impl std::fmt::Display for WrongSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let Self {
+            name,
+            expected,
+            got,
+        } = self;
+        write!(f, "{name}: expected {expected} values, got {got}")
+    }
+}
+
+impl std::error::Error for WrongSize {}
+
+/// An arm with its known constants and compiled equations.
+///
+/// Methods that take parameters panic unless [`CompiledArm::check`] passes them; those that take an
+/// experiment, unless [`Experiment::check`] does; and those that take a motion, unless it has whole
+/// rows of joints.
+pub trait CompiledArm: Send + Sync {
+    /// Number of joints.
+    fn joints(&self) -> usize;
+    /// Number of inertial and gravity parameters; these come first in lists of parameters.
+    fn base_parameters(&self) -> usize;
+    /// Names of the parameters, in the order of lists of their values.
+    fn parameter_names(&self) -> Vec<Name>;
+    /// Checks a list of parameter values, as many as there are names.
+    ///
+    /// # Errors
+    /// The first value that is impossible.
+    fn check(&self, parameters: &[f64]) -> Result<(), InvalidParameter>;
+
+    /// Simulates one experiment.
+    ///
+    /// # Errors
+    /// The motion diverged.
+    fn simulate(&self, experiment: &Experiment, parameters: &[f64]) -> Result<Recording, Diverged>;
+    /// Simulates one experiment with derivatives of all samples, or of rows behind a low-pass.
+    ///
+    /// # Errors
+    /// The motion diverged.
+    fn sensitivities(
+        &self,
+        experiment: &Experiment,
+        parameters: &[f64],
+        directions: &[Source],
+        decimation: Option<&Decimation>,
+    ) -> Result<Derivatives, Diverged>;
+
+    /// Link-side torques [N m] per base parameter: samples times joints times base parameters.
+    fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64>;
+    /// Motor torques [N m] of a motion behind rigid gears, (5): samples times joints.
+    fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
+    /// M_L(q) of (2) [kg m^2]: samples times joints times joints.
+    fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64>;
+    /// Centrifugal, Coriolis and gravity torques c + g of (2) [N m]: samples times joints.
+    fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64>;
+}
+
+impl Experiment {
+    /// Checks the sizes of all lists for an arm of some joints.
+    ///
+    /// # Errors
+    /// The first list of a wrong size.
+    pub fn check(&self, joints: usize) -> Result<(), WrongSize> {
+        let of_ticks = self.clock.ticks() * joints;
+        let exact = |name, got| match got {
+            got if got == joints => Ok(()),
+            got => Err(WrongSize {
+                name,
+                expected: joints,
+                got,
+            }),
+        };
+        let optional = |name, list: &Option<Vec<f64>>| match list {
+            Some(list) => exact(name, list.len()),
+            None => Ok(()),
+        };
+        let at_least = |name, got| match got {
+            got if got >= of_ticks => Ok(()),
+            got => Err(WrongSize {
+                name,
+                expected: of_ticks,
+                got,
+            }),
+        };
+        at_least("voltage", self.voltage.len())?;
+        if let Some(servo) = &self.servo {
+            at_least("reference", self.reference.len())?;
+            exact("kp", servo.kp.len())?;
+            exact("ki", servo.ki.len())?;
+            exact("active", servo.active.len())?;
+            optional("position_gain", &servo.position_gain)?;
+        }
+        exact("motor_angle", self.initial.motor_angle.len())?;
+        optional("motor_velocity", &self.initial.motor_velocity)?;
+        optional("link_angle", &self.initial.link_angle)?;
+        optional("link_velocity", &self.initial.link_velocity)?;
+        optional("initial_voltage", &self.initial.voltage)
+    }
+
+    fn task<A: Arm<N>, const N: usize>(&self, config: &Config<A, N>) -> Task<A, N> {
+        Task {
+            config: *config,
+            clock: self.clock,
+            servo: self.servo.as_ref().map(|gains| gains.servo(&self.clock)),
+            record: self.record.clone(),
+        }
+    }
+
+    /// An arm with given parameters in this experiment.
+    fn member<'a, const N: usize>(&'a self, parameters: &'a [f64]) -> Member<'a, N> {
+        let initial = &self.initial;
+        let or_zero = |list: &Option<Vec<f64>>| list.as_deref().map_or([0.0; N], row);
+        let feed_forward = self.voltage.as_chunks().0;
+        Member {
+            parameters,
+            feed_forward,
+            reference: match self.servo {
+                Some(_) => self.reference.as_chunks().0,
+                None => feed_forward, // not read
+            },
+            initial: Initial {
+                motor_angle: row(&initial.motor_angle),
+                motor_velocity: or_zero(&initial.motor_velocity),
+                link_angle: initial.link_angle.as_deref().map(row),
+                link_velocity: or_zero(&initial.link_velocity),
+                voltage: or_zero(&initial.voltage),
+            },
+        }
+    }
+}
+
+impl ServoGains {
+    fn servo<const N: usize>(&self, clock: &Clock) -> Servo<N> {
+        let velocity = PiVelocity {
+            kp: row(&self.kp),
+            ki: row(&self.ki),
+            limit: self.limit,
+            period: clock.step * clock.steps_per_servo as f64,
+            active: row(&self.active),
+        };
+        match &self.position_gain {
+            None => Servo::PiVelocity(velocity),
+            Some(gain) => Servo::PiPosition(PiPosition {
+                velocity,
+                position_gain: row(gain),
+            }),
+        }
+    }
+}
+
+/// One row of joints.
+fn row<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
+    list.try_into().expect("a value for each joint")
+}
+
+/// An arm, its constants and its programs.
+struct Compiled<A: 'static, const N: usize> {
+    config: Config<A, N>,
+    programs: Programs<A, N>,
+    width: Width,
+}
+
+/// An arm behind the common interface, on registers of a width.
+///
+/// # Panics
+/// The processor has no registers of that width.
+pub fn compiled<A: Arm<N>, const N: usize>(
+    config: Config<A, N>,
+    programs: Programs<A, N>,
+    width: Width,
+) -> Box<dyn CompiledArm> {
+    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    Box::new(Compiled {
+        config,
+        programs,
+        width,
+    })
+}
+
+impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
+    fn joints(&self) -> usize {
+        N
+    }
+
+    fn base_parameters(&self) -> usize {
+        self.config.arm.names().len()
+    }
+
+    fn parameter_names(&self) -> Vec<Name> {
+        self.config.parameter_names()
+    }
+
+    fn check(&self, parameters: &[f64]) -> Result<(), InvalidParameter> {
+        self.config.check(parameters)
+    }
+
+    fn simulate(&self, experiment: &Experiment, parameters: &[f64]) -> Result<Recording, Diverged> {
+        let (task, member) = (experiment.task(&self.config), experiment.member(parameters));
+        let record = self.programs.simulate(&task, &member, self.width)?;
+        Ok(record.into_iter().map(Vec::into_flattened).collect())
+    }
+
+    fn sensitivities(
+        &self,
+        experiment: &Experiment,
+        parameters: &[f64],
+        directions: &[Source],
+        decimation: Option<&Decimation>,
+    ) -> Result<Derivatives, Diverged> {
+        let request = Request {
+            task: &experiment.task(&self.config),
+            member: &experiment.member(parameters),
+            directions,
+            decimation,
+        };
+        let found = self.programs.differentiate(&request, self.width)?;
+        Ok(Derivatives {
+            values: found.values.into_iter().map(Vec::into_flattened).collect(),
+            tangents: found.tangents,
+        })
+    }
+
+    fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64> {
+        let bases = self.base_parameters();
+        let [q, dq, ddq] = motion.rows::<N>();
+        let mut all = vec![0.0; q.len() * N * bases];
+        for (k, row) in all.chunks_mut(N * bases).enumerate() {
+            let columns = rigid::base_regressor(&self.config.arm, &q[k], &dq[k], &ddq[k]);
+            for (b, torque) in columns.iter().enumerate() {
+                for i in 0..N {
+                    row[i * bases + b] = torque[i];
+                }
+            }
+        }
+        all
+    }
+
+    fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64> {
+        let plant = self.config.plant(parameters);
+        let [q, dq, ddq] = motion.rows::<N>();
+        (0..q.len())
+            .flat_map(|k| rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k]))
+            .collect()
+    }
+
+    fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64> {
+        let arm = &self.config.arm;
+        let base = arm.base(parameters);
+        let at = |q| arm.inertia(&base, &arm.posture(q));
+        let all: Vec<[[f64; N]; N]> = angle.as_chunks::<N>().0.iter().map(at).collect();
+        all.into_flattened().into_flattened()
+    }
+
+    fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64> {
+        let arm = &self.config.arm;
+        let base = arm.base(parameters);
+        let at = |(q, dq): (_, &[f64; N])| arm.bias(&base, &arm.posture(q), dq);
+        let (q, dq) = (angle.as_chunks::<N>().0, velocity.as_chunks::<N>().0);
+        q.iter().zip(dq).flat_map(at).collect()
+    }
+}
+
+impl LinkMotion<'_> {
+    fn rows<const N: usize>(&self) -> [&[[f64; N]]; 3] {
+        [self.angle, self.velocity, self.acceleration].map(|list| list.as_chunks().0)
+    }
+}

@@ -1,0 +1,355 @@
+//! The functions that are compiled for an arm.
+//!
+//! A program is one instance of a generic function of this module. Each takes seconds to compile, so
+//! an arm has few: [`Programs`] lists fast ones, which a benchmark justifies, and general ones, which
+//! serve every gear law and every effect. On x86-64 the processor decides at run time which of them
+//! run. This is the only module that names a scalar which needs more than the baseline of the
+//! target, and each program asks the processor first.
+
+use std::marker::PhantomData;
+
+use crate::arm::Arm;
+use crate::experiment::simulate::Simulate;
+use crate::experiment::{Diverged, Member, Record, Source, Task, values};
+use crate::joint::gear::{AllLaws, Gears, Slopes};
+#[cfg(target_arch = "x86_64")]
+use crate::scalar::lanes::{F64x4, F64x8, Fused};
+use crate::scalar::{Lanes, Real};
+use crate::sensitivity::Sensitivities;
+use crate::sensitivity::dual_simulation::by_duals;
+use crate::sensitivity::effect::without_effects;
+use crate::sensitivity::forward::ForwardSensitivity;
+use crate::sensors::decimation::Decimation;
+
+#[cfg(target_arch = "x86_64")]
+mod scalars {
+    pub(super) type One = super::Fused;
+    pub(super) type Four = super::F64x4;
+}
+#[cfg(not(target_arch = "x86_64"))]
+mod scalars {
+    pub(super) type One = f64;
+    pub(super) type Four = f64;
+}
+use scalars::{Four, One};
+
+/// The registers of a processor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Width {
+    /// The baseline of the target.
+    Portable,
+    /// AVX2 and fused multiply-add: four numbers in a register.
+    Avx2,
+    /// AVX-512 (F, VL, DQ, BW): eight numbers in a register.
+    Avx512,
+}
+
+impl Width {
+    /// The widest registers of this processor.
+    pub fn detect() -> Self {
+        #[cfg(target_arch = "x86_64")]
+        {
+            let avx2 = is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma");
+            let avx512 = is_x86_feature_detected!("avx512f")
+                && is_x86_feature_detected!("avx512vl")
+                && is_x86_feature_detected!("avx512dq")
+                && is_x86_feature_detected!("avx512bw");
+            if avx2 && avx512 {
+                return Self::Avx512;
+            }
+            if avx2 {
+                return Self::Avx2;
+            }
+        }
+        Self::Portable
+    }
+
+    /// The narrowest registers for which all programs but [`baseline`] are compiled.
+    pub const COMPILED: Self = if cfg!(target_arch = "x86_64") {
+        Self::Avx2
+    } else {
+        Self::Portable
+    };
+
+    fn require(self) {
+        assert!(self <= Self::detect(), "this processor has no {self:?}");
+    }
+}
+
+/// An experiment to be differentiated.
+#[derive(Clone, Copy)]
+pub struct Request<'a, A, const N: usize> {
+    /// The experiment.
+    pub task: &'a Task<A, N>,
+    /// The arm's parameters and the start.
+    pub member: &'a Member<'a, N>,
+    /// The parameters and initial states with respect to which it is differentiated.
+    pub directions: &'a [Source],
+    /// Replaces the samples by rows behind a low-pass.
+    pub decimation: Option<&'a Decimation>,
+}
+
+impl<'a, A, const N: usize> Request<'a, A, N> {
+    /// The same request on another description of the arm.
+    pub fn with_task<'b, B>(&self, task: &'b Task<B, N>) -> Request<'b, B, N>
+    where
+        'a: 'b,
+    {
+        Request {
+            task,
+            member: self.member,
+            directions: self.directions,
+            decimation: self.decimation,
+        }
+    }
+}
+
+/// Simulates one experiment.
+pub type Simulation<A, const N: usize> =
+    fn(&Task<A, N>, &Member<'_, N>) -> Result<Record<N>, Diverged>;
+/// Simulates one experiment with derivatives.
+pub type Differentiation<A, const N: usize> =
+    fn(&Request<'_, A, N>) -> Result<Sensitivities<N>, Diverged>;
+
+/// The compiled programs of an arm.
+#[derive(Clone, Copy)]
+pub struct Programs<A: 'static, const N: usize> {
+    /// For linear and three-slope gears.
+    pub fast: FastPrograms<A, N>,
+    /// For everything else.
+    pub general: GeneralPrograms<A, N>,
+    /// For the baseline of the target, by dual numbers: on x86-64 the only program of a processor
+    /// without AVX2.
+    pub baseline: Differentiation<A, N>,
+}
+
+/// Programs for linear and three-slope gears.
+#[derive(Clone, Copy)]
+pub struct FastPrograms<A: 'static, const N: usize> {
+    /// Simulation without effects.
+    pub simulation: Simulation<A, N>,
+    /// Derivatives, with effects of size zero.
+    pub forward: Differentiation<A, N>,
+    /// The same on AVX-512.
+    pub forward_avx512: Differentiation<A, N>,
+}
+
+/// Programs for every gear law and effect.
+#[derive(Clone, Copy)]
+pub struct GeneralPrograms<A: 'static, const N: usize> {
+    /// Simulation.
+    pub simulation: Simulation<A, N>,
+    /// Derivatives by the variational equations: of elastic gears, with effects of size zero.
+    pub forward: Differentiation<A, N>,
+    /// Derivatives by dual numbers.
+    pub duals: Differentiation<A, N>,
+}
+
+impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
+    /// Compiles the general programs of an arm where it is called.
+    pub const fn compile() -> Self {
+        Self {
+            simulation: simulate::<A, AllLaws, N, true>,
+            forward: forward::<A, AllLaws, N, true>,
+            duals: duals::<A, AllLaws, N, true>,
+        }
+    }
+
+    /// The general programs in place of fast ones.
+    pub fn as_fast(&self) -> FastPrograms<A, N> {
+        FastPrograms {
+            simulation: self.simulation,
+            forward: self.forward,
+            forward_avx512: self.forward,
+        }
+    }
+}
+
+/// Simulates an arm whose gears are of the set `G`, with effects only if `EFFECTS`.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// The processor lacks [`Width::COMPILED`], or a gear is not in the set.
+pub fn simulate<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    task: &Task<A, N>,
+    member: &Member<'_, N>,
+) -> Result<Record<N>, Diverged> {
+    Width::COMPILED.require();
+    let lift = |_, value| One::splat(value);
+    let record = One::scope(Simulate::<A, One, _, G, N, EFFECTS>::new(
+        task, member, lift,
+    ))?;
+    Ok(values(&record))
+}
+
+/// Simulates an arm with elastic gears, with derivatives by the variational equations.
+///
+/// With `EFFECTS`, directions may be the sizes of effects whose sizes are all zero.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect has a size.
+pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    Width::COMPILED.require();
+    forward_on::<A, One, Four, Four, G, N, EFFECTS>(request)
+}
+
+/// [`forward`] with eight directions in a register of AVX-512.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// The processor has no AVX-512, a gear is not in the set, or an effect has a size.
+#[cfg(target_arch = "x86_64")]
+pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    Width::Avx512.require();
+    forward_on::<A, One, F64x8, Four, G, N, EFFECTS>(request)
+}
+
+/// [`forward`]: there are no wider registers to use.
+///
+/// # Errors
+/// The motion diverged.
+#[cfg(not(target_arch = "x86_64"))]
+pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    forward::<A, G, N, EFFECTS>(request)
+}
+
+/// Simulates an arm over dual numbers: slower than [`forward`], for rigid gears and effects of any
+/// size as well.
+///
+/// # Errors
+/// The motion diverged.
+///
+/// # Panics
+/// The processor lacks [`Width::COMPILED`], or a gear is not in the set.
+pub fn duals<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    Width::COMPILED.require();
+    by_duals::<A, One, Four, G, N, EFFECTS>(request)
+}
+
+/// [`duals`] for every gear law and effect on the baseline of the target.
+///
+/// # Errors
+/// The motion diverged.
+pub fn baseline<A: Arm<N>, const N: usize>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    by_duals::<A, f64, f64, AllLaws, N, true>(request)
+}
+
+fn forward_on<
+    A: Arm<N>,
+    S: Lanes,
+    V: Lanes,
+    L: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+>(
+    request: &Request<'_, A, N>,
+) -> Result<Sensitivities<N>, Diverged> {
+    let Request { task, member, .. } = *request;
+    let run = |plain: &Task<A, N>, member: &Member<'_, N>| {
+        V::scope(ForwardSensitivity::<A, S, V, L, G, N, EFFECTS> {
+            task: plain,
+            member,
+            asked: (task, request.member),
+            directions: request.directions,
+            decimation: request.decimation,
+            scalars: PhantomData,
+        })
+    };
+    if !EFFECTS || !task.config.has_effects() {
+        return run(task, member);
+    }
+    let (config, parameters) =
+        without_effects(&task.config, member.parameters).expect("effects of size zero");
+    let plain = Task {
+        config,
+        record: task.record.clone(),
+        ..*task
+    };
+    let without = Member {
+        parameters: &parameters,
+        ..*member
+    };
+    run(&plain, &without)
+}
+
+impl<A: Arm<N>, const N: usize> Programs<A, N> {
+    /// Simulates one experiment with the fastest program that serves it on registers of a width.
+    ///
+    /// # Errors
+    /// The motion diverged.
+    ///
+    /// # Panics
+    /// The processor has no registers of that width.
+    pub fn simulate(
+        &self,
+        task: &Task<A, N>,
+        member: &Member<'_, N>,
+        width: Width,
+    ) -> Result<Record<N>, Diverged> {
+        width.require();
+        if width < Width::COMPILED {
+            let request = Request {
+                task,
+                member,
+                directions: &[],
+                decimation: None,
+            };
+            return Ok((self.baseline)(&request)?.values);
+        }
+        if task.config.has_gears::<Slopes>() && !task.config.has_effects() {
+            (self.fast.simulation)(task, member)
+        } else {
+            (self.general.simulation)(task, member)
+        }
+    }
+
+    /// Simulates one experiment with derivatives, likewise.
+    ///
+    /// # Errors
+    /// The motion diverged.
+    ///
+    /// # Panics
+    /// The processor has no registers of that width, or the low-pass is for other quantities.
+    pub fn differentiate(
+        &self,
+        request: &Request<'_, A, N>,
+        width: Width,
+    ) -> Result<Sensitivities<N>, Diverged> {
+        width.require();
+        let Request { task, member, .. } = *request;
+        if let Some(decimation) = request.decimation {
+            let (low_passes, quantities) = (decimation.quantities(), task.record.len());
+            assert_eq!(low_passes, quantities, "a low-pass for each quantity");
+        }
+        if width < Width::COMPILED {
+            return (self.baseline)(request);
+        }
+        let has_forward = task.config.is_elastic()
+            && (!task.config.has_effects()
+                || without_effects(&task.config, member.parameters).is_some());
+        match width {
+            _ if !has_forward => (self.general.duals)(request),
+            _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),
+            Width::Avx512 => (self.fast.forward_avx512)(request),
+            _ => (self.fast.forward)(request),
+        }
+    }
+}

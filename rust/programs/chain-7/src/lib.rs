@@ -1,0 +1,7 @@
+//! The programs of the serial chain of 7 joints.
+
+use strainwave_core::arm::SerialChain;
+use strainwave_core::program::GeneralPrograms;
+
+/// For every gear law and effect.
+pub static GENERAL: GeneralPrograms<SerialChain<7>, 7> = GeneralPrograms::compile();

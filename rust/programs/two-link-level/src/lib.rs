@@ -1,0 +1,31 @@
+//! The programs of the horizontal two-link arm.
+
+use strainwave_core::arm::TwoLink;
+use strainwave_core::experiment::{Diverged, Member, Record, Task};
+use strainwave_core::joint::gear::Slopes;
+use strainwave_core::program::{FastPrograms, Request, forward, forward_avx512, simulate};
+use strainwave_core::sensitivity::Sensitivities;
+
+type Arm = TwoLink<true>;
+type LevelArm = TwoLink<false>;
+
+/// For linear and three-slope gears without gravity.
+pub static FAST: FastPrograms<Arm, 2> = FastPrograms {
+    simulation: level_simulate,
+    forward: level_forward,
+    forward_avx512: level_forward_avx512,
+};
+
+fn level_simulate(task: &Task<Arm, 2>, member: &Member<'_, 2>) -> Result<Record<2>, Diverged> {
+    simulate::<LevelArm, Slopes, 2, false>(&task.with_arm(Arm::level), member)
+}
+
+fn level_forward(request: &Request<'_, Arm, 2>) -> Result<Sensitivities<2>, Diverged> {
+    let task = request.task.with_arm(Arm::level);
+    forward::<LevelArm, Slopes, 2, true>(&request.with_task(&task))
+}
+
+fn level_forward_avx512(request: &Request<'_, Arm, 2>) -> Result<Sensitivities<2>, Diverged> {
+    let task = request.task.with_arm(Arm::level);
+    forward_avx512::<LevelArm, Slopes, 2, true>(&request.with_task(&task))
+}
