@@ -14,8 +14,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import Observed, as_known, observe, prediction_of
-from strainwave.identification.whole_arm.parametrisation import COULOMB
 from strainwave.signals.recorded_input import driven_by_voltage
+
+_COULOMB = "motor_coulomb_friction"
 
 _MIN_PERIODS = 2.5
 """Minimum number of periods of the low-pass in a record; each edge takes one."""
@@ -156,7 +157,7 @@ def predict_rigid(
 def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
     """Solutions with changed friction, and with samples of the parameter covariance."""
     for k, p in enumerate(model.parameters):
-        if p.name == COULOMB:
+        if p.name == _COULOMB:
             solution = model.solution.copy()
             solution[k] *= 1.0 + FRICTION_VARIATION
             yield solution
@@ -227,7 +228,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
     """Values with changed friction, and with samples of the parameter covariance."""
     values = dict(model.values)
     for key, value in values.items():
-        if key[0] == COULOMB:
+        if key[0] == _COULOMB:
             yield {**values, key: value * (1.0 + FRICTION_VARIATION)}
     indices = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
     covariance = model.covariance[np.ix_(indices, indices)]
