@@ -39,7 +39,7 @@ endif
 
 test: setup
 	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
-	PROPTEST_RNG_SEED=$(SEED) cargo test --workspace --exclude strainwave-python --locked --quiet
+	PROPTEST_RNG_SEED=$(SEED) cargo test --release --workspace --exclude strainwave-python --locked --quiet
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n logical --maxprocesses=8 --dist loadfile \
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
