@@ -271,13 +271,14 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
         return None
     first, second = found
 
-    def cost(r: float) -> float:
-        off = first.coupling - r * second.coupling
-        spread = first.coupling_covariance + r**2 * second.coupling_covariance
-        return float(off @ np.linalg.solve(spread, off))
+    def costs_of(ratios: FloatArray) -> FloatArray:
+        off = first.coupling - ratios[:, None] * second.coupling
+        squares = ratios[:, None, None] ** 2
+        spread = first.coupling_covariance + squares * second.coupling_covariance
+        return np.asarray((off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=1))
 
     grid = np.exp(np.linspace(-_WIDEST, _WIDEST, _RATIOS))
-    costs = np.array([cost(r) for r in grid.tolist()])
+    costs = costs_of(grid)
     best = int(np.argmin(costs))
     if best in (0, len(grid) - 1) or costs[best] + 4.0 > min(costs[0], costs[-1]):
         return None
@@ -288,7 +289,7 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * bend)))
     excess = max(1.0, middle / max(1, len(first.shared) - 1))
     deviation = ratio * float(np.sqrt(2.0 / bend * excess))
-    more = cost(1.0) - middle
+    more = float(costs_of(np.ones(1))[0]) - middle
     if more > 1.0:  # far from its bottom the cost is no parabola
         deviation = max(deviation, abs(ratio - 1.0) * float(np.sqrt(excess / more)))
     return ratio, deviation

@@ -24,6 +24,7 @@ STANDARD_GRAVITY = 9.80665  # [m/s^2]
 _REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
 _TRIES = 41
 _HIGH_PASS_TRIES = 13
+_LONGEST_DECAY = 2.0  # records that a high-pass may take: with a wrong time base it takes millions
 _HIGH_PASS_LEFT = 0.02  # share of the reading that a high-pass may leave unexplained
 _HIGH_PASS_GAIN = 0.2  # of the share that no high-pass leaves
 _NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
@@ -95,7 +96,8 @@ def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
     def unexplained(hz: float) -> float:
         other = replace(seen, high_passes={**seen.high_passes, name: hz})
         found = _read(record, other, motion, kind, joint - 1)
-        return min((1.0 - reading.explained for reading in found), default=1.0)
+        alike = [reading for reading in found if 0.5 < reading.scale < 2.0]
+        return min((1.0 - reading.explained for reading in alike), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
     low, high = (float(np.log(edge)) for edge in edges)
@@ -219,6 +221,10 @@ def _read(
     T = record.sample_time
     sensor = [lag for lag in _lags(arm, kind, i) if _shows(lag, T, len(record.inside))]
     cutoff = seen.high_passes.get(name)
+    if cutoff and not _NO_TIME < 1.0 / (2.0 * np.pi * cutoff * T) < _LONGEST_DECAY * len(
+        record.inside
+    ):
+        cutoff = None
 
     def sensed(part: FloatArray) -> FloatArray:
         part = lagged(part, sensor, T)
