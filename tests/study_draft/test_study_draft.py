@@ -374,7 +374,7 @@ def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
     truth = Prbs(8, 0.001, 3, 10.0)
     voltage = excitation.prbs(truth)
     time = 0.001 * np.arange(len(voltage))
-    angle = np.cumsum(np.cumsum(voltage)) * 1e-4
+    angle = 1e-4 * np.cumsum(np.cumsum(voltage, dtype=np.float64), dtype=np.float64)
     for column, factor in (("u1_mV", 1e3), ("u1_V", 1.0)):
         folder = tmp_path / column
         folder.mkdir()
