@@ -25,7 +25,7 @@ from strainwave.numerics.filters import differentiate, low_pass, noise_deviation
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
 # minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
-_MOVES = 10.0
+_MIN_SIGNAL_TO_NOISE = 10.0
 
 
 def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
@@ -78,7 +78,7 @@ class Observed:
     @property
     def moves(self) -> tuple[bool, ...]:
         """Whether each channel clearly exceeds its noise."""
-        return tuple((np.std(self.measured, axis=0) > _MOVES * self.noise).tolist())
+        return tuple((np.std(self.measured, axis=0) > _MIN_SIGNAL_TO_NOISE * self.noise).tolist())
 
     def simulated(self, arm: Arm, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
@@ -168,11 +168,11 @@ def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
         measured=seen.measured,
         predicted=predicted,
         fit_percent=dict(zip(seen.channels, fits.tolist(), strict=True)),
-        warnings=tuple(_still(seen)),
+        warnings=tuple(_warnings_at_rest(seen)),
     )
 
 
-def _still(seen: Observed) -> Iterator[Diagnostic]:
+def _warnings_at_rest(seen: Observed) -> Iterator[Diagnostic]:
     for name, moves in zip(seen.channels, seen.moves, strict=True):
         if not moves:
             message = f"{name} has no fit: what it shows hardly stands out of its noise"

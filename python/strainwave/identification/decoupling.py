@@ -28,16 +28,16 @@ from strainwave.dynamics.interaction_torque import (
 from strainwave.errors import NotIdentifiable
 from strainwave.numerics.spectra import cross_spectral_densities
 
-_SHARE = 0.95  # share of the motor velocity's power below the upper edge of the band
-_LOWEST = 1.0  # [Hz] minimum of the lower edge of the band
-_SEGMENTS = 8  # number of Welch segments in a record
-_CONSTANT = 0.1  # maximum relative change of the element (1,1) of M(q)
-_FULL = 0.8  # minimum share of the band in which tau exceeds its noise
-_ABOVE = 4.0  # factor on the noise level; a Welch estimate with 8 averages stays below it
+_POWER_SHARE = 0.95  # share of the motor velocity's power below the upper edge of the band
+_MIN_FREQUENCY_HZ = 1.0  # [Hz] minimum of the lower edge of the band
+_N_SEGMENTS = 8  # number of Welch segments in a record
+_MAX_INERTIA_CHANGE = 0.1  # maximum relative change of the element (1,1) of M(q)
+_MIN_BAND_SHARE = 0.8  # minimum share of the band in which tau exceeds its noise
+_NOISE_FACTOR = 4.0  # factor on the noise level; a Welch estimate with 8 averages stays below it
 # minimum eigenvalue ratio: standard deviations are 16 times those of independent inputs
-_RICH = 1e-3
-_SEEN = 0.02  # minimum of n tau over u
-_SLIDING = 0.85  # minimum share of the record in which the motor slides
+_MIN_EIGENVALUE_RATIO = 1e-3
+_MIN_INTERACTION_RATIO = 0.02  # minimum of n tau over u
+_MIN_SLIDING_SHARE = 0.85  # minimum share of the record in which the motor slides
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +70,7 @@ def decouple(
         if model is not None:
             u = u - _dry_friction(signals, model, i)
         inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
-        band = chosen.band_hz or _band(signals, i)
+        band = chosen.band_hz or _motion_band(signals, i)
         densities = _spectra(inputs, signals.sample_time)
         frequency, richness = _richness(densities, band)
         checks = tuple(_checks(signals, arm, base, i, inputs, band, densities, richness))
@@ -88,7 +88,9 @@ def decouple(
                 held=signals.held[i],
                 gear_ratio=arm.joints[i].gear_ratio,
                 total_inertia=float(total_inertias(model, arm)[i]) if model else None,
-                total_viscous_friction=_viscous(model, arm, i + 1) if model else None,
+                total_viscous_friction=_total_viscous_friction(model, arm, i + 1)
+                if model
+                else None,
                 bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
                 fusion=signals.fusion[i],
@@ -116,7 +118,7 @@ def _interaction(
     return base, interaction_torques(arm, base, *motion)
 
 
-def _viscous(model: RigidModel, arm: Arm, joint: int) -> float | None:
+def _total_viscous_friction(model: RigidModel, arm: Arm, joint: int) -> float | None:
     return model.value(viscous_friction(arm), joint)
 
 
@@ -139,19 +141,21 @@ def _dry_friction(signals: LinkSignals, model: RigidModel, i: int) -> FloatArray
     return np.asarray(coulomb * signals.direction[:, i] + offset)
 
 
-def _band(signals: LinkSignals, i: int) -> tuple[float, float]:
+def _motion_band(signals: LinkSignals, i: int) -> tuple[float, float]:
     """Frequency band [Hz] of the motor velocity's power."""
     frequency, power = _spectra(signals.motor_velocity[:, i : i + 1], signals.sample_time)
     share = np.cumsum(power[:, 0, 0].real)
-    lowest = max(_LOWEST, frequency[1])
+    lowest = max(_MIN_FREQUENCY_HZ, frequency[1])
     if share[-1] == 0.0:
         return lowest, frequency[-1]
-    return lowest, max(4.0 * lowest, float(frequency[np.searchsorted(share, _SHARE * share[-1])]))
+    return lowest, max(
+        4.0 * lowest, float(frequency[np.searchsorted(share, _POWER_SHARE * share[-1])])
+    )
 
 
 def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Frequencies, and cross-spectral densities (n_frequencies, n, n) by Welch's method."""
-    segment = max(16, 2 * len(columns) // (_SEGMENTS + 1))
+    segment = max(16, 2 * len(columns) // (_N_SEGMENTS + 1))
     return cross_spectral_densities(columns, sample_time, min(segment, len(columns)))
 
 
@@ -189,30 +193,38 @@ def _checks(
     text = f"the motor slides in {100.0 * sliding_share:.0f} % of the record"
     text += (
         ""
-        if sliding_share >= _SLIDING
+        if sliding_share >= _MIN_SLIDING_SHARE
         else "; a linear model takes stiction for inertia: raise the amplitude"
     )
-    yield Check("sliding", sliding_share >= _SLIDING, sliding_share, _SLIDING, text)
+    yield Check(
+        "sliding", sliding_share >= _MIN_SLIDING_SHARE, sliding_share, _MIN_SLIDING_SHARE, text
+    )
     if inputs.shape[1] == 1:
         return
-    yield _constancy(signals, arm, base, i)
+    yield _check_inertia(signals, arm, base, i)
     n = arm.joints[i].gear_ratio
     u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
     ratio = float(n * tau.std() / max(u.std(), 1e-300))
     text = f"n tau is {ratio:.3g} times u"
-    text += "" if ratio >= _SEEN else "; too small for its effect to be estimated"
-    yield Check("interaction-amplitude", ratio >= _SEEN, ratio, _SEEN, text)
-    yield _fullness(densities, band)
+    text += "" if ratio >= _MIN_INTERACTION_RATIO else "; too small for its effect to be estimated"
+    yield Check(
+        "interaction-amplitude",
+        ratio >= _MIN_INTERACTION_RATIO,
+        ratio,
+        _MIN_INTERACTION_RATIO,
+        text,
+    )
+    yield _check_spectrum(densities, band)
     rich = float(np.median(richness)) if richness.size else 0.0
     text = f"u and tau differ: eigenvalue ratio {rich:.3g}, median of {band[0]:.1f} to"
     text += f" {band[1]:.1f} Hz"
-    if rich < _RICH:
+    if rich < _MIN_EIGENVALUE_RATIO:
         text = f"tau is nearly a linear function of u (eigenvalue ratio {rich:.1g}); excite both"
         text += " joints at once with independent sequences"
-    yield Check("input-richness", rich >= _RICH, rich, _RICH, text)
+    yield Check("input-richness", rich >= _MIN_EIGENVALUE_RATIO, rich, _MIN_EIGENVALUE_RATIO, text)
 
 
-def _constancy(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
+def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
     """Change of a link's own inertia in the motion, which is part of tau here but not in (13)."""
     q = signals.link_angle
     unit_acceleration = np.zeros_like(q)
@@ -222,20 +234,26 @@ def _constancy(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Chec
     inertia = (arm.link_torques(base, q, zero, unit_acceleration) - static_torque)[:, i]
     change = float(np.ptp(inertia) / arm.link_inertias(base)[i])
     message = f"the link's own inertia changes by {100.0 * change:.2g} %"
-    message += "" if change <= _CONSTANT else ", all of it in tau; keep the swing of joint 2 small"
-    return Check("constant-inertia", change <= _CONSTANT, change, _CONSTANT, message)
+    message += (
+        ""
+        if change <= _MAX_INERTIA_CHANGE
+        else ", all of it in tau; keep the swing of joint 2 small"
+    )
+    return Check(
+        "constant-inertia", change <= _MAX_INERTIA_CHANGE, change, _MAX_INERTIA_CHANGE, message
+    )
 
 
-def _fullness(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
+def _check_spectrum(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
     """Share of the band in which the power density of tau exceeds its noise level."""
     frequency, density = densities
     power = density[:, 1, 1].real
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    share = float(np.mean(power[inside] > _ABOVE * noise)) if inside.any() else 0.0
+    share = float(np.mean(power[inside] > _NOISE_FACTOR * noise)) if inside.any() else 0.0
     message = f"tau is above its noise in {100.0 * share:.0f} % of the band"
-    message += "" if share >= _FULL else "; raise the amplitude"
-    return Check("interaction-spectrum", share >= _FULL, share, _FULL, message)
+    message += "" if share >= _MIN_BAND_SHARE else "; raise the amplitude"
+    return Check("interaction-spectrum", share >= _MIN_BAND_SHARE, share, _MIN_BAND_SHARE, message)
 
 
 def _warnings(

@@ -20,15 +20,15 @@ from strainwave.signals.channels import check_alike
 
 __all__ = ["FrequencyOptions", "by_periods", "by_welch", "resonance", "respond"]
 
-_FEWEST_PERIODS = 2  # minimum number of periods, so that their scatter can be computed
+_MIN_PERIODS = 2  # minimum number of periods, so that their scatter can be computed
 _OVERLAP = 0.5  # of Welch segments
 # equivalent number of independent segments per Hann segment with 50 % overlap
-_INDEPENDENT = 0.95
-_ROUNDS = 20  # iterations of reweighting; a few suffice
+_INDEPENDENT_SHARE = 0.95
+_N_ITERATIONS = 20  # iterations of reweighting; a few suffice
 # lower edge of the fit over the dip frequency, and upper edge over the peak frequency
-_BELOW, _ABOVE = 0.5, 1.6
-_FEW_LINES = 12  # minimum number of lines, twice the number of coefficients
-_SMOOTH = 5  # lines of the running median in which dip and peak are located
+_LOW_EDGE_TO_DIP, _HIGH_EDGE_TO_PEAK = 0.5, 1.6
+_MIN_LINES = 12  # minimum number of lines, twice the number of coefficients
+_MEDIAN_LINES = 5  # lines of the running median in which dip and peak are located
 
 
 def respond(
@@ -55,7 +55,7 @@ def respond(
     periods = {_period(r) for r in records}
     period = periods.pop() if len(periods) == 1 else None
     shortest = min(len(u) for u, _ in pairs)
-    if period and shortest >= _FEWEST_PERIODS * period and len(pairs) >= n_in:
+    if period and shortest >= _MIN_PERIODS * period and len(pairs) >= n_in:
         return by_periods(pairs, T, period, chosen.transient_periods)
     segment = round(chosen.segment / T) if chosen.segment else (period or shortest // 4)
     return by_welch(pairs, T, min(segment, shortest))
@@ -79,8 +79,8 @@ def by_periods(
     scatters: list[ComplexArray] = []
     n_periods = 0
     for pair in pairs:
-        n_skipped = min(transient, max(0, len(pair[0]) // period - _FEWEST_PERIODS))
-        lines = _lines(np.column_stack(pair)[n_skipped * period :], period)
+        n_skipped = min(transient, max(0, len(pair[0]) // period - _MIN_PERIODS))
+        lines = _period_spectra(np.column_stack(pair)[n_skipped * period :], period)
         means.append(lines.mean(axis=0))
         scatters.append(lines - means[-1])
         n_periods += len(lines)
@@ -124,7 +124,7 @@ def by_welch(
     over n_averages S_uu. Raises `NotIdentifiable` if there are no more segments than inputs.
     """
     n_in = pairs[0][0].shape[1]
-    segments = [_segments(np.column_stack(pair), segment) for pair in pairs]
+    segments = [_segment_spectra(np.column_stack(pair), segment) for pair in pairs]
     lines = np.concatenate(segments)
     count = len(lines)
     if count <= n_in:
@@ -136,7 +136,7 @@ def by_welch(
     output_power = np.einsum("foo->fo", S_yy).real
     explained_power = np.einsum("foi,foi->fo", response, S_yu.conj()).real
     coherence = np.clip(explained_power / np.maximum(output_power, 1e-300), 0.0, 1.0)
-    degrees_of_freedom = (count - n_in) * (1.0 if count == len(pairs) else _INDEPENDENT)
+    degrees_of_freedom = (count - n_in) * (1.0 if count == len(pairs) else _INDEPENDENT_SHARE)
     residual_power = output_power * (1.0 - coherence) / degrees_of_freedom
     variance = residual_power[:, :, None] * np.einsum("fii->fi", inverse).real[:, None, :]
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(segment, sample_time)[1:], dtype=float)
@@ -170,8 +170,10 @@ def resonance(
     """
     low, high = band_hz or (frequencies_hz[0], frequencies_hz[-1])
     dip, peak = _dip_and_peak(frequencies_hz, response, low, high)
-    inside = (frequencies_hz >= max(low, _BELOW * dip)) & (frequencies_hz <= _ABOVE * peak)
-    if inside.sum() < _FEW_LINES:
+    inside = (frequencies_hz >= max(low, _LOW_EDGE_TO_DIP * dip)) & (
+        frequencies_hz <= _HIGH_EDGE_TO_PEAK * peak
+    )
+    if inside.sum() < _MIN_LINES:
         raise NotIdentifiable("too few spectral lines around the resonance; record longer periods")
     s = 1j * frequencies_hz[inside] / peak
     G = response[inside]
@@ -181,7 +183,7 @@ def resonance(
     powers = s[:, None] ** np.arange(4)
     denominator = np.ones(len(s), dtype=complex)
     coefficients = np.zeros(6)
-    for _ in range(_ROUNDS):
+    for _ in range(_N_ITERATIONS):
         rows = np.column_stack([powers[:, :3], -(G / scale)[:, None] * powers[:, :3]])
         target = (G / scale) * powers[:, 3]
         row_weight = (weight / np.abs(denominator))[:, None]
@@ -216,14 +218,14 @@ def _period(record: Decoupled) -> int | None:
     return rounded if abs(samples - rounded) < 1e-3 and rounded >= 16 else None
 
 
-def _lines(columns: FloatArray, period: int) -> ComplexArray:
+def _period_spectra(columns: FloatArray, period: int) -> ComplexArray:
     """Spectra of whole periods without the constant: (n_periods, n_frequencies, n_columns)."""
     n_periods = len(columns) // period
     blocks = columns[: n_periods * period].reshape(n_periods, period, -1)
     return np.asarray(np.fft.rfft(blocks, axis=1)[:, 1:] / period)
 
 
-def _segments(columns: FloatArray, segment: int) -> ComplexArray:
+def _segment_spectra(columns: FloatArray, segment: int) -> ComplexArray:
     step = max(1, round(segment * (1.0 - _OVERLAP)))
     return window_spectra(columns, np.hanning(segment), step)[:, 1:]
 
@@ -249,14 +251,14 @@ def _dip_and_peak(
 ) -> tuple[float, float]:
     """Frequencies of the minimum and the following maximum of the response times frequency."""
     inside = np.flatnonzero((frequency >= low) & (frequency <= high))
-    if inside.size < _FEW_LINES:
+    if inside.size < _MIN_LINES:
         raise NotIdentifiable("too few spectral lines in the band")
     normalised = np.abs(response[inside]) * frequency[inside]
     windows = np.lib.stride_tricks.sliding_window_view(
-        np.log(np.maximum(normalised, 1e-300)), _SMOOTH
+        np.log(np.maximum(normalised, 1e-300)), _MEDIAN_LINES
     )
     smoothed = np.median(windows, axis=1)
-    frequencies = frequency[inside][_SMOOTH // 2 : -(_SMOOTH // 2)]
+    frequencies = frequency[inside][_MEDIAN_LINES // 2 : -(_MEDIAN_LINES // 2)]
     largest_rise, dip_and_peak = 0.0, (0, 0)
     lowest = 0
     # largest increase from a minimum to a later maximum

@@ -28,12 +28,14 @@ from strainwave.numerics.filters import differentiate
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.signals.recorded_input import driven_by_voltage
 
-_SEGMENT = 8.0  # [s] maximum duration of a Welch segment
-_LOWEST = 3.0  # first line; the window spreads a constant over the lines below
-_DAMPED = 0.5  # maximum damping ratio of a visible dip or peak
-_ROUNDING = 1e-6  # share of the highest frequency below which a frequency is a rounding error
+_MAX_SEGMENT_SECONDS = 8.0  # [s] maximum duration of a Welch segment
+_FIRST_LINE = 3.0  # first line; the window spreads a constant over the lines below
+_MAX_DAMPING_RATIO = 0.5  # maximum damping ratio of a visible dip or peak
+_MIN_FREQUENCY_SHARE = (
+    1e-6  # share of the highest frequency below which a frequency is a rounding error
+)
 # minimum share of the largest torque density; lines without excitation are left out
-_SEEN = 1e-4
+_MIN_POWER_SHARE = 1e-4
 
 
 def motor_response(
@@ -61,11 +63,11 @@ def motor_response(
         [log.channels[f"theta_m{number}"], runs["motor_angle"][0, :, number - 1]]
     )
     columns = np.column_stack([runs["motor_torque"][0, :, number - 1], differentiate(angles, T)])
-    segment = min(len(log) // 2, round(_SEGMENT / T))
+    segment = min(len(log) // 2, round(_MAX_SEGMENT_SECONDS / T))
     frequency, density = cross_spectral_densities(columns, T, segment)
     power = density[:, 0, 0].real
-    inside = (frequency >= _LOWEST * frequency[1]) & (frequency <= velocity_band(log, arm))
-    inside &= power > _SEEN * power[inside].max(initial=0.0)
+    inside = (frequency >= _FIRST_LINE * frequency[1]) & (frequency <= velocity_band(log, arm))
+    inside &= power > _MIN_POWER_SHARE * power[inside].max(initial=0.0)
     measured, fitted = (density[inside, 0, k] / power[inside] for k in (1, 2))
     coherence = np.abs(density[inside, 0, 1]) ** 2
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
@@ -73,7 +75,10 @@ def motor_response(
     posture = arm.gear_ratios * np.array(
         [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, arm.n_joints + 1)]
     )
-    values, is_servoed = _one_stiffness(model.values, joints, arm), condition == "others-servoed"
+    values, is_servoed = (
+        _with_equivalent_stiffness(model.values, joints, arm),
+        condition == "others-servoed",
+    )
     zeros, poles = modes_of_motor(values, arm, posture, number, servoed=is_servoed)
     return MotorResponse(
         experiment=log.name,
@@ -117,8 +122,8 @@ def modes_of_motor(
     inertia = np.zeros((2 * n, 2 * n))  # motors first, then links
     inertia[:n, :n] = np.diag(each("motor_inertia"))
     inertia[n:, n:] = arm.inertia_matrix(base, link_angle)
-    springs = _across(arm.gear_ratios, each("gear_stiffness"))
-    dampers = _across(arm.gear_ratios, each("gear_damping"))
+    springs = _coupling_matrix(arm.gear_ratios, each("gear_stiffness"))
+    dampers = _coupling_matrix(arm.gear_ratios, each("gear_damping"))
     viscous = [each("motor_viscous_friction"), each("link_viscous_friction")]
     dampers += np.diag(np.concatenate(viscous))
     moving = np.ones(2 * n, dtype=bool)
@@ -134,18 +139,18 @@ def modes_of_motor(
     others_moving = moving.copy()
     others_moving[joint - 1] = False
     return (
-        _rings(inertia, dampers, springs, others_moving),
-        _rings(inertia, dampers, springs, moving),
+        _lightly_damped_frequencies(inertia, dampers, springs, others_moving),
+        _lightly_damped_frequencies(inertia, dampers, springs, moving),
     )
 
 
-def _across(ratio: FloatArray, gear: FloatArray) -> FloatArray:
+def _coupling_matrix(ratio: FloatArray, gear: FloatArray) -> FloatArray:
     """Matrix (2 n, 2 n) of a spring or damper between each motor and its link."""
     motor, coupling = np.diag(ratio**2 * gear), -np.diag(ratio * gear)
     return np.block([[motor, coupling], [coupling, np.diag(gear)]])
 
 
-def _rings(
+def _lightly_damped_frequencies(
     inertia: FloatArray, dampers: FloatArray, springs: FloatArray, moving: BoolArray
 ) -> FloatArray:
     """Frequencies [Hz] of the lightly damped modes of M s^2 + D s + K in the moving coordinates."""
@@ -153,8 +158,10 @@ def _rings(
     lower_rows = np.linalg.solve(inertia[index], np.hstack([-springs[index], -dampers[index]]))
     upper_rows = np.eye(count, 2 * count, count)
     roots = np.linalg.eigvals(np.vstack([upper_rows, lower_rows]))
-    is_oscillating = roots.imag > _ROUNDING * np.abs(roots).max()  # excludes rigid-body modes
-    lightly_damped = roots[is_oscillating & (-roots.real < _DAMPED * np.abs(roots))]
+    is_oscillating = (
+        roots.imag > _MIN_FREQUENCY_SHARE * np.abs(roots).max()
+    )  # excludes rigid-body modes
+    lightly_damped = roots[is_oscillating & (-roots.real < _MAX_DAMPING_RATIO * np.abs(roots))]
     return np.asarray(np.sort(np.abs(lightly_damped)) / (2.0 * np.pi))
 
 
@@ -165,7 +172,7 @@ def _condition(log: Log, arm: Arm) -> Condition:
     return "others-servoed" if "servo" in others else "others-free"
 
 
-def _one_stiffness(
+def _with_equivalent_stiffness(
     values: Mapping[tuple[str, int | None], float], joints: Sequence[JointModel], arm: Arm
 ) -> dict[tuple[str, int | None], float]:
     """Values with the equivalent stiffness of nonlinear gears at the records' amplitude."""

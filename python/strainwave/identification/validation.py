@@ -21,7 +21,7 @@ _COULOMB = "motor_coulomb_friction"
 _MIN_PERIODS = 2.5
 """Minimum number of periods of the low-pass in a record; each edge takes one."""
 
-_STIFFER = 1.2
+_STIFFNESS_FACTOR = 1.2
 """Factor on the stiffness that validation should detect, to test the effect of the stiffness."""
 
 MAX_ERROR = 0.1
@@ -43,17 +43,17 @@ _N_DRAWS = 6  # samples of the parameters; their standard deviation is accurate 
 
 
 @dataclass(frozen=True, slots=True)
-class _Usual:
+class _TypicalMotion:
     """Typical motion and residual of one channel in the fitted records."""
 
     motion: float  # largest standard deviation of the signal
     error: float  # largest standard deviation of the residual
 
 
-def _unexplained(
+def _unexplained_errors(
     prediction: Prediction,
     noise: FloatArray,
-    usual: Mapping[str, _Usual],
+    usual: Mapping[str, _TypicalMotion],
     varied: Callable[[], Iterator[FloatArray]],
 ) -> Mapping[str, float]:
     """Channels that the model does not predict, with the ratio of error to explained error.
@@ -65,7 +65,7 @@ def _unexplained(
     only if the other causes do not explain an error.
     """
     error = np.sqrt(np.mean((prediction.measured - prediction.predicted) ** 2, axis=0))
-    no_motion = _Usual(0.0, 0.0)
+    no_motion = _TypicalMotion(0.0, 0.0)
     typical = [usual.get(name, no_motion) for name in prediction.channels]
     motion = np.maximum(
         np.std(prediction.measured, axis=0),
@@ -144,13 +144,15 @@ def predict_rigid(
             yield (other.predicted - band.predicted) / per_channel
 
     typical = {
-        name: _Usual(
+        name: _TypicalMotion(
             max(float(np.std(each.measured[:, k])) for each in fitted),
             max(float(np.std(each.measured[:, k] - each.predicted[:, k])) for each in fitted),
         )
         for k, name in enumerate(names if fitted else ())
     }
-    errors = _unexplained(prediction, np.zeros(len(names)), typical, varied) if fitted else {}
+    errors = (
+        _unexplained_errors(prediction, np.zeros(len(names)), typical, varied) if fitted else {}
+    )
     return replace(prediction, unexplained=errors)
 
 
@@ -181,7 +183,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     prediction = prediction_of(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
-    typical, noise = _usual(model), observed.noise
+    typical, noise = _typical_motion(model), observed.noise
 
     def varied() -> Iterator[FloatArray]:
         for other in _variations(model):
@@ -190,8 +192,8 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
-    errors = _unexplained(prediction, noise, typical, varied)
-    is_servo_at_fault = bool(errors) and not _unexplained(
+    errors = _unexplained_errors(prediction, noise, typical, varied)
+    is_servo_at_fault = bool(errors) and not _unexplained_errors(
         _by_voltage(observed, values, arm), noise, typical, varied
     )
     return replace(
@@ -211,14 +213,14 @@ def _by_voltage(observed: Observed, values: Values, arm: Arm) -> Prediction:
     )
 
 
-def _usual(model: ArmModel) -> Mapping[str, _Usual]:
+def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
     """Largest motion and residual of each channel in the fitted records."""
-    typical: dict[str, _Usual] = {}
+    typical: dict[str, _TypicalMotion] = {}
     for test in model.criticism.residuals if model.criticism else ():
         fit = model.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
         motion = test.deviation / (1.0 - 0.01 * fit) if fit < 100.0 else 0.0
-        previous = typical.get(test.channel, _Usual(0.0, 0.0))
-        typical[test.channel] = _Usual(
+        previous = typical.get(test.channel, _TypicalMotion(0.0, 0.0))
+        typical[test.channel] = _TypicalMotion(
             max(previous.motion, motion), max(previous.error, test.deviation)
         )
     return typical
@@ -254,7 +256,8 @@ def _stiffness_effect(
     elastic model.
     """
     stiffer = {
-        (name, number): value * (_STIFFER if number == joint and "stiffness" in name else 1.0)
+        (name, number): value
+        * (_STIFFNESS_FACTOR if number == joint and "stiffness" in name else 1.0)
         for (name, number), value in values.items()
     }
     stiffer_motion = observed.simulated(as_known(arm, stiffer), stiffer)

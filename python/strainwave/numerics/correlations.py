@@ -21,12 +21,12 @@ def correlate_residuals(
     """
     n = len(residual)
     lags = max(1, min(MAX_LAGS, n // 4))
-    residual_spectrum = _spectrum(residual)
+    residual_spectrum = _padded_spectrum(residual)
     autocovariance = np.fft.irfft(np.abs(residual_spectrum) ** 2, 2 * n)[:n]
     power = float(autocovariance[0]) or 1.0  # the correlation of a constant signal is zero
     cross, std = [], []
     for column in inputs.T:
-        input_spectrum = _spectrum(column)
+        input_spectrum = _padded_spectrum(column)
         input_autocovariance = np.fft.irfft(np.abs(input_spectrum) ** 2, 2 * n)[:n]
         input_power = float(input_autocovariance[0]) or 1.0
         products = (
@@ -75,6 +75,6 @@ def expected_autocorrelation(
     return rho[zero : zero + lags + 1], std
 
 
-def _spectrum(column: FloatArray) -> np.ndarray:
+def _padded_spectrum(column: FloatArray) -> np.ndarray:
     """Spectrum without the mean, zero-padded so that correlations are not circular."""
     return np.asarray(np.fft.rfft(column - column.mean(), 2 * len(column)))

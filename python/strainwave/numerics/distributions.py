@@ -52,14 +52,14 @@ def student_quantile(probability: float, degrees: int) -> float:
     low, high = 0.0, 0.5 * math.pi
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if 0.5 + 0.5 * _within(middle, degrees) < probability:
+        if 0.5 + 0.5 * _student_probability(middle, degrees) < probability:
             low = middle
         else:
             high = middle
     return math.sqrt(degrees) * math.tan(low)
 
 
-def _within(angle: float, degrees: int) -> float:
+def _student_probability(angle: float, degrees: int) -> float:
     """Probability P(|t| < sqrt(degrees) tan angle) (Abramowitz and Stegun 26.7.3, 26.7.4)."""
     odd = degrees % 2
     cosine = math.cos(angle)

@@ -20,10 +20,14 @@ Between = Literal["smooth", "held", "straight"]
 
 # Ratio of density to noise floor above which a line is signal. A Welch estimate of 8 averages stays
 # below 4 times its mean.
-_FLOOR_MARGIN = 4.0
-_LEAST_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
-_SETTLED = 14.0  # periods of the cut-off frequency after which a transient is below rounding
-_PIECE = 1 << 17  # samples per transform; longer transforms do not fit the processor cache
+_MIN_SIGNAL_TO_FLOOR = 4.0
+_MIN_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
+_SETTLING_PERIODS = (
+    14.0  # periods of the cut-off frequency after which a transient is below rounding
+)
+_MAX_TRANSFORM_SAMPLES = (
+    1 << 17
+)  # samples per transform; longer transforms do not fit the processor cache
 
 
 def low_pass(
@@ -54,8 +58,8 @@ def low_pass(
     if relative >= 0.45:
         return signal[kept]
     n = len(signal)
-    margin = int(_SETTLED / (relative * decimated))
-    piece = max(_PIECE, 8 * margin)
+    margin = int(_SETTLING_PERIODS / (relative * decimated))
+    piece = max(_MAX_TRANSFORM_SAMPLES, 8 * margin)
     if n <= 2 * piece:
         return _passed(signal, relative, decimated)[kept]
     kept_indices = np.arange(n)[kept]
@@ -74,7 +78,7 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     """Low-pass of a complete signal; `relative` is the cut-off divided by the sampling rate."""
     n = len(signal)
     pad = min(n - 1, int(4.0 / (relative * decimated)))
-    extended = _continued(signal, pad)
+    extended = _point_reflected(signal, pad)
     # the filter does not change a straight line; without the line, both ends are equal
     n_extended = len(extended)
     slope = (extended[-1] - extended[0]) / (n_extended - 1)
@@ -91,7 +95,7 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     return passed
 
 
-def _continued(signal: FloatArray, pad: int) -> FloatArray:
+def _point_reflected(signal: FloatArray, pad: int) -> FloatArray:
     """Signal extended by `pad` samples of its point reflection at both ends."""
     before = 2.0 * signal[:1] - signal[pad:0:-1]
     after = 2.0 * signal[-1:] - signal[-2 : -pad - 2 : -1]
@@ -118,8 +122,8 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     ends = min(len(signal), 4)  # samples used for the differences at each end
     derivative[:2] = np.gradient(signal[:ends], sample_time, axis=0)[:2]
     derivative[-2:] = np.gradient(signal[-ends:], sample_time, axis=0)[-2:]
-    for start in range(2, len(signal) - 2, _PIECE):
-        stop = min(start + _PIECE, len(signal) - 2)
+    for start in range(2, len(signal) - 2, _MAX_TRANSFORM_SAMPLES):
+        stop = min(start + _MAX_TRANSFORM_SAMPLES, len(signal) - 2)
         inner_difference = signal[start + 1 : stop + 1] - signal[start - 1 : stop - 1]
         outer_difference = signal[start + 2 : stop + 2] - signal[start - 2 : stop - 2]
         derivative[start:stop] = (8.0 * inner_difference - outer_difference) / (12.0 * sample_time)
@@ -149,7 +153,7 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     noise.
     """
     rate = 1.0 / sample_time
-    if len(angle) < _LEAST_SAMPLES:
+    if len(angle) < _MIN_SAMPLES:
         return 0.2 * rate
     segment = min(len(angle) // 4, max(256, round(2.0 * rate)))
     frequency, density = cross_spectral_densities(
@@ -161,7 +165,7 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     power = power[1:] / (2.0 * np.sin(np.pi * frequency[1:] * sample_time)) ** 2
     frequency = frequency[1:]
     floor = np.median(power[frequency >= 0.25 * rate])
-    above_floor = np.flatnonzero(power > _FLOOR_MARGIN * floor)
+    above_floor = np.flatnonzero(power > _MIN_SIGNAL_TO_FLOOR * floor)
     if not above_floor.size:
         return float(frequency[0])
     # the first wide gap ends the band, so interference lines above it do not extend it
@@ -204,7 +208,7 @@ def _lag_response(
     The padding lets the response decay, so it does not wrap around. The result is cached for the
     channels of a record.
     """
-    numerator, denominator = _discrete(lags, sample_time, held)
+    numerator, denominator = _discrete_transfer_function(lags, sample_time, held)
     max_pole_modulus = float(np.abs(np.roots(denominator)).max())
     n_settling = int(np.ceil(np.log(np.finfo(float).eps) / np.log(max(max_pole_modulus, 1e-3))))
     size = fast_length(n + n_settling)
@@ -235,7 +239,7 @@ def unaliased(
     if not lags and between == "smooth":
         return signal
     n = len(signal)
-    pad = min(n - 1, max(_LEAST_SAMPLES, round(_memory(lags) / sample_time)))
+    pad = min(n - 1, max(_MIN_SAMPLES, round(_settling_time(lags) / sample_time)))
     before, after = np.repeat(signal[:1], pad, axis=0), np.repeat(signal[-1:], pad, axis=0)
     if between == "smooth":
         after = 2.0 * after - signal[-2 : -pad - 2 : -1]
@@ -245,7 +249,7 @@ def unaliased(
     slope = (extended[-1] - extended[0]) / (n_extended - 1)
     line = extended[0] + np.multiply.outer(np.arange(n_extended), slope)
     size = fast_length(n_extended)
-    response, delay = _analog(tuple(lags), sample_time, between, size)
+    response, delay = _analog_response(tuple(lags), sample_time, between, size)
     extended = extended - line
     spectrum = np.fft.rfft(extended, size, axis=0)
     spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
@@ -254,13 +258,13 @@ def unaliased(
     return np.asarray(passed - slope * (delay / sample_time))
 
 
-def _memory(lags: Sequence[Lag]) -> float:
+def _settling_time(lags: Sequence[Lag]) -> float:
     """Time [s] after which the transient of the slowest low-pass filter is below rounding."""
-    return max((_SETTLED / lag.cutoff_hz for lag in lags), default=0.0)
+    return max((_SETTLING_PERIODS / lag.cutoff_hz for lag in lags), default=0.0)
 
 
 @lru_cache(maxsize=32)
-def _analog(
+def _analog_response(
     lags: tuple[Lag, ...], sample_time: float, between: Between, size: int
 ) -> tuple[ComplexArray, float]:
     """Frequency response at the frequencies of a transform, and delay of a straight line [s]."""
@@ -280,7 +284,7 @@ def _analog(
     return response, delay
 
 
-def _discrete(
+def _discrete_transfer_function(
     lags: tuple[Lag, ...], sample_time: float, held: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Numerator and denominator of the cascade in z, highest power first.
@@ -350,12 +354,14 @@ def band_passes(
 
     Returns (n_samples, n_wanted).
     """
-    f, spectrum, inner = _spectrum_of(signals, sample_time, 3.0 / low_hz)
+    f, spectrum, inner = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
     filtered = np.empty((len(signals), len(wanted)))
     for column, (k, integrals) in enumerate(wanted):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
-        filtered[:, column] = _back((response * spectrum[:, k])[:, None], inner, len(signals))[:, 0]
+        filtered[:, column] = _inverse_spectrum(
+            (response * spectrum[:, k])[:, None], inner, len(signals)
+        )[:, 0]
     return filtered
 
 
@@ -380,28 +386,28 @@ def by_spectrum(
 
     Returns (n_samples, ...).
     """
-    f, spectrum, inner = _spectrum_of(signal, sample_time, reach)
+    f, spectrum, inner = _padded_spectrum(signal, sample_time, reach)
     gain = response(f)
     if gain.ndim == 3:
         spectrum = np.einsum("foi,fi->fo", gain, spectrum)
     else:
         spectrum = spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1))
-    return _back(spectrum, inner, len(signal))
+    return _inverse_spectrum(spectrum, inner, len(signal))
 
 
-def _spectrum_of(
+def _padded_spectrum(
     signal: FloatArray, sample_time: float, reach: float
 ) -> tuple[FloatArray, ComplexArray, tuple[int, int]]:
     """Frequencies [Hz] and spectrum without the mean, and (left padding, transform length)."""
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
-    extended = _continued(signal, pad)
+    extended = _point_reflected(signal, pad)
     size = fast_length(len(extended) + pad)
     f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
     return f, np.asarray(np.fft.rfft(extended, size, axis=0)[1:]), (pad, size)
 
 
-def _back(spectrum: ComplexArray, inner: tuple[int, int], n: int) -> FloatArray:
+def _inverse_spectrum(spectrum: ComplexArray, inner: tuple[int, int], n: int) -> FloatArray:
     """Signal of n samples from its spectrum without the mean."""
     pad, size = inner
     full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])

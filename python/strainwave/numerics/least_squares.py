@@ -18,13 +18,15 @@ would cut the heavy tails of friction residuals on one side of each velocity rev
 KNOWN = -1
 """Group of rows with prior knowledge, each divided by its standard deviation."""
 
-_NOISE_MARGIN = 3.0  # smallest ratio of a singular value to the noise of the regressor
+_MIN_SINGULAR_VALUE_TO_NOISE = (
+    3.0  # smallest ratio of a singular value to the noise of the regressor
+)
 # Largest standard deviation of an identifiable parameter, as a share of the total torque.
-_SHARE_OF_TORQUE = 0.3
+_MAX_STD_SHARE_OF_TORQUE = 0.3
 # Smallest share of its error that remains in a residual used for the scale estimate.
-_INFORMATIVE = 0.2
+_MIN_RESIDUAL_SHARE = 0.2
 # Smallest component of a unit vector for which a parameter belongs to a direction.
-_TAKES_PART = 0.1
+_MIN_DIRECTION_COMPONENT = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,11 +93,11 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
 
     `root` (n_rows,): Square roots of the weights.
     """
-    reduced = _reduced(equations, root, equations.target[:, None])
+    reduced = _reduce(equations, root, equations.target[:, None])
     scale, R, targets = reduced.scale, reduced.own, reduced.right[:, 0]
     U, s, Vt = np.linalg.svd(R)
     noise = np.sqrt(Vt**2 @ (equations.noise * np.linalg.norm(root) / scale) ** 2)
-    is_identifiable = s > np.maximum(_NOISE_MARGIN * noise, 1e-10 * s[0])
+    is_identifiable = s > np.maximum(_MIN_SINGULAR_VALUE_TO_NOISE * noise, 1e-10 * s[0])
     x = Vt[is_identifiable].T @ ((U[:, is_identifiable].T @ targets) / s[is_identifiable])
     common, local = reduced.nuisance(x)
     return Factor(
@@ -116,7 +118,7 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
-    reduced = _reduced(equations, factor.root, changes, leverage=False)
+    reduced = _reduce(equations, factor.root, changes, leverage=False)
     basis = factor.directions[factor.seen].T
     # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
     inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ reduced.own.T
@@ -124,7 +126,7 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
 
 
 @dataclass(frozen=True, slots=True)
-class _Reduced:
+class _ReducedEquations:
     """Equations after elimination of the local parameters, and their triangular factor.
 
     The columns belong to the common nuisance parameters, the parameters and the targets.
@@ -157,9 +159,9 @@ class _Reduced:
         return common, np.asarray(local)
 
 
-def _reduced(
+def _reduce(
     equations: Equations, root: FloatArray, targets: FloatArray, *, leverage: bool = True
-) -> _Reduced:
+) -> _ReducedEquations:
     """Eliminate the local parameters part by part, then compute a QR decomposition."""
     X = equations.shared * root[:, None]
     scale = np.linalg.norm(X, axis=0)
@@ -170,7 +172,7 @@ def _reduced(
     local_leverage = np.zeros(len(root))
     local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
     for part, Z in _weighted_parts(equations, root):
-        coefficients, columns[part.rows], part_leverage = _eliminated(
+        coefficients, columns[part.rows], part_leverage = _eliminate(
             Z, columns[part.rows], leverage=leverage
         )
         local_coefficients.append(coefficients)
@@ -179,7 +181,7 @@ def _reduced(
     below = np.concatenate(local_coefficients)
     priors = np.eye(n_common, columns.shape[1])
     Q, R = np.linalg.qr(np.vstack([columns, -below, priors]))
-    return _Reduced(
+    return _ReducedEquations(
         scale=scale,
         n_common=n_common,
         triangle=R,
@@ -188,7 +190,7 @@ def _reduced(
     )
 
 
-def _eliminated(
+def _eliminate(
     Z: Banded, right: FloatArray, *, leverage: bool = True
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(Z'Z + I)^-1 Z' right, the remainder of right, and the diagonal of Z (Z'Z + I)^-1 Z'."""
@@ -230,10 +232,10 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     root = np.ones_like(residual)
     for g in np.unique(equations.group[equations.group != KNOWN]):
         rows = equations.group == g
-        informative = rows & (residual_share > _INFORMATIVE)
+        informative = rows & (residual_share > _MIN_RESIDUAL_SHARE)
         informative = informative if informative.any() else rows
         size = np.abs(residual[informative]) / np.sqrt(
-            np.clip(residual_share[informative], _INFORMATIVE, None)
+            np.clip(residual_share[informative], _MIN_RESIDUAL_SHARE, None)
         )
         # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
@@ -266,7 +268,7 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     """
     basis = factor.directions[factor.seen].T / factor.scale[:, None]
     to_parameters = basis / factor.singular[factor.seen]
-    normal = _Normal.of(equations, factor.root, to_parameters)
+    normal = _NormalEquations.of(equations, factor.root, to_parameters)
     reference = normal.solution()
     shifts = [normal.without(label) - reference for label in normal.lost]
     m = len(shifts)
@@ -277,7 +279,7 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
 
 
 @dataclass(frozen=True, slots=True)
-class _Normal:
+class _NormalEquations:
     """Normal equations of w and the common nuisance parameters, without the local parameters."""
 
     gram: FloatArray  # (k, k + 1), the last column is the right-hand side
@@ -285,7 +287,7 @@ class _Normal:
     priors: FloatArray  # (k, k) contribution of the errors of the priors
 
     @staticmethod
-    def of(equations: Equations, root: FloatArray, back: FloatArray) -> _Normal:
+    def of(equations: Equations, root: FloatArray, back: FloatArray) -> _NormalEquations:
         """Normal equations for the parameters x = `back @ w`."""
         common = equations.common * equations.common_deviation
         columns = [equations.shared @ back, common, equations.target]
@@ -297,7 +299,7 @@ class _Normal:
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
                 continue
-            coefficients, _, _ = _eliminated(Z, rows[part.rows], leverage=False)
+            coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
             part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
             gram += part_gram
             priors += coefficients.T @ coefficients
@@ -312,7 +314,7 @@ class _Normal:
         prior_rows = np.vstack([rows[equations.group == KNOWN], np.eye(n)[n_own:-1]])
         gram += prior_rows.T @ prior_rows
         priors += prior_rows.T @ prior_rows
-        return _Normal(gram[:-1], lost, priors[:-1, :-1])
+        return _NormalEquations(gram[:-1], lost, priors[:-1, :-1])
 
     def solution(self) -> FloatArray:
         """Estimate of w and the common nuisance parameters."""
@@ -356,14 +358,16 @@ def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> 
     `covariance` (n_parameters, n_parameters).
     """
     unidentifiable = np.abs(factor.directions[~factor.seen])
-    is_identifiable = (unidentifiable < _TAKES_PART).all(axis=0)
+    is_identifiable = (unidentifiable < _MIN_DIRECTION_COMPONENT).all(axis=0)
     torque = np.linalg.norm(factor.root * equations.target)
     torque_std = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale
-    return np.asarray(is_identifiable & (torque_std < _SHARE_OF_TORQUE * torque))
+    return np.asarray(is_identifiable & (torque_std < _MAX_STD_SHARE_OF_TORQUE * torque))
 
 
 def companions(factor: Factor, unknown: int) -> list[int]:
     """Parameters that are correlated with one parameter in the weakest direction it belongs to."""
-    belongs = np.abs(factor.directions[:, unknown]) > _TAKES_PART
+    belongs = np.abs(factor.directions[:, unknown]) > _MIN_DIRECTION_COMPONENT
     weakest = factor.directions[np.flatnonzero(belongs)[-1]]
-    return [int(k) for k in np.flatnonzero(np.abs(weakest) > _TAKES_PART) if k != unknown]
+    return [
+        int(k) for k in np.flatnonzero(np.abs(weakest) > _MIN_DIRECTION_COMPONENT) if k != unknown
+    ]

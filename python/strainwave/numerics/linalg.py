@@ -6,8 +6,8 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_BLOCK = 400  # rows of a block whose factorisation fits the processor cache
-_TERMS = 18  # number of Taylor terms: 0.5^19 / 19! is below rounding
+_BLOCK_ROWS = 400  # rows of a block whose factorisation fits the processor cache
+_TAYLOR_TERMS = 18  # number of Taylor terms: 0.5^19 / 19! is below rounding
 
 
 def exponential(matrix: FloatArray) -> FloatArray:
@@ -16,7 +16,7 @@ def exponential(matrix: FloatArray) -> FloatArray:
     halvings = max(0, int(np.ceil(np.log2(size))) + 1) if size > 0.0 else 0
     scaled = matrix / 2.0**halvings
     result = np.eye(len(matrix))
-    for k in range(_TERMS, 0, -1):  # Horner's scheme
+    for k in range(_TAYLOR_TERMS, 0, -1):  # Horner's scheme
         result = np.eye(len(matrix)) + scaled @ result / k
     for _ in range(halvings):
         result = result @ result
@@ -31,7 +31,7 @@ def triangular_factor(table: FloatArray) -> FloatArray:
     the table does not fit the cache.
     """
     n_rows, n = table.shape
-    n_blocks = n_rows // max(_BLOCK, 2 * n)
+    n_blocks = n_rows // max(_BLOCK_ROWS, 2 * n)
     if n_blocks > 1:
         n_blocked_rows = n_rows // n_blocks * n_blocks
         blocks = np.asarray(np.linalg.qr(table[:n_blocked_rows].reshape(n_blocks, -1, n), mode="r"))

@@ -18,9 +18,11 @@ First = TypeVar("First")
 Second = TypeVar("Second")
 
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of mallopt in glibc's malloc.h
-_KEPT = 2**28  # bytes below which freed memory is kept and arrays are not mapped separately
-_NEW_OBJECTS = 100_000  # allocations between two runs of the garbage collector
-_THREAD_TURN = 1e-3  # [s] maximum time before a thread releases the interpreter to another thread
+_KEPT_BYTES = 2**28  # bytes below which freed memory is kept and arrays are not mapped separately
+_COLLECTOR_THRESHOLD = 100_000  # allocations between two runs of the garbage collector
+_SWITCH_INTERVAL = (
+    1e-3  # [s] maximum time before a thread releases the interpreter to another thread
+)
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
@@ -40,8 +42,8 @@ def own_process() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")  # searching for plugins takes time
-    gc.set_threshold(_NEW_OBJECTS)
-    sys.setswitchinterval(_THREAD_TURN)
+    gc.set_threshold(_COLLECTOR_THRESHOLD)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     atexit.register(gc.freeze)
     _keep_memory()
 
@@ -57,7 +59,7 @@ def _keep_memory() -> None:
     except (AttributeError, OSError, TypeError):  # another C library
         return
     for option in (_MMAP_THRESHOLD, _TRIM_THRESHOLD):
-        mallopt(option, _KEPT)
+        mallopt(option, _KEPT_BYTES)
 
 
 class Stopped(BaseException):
@@ -139,7 +141,7 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     parent = _group()
     max_threads = None if parent is None else parent.threads
     if len(jobs) <= 1 or max_threads == 1:  # a thread costs as much as a small job
-        return [_one_after_another(job) for job in jobs]
+        return [_run_sequentially(job) for job in jobs]
     workers = os.cpu_count() if max_threads is None else min(max_threads, len(jobs))
     nested_threads = (
         None if max_threads is None else max(1, max_threads // min(max_threads, len(jobs)))
@@ -147,7 +149,7 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     group = _Group(parent, nested_threads)
     pool = ThreadPoolExecutor(workers)
     try:
-        results = [pool.submit(_in_group, group, job) for job in jobs]
+        results = [pool.submit(_run_in_group, group, job) for job in jobs]
         return [each.result() for each in results]
     finally:
         group.stopped = True
@@ -161,12 +163,12 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
     return cast("First", first_result), cast("Second", second_result)
 
 
-def _one_after_another(job: Callable[[], Result]) -> Result:
+def _run_sequentially(job: Callable[[], Result]) -> Result:
     stop_if_asked()
     return job()
 
 
-def _in_group(group: _Group, job: Callable[[], Result]) -> Result:
+def _run_in_group(group: _Group, job: Callable[[], Result]) -> Result:
     _thread.group = group
     stop_if_asked()
     return job()

@@ -17,21 +17,23 @@ from strainwave.domain import BoolArray, FloatArray
 
 # Ratio of actual to predicted decrease above which the damping decreases, and below which it
 # increases.
-_GOOD, _POOR = 0.75, 0.25
+_MIN_GOOD_GAIN_RATIO, _MAX_POOR_GAIN_RATIO = 0.75, 0.25
 # Coulomb friction makes the cost rough, so a small predicted decrease may not be achievable.
-_PATIENCE = 4  # evaluations over which `_STUCK` limits the decrease
-_STUCK = 30.0  # decrease, in tolerances, below which the iteration has stalled
+_STALL_EVALUATIONS = 4  # evaluations over which `_MAX_STALL_DECREASE` limits the decrease
+_MAX_STALL_DECREASE = 30.0  # decrease, in tolerances, below which the iteration has stalled
 # A stalled iteration continues while the predicted decrease exceeds this many tolerances and this
 # share of the cost.
-_HOPE, _LITTLE = 1000.0, 0.2
+_MIN_PREDICTED_TOLERANCES, _MIN_PREDICTED_COST_SHARE = 1000.0, 0.2
 # Evaluations without sufficient decrease after which the iteration ends in any case: the cost is
 # discontinuous.
-_LOST = 12
-_HELPS = 1e-4  # smallest ratio of actual to predicted decrease for which a step is accepted
+_MAX_STALL_EVALUATIONS = 12
+_MIN_ACCEPTED_GAIN_RATIO = (
+    1e-4  # smallest ratio of actual to predicted decrease for which a step is accepted
+)
 # Smallest damping, and smallest damping after a rejected step.
-_LEAST_DAMPING, _FELT = 1e-9, 1e-3
-_SHORTER = 0.3  # factor on the trusted step length after a rejected step
-_SMALLEST = 1e-12  # relative singular value below which a direction is not used
+_MIN_DAMPING, _MIN_DAMPING_AFTER_REJECTION = 1e-9, 1e-3
+_STEP_REDUCTION = 0.3  # factor on the trusted step length after a rejected step
+_MIN_SINGULAR_VALUE_RATIO = 1e-12  # relative singular value below which a direction is not used
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,19 +125,23 @@ def minimise(
         if gain < gain_tolerance:
             return Found(x, current, evaluations, True)
         stalled = (
-            len(costs) > _PATIENCE
-            and costs[-_PATIENCE - 1] - current.cost < _STUCK * gain_tolerance
+            len(costs) > _STALL_EVALUATIONS
+            and costs[-_STALL_EVALUATIONS - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
         )
         is_discontinuous = (
-            len(costs) > _LOST and costs[-_LOST - 1] - current.cost < _STUCK * gain_tolerance
+            len(costs) > _MAX_STALL_EVALUATIONS
+            and costs[-_MAX_STALL_EVALUATIONS - 1] - current.cost
+            < _MAX_STALL_DECREASE * gain_tolerance
         )
-        is_small_gain = gain < max(_HOPE * tolerance, _LITTLE * current.cost)
+        is_small_gain = gain < max(
+            _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
+        )
         if is_discontinuous or (stalled and is_small_gain):
             return Found(x, current, evaluations, True)
         if evaluations >= max_evaluations:
             return Found(x, current, evaluations, False)
         predicted, step = _trusted_step(
-            current.factor, damping, is_free, _Trust(space, x, trusted_share)
+            current.factor, damping, is_free, _StepLimit(space, x, trusted_share)
         )
         trial = space.moved(x, step)
         candidate = linearise(trial)
@@ -143,22 +149,22 @@ def minimise(
         gain_ratio = (
             (current.cost - candidate.cost) / max(predicted, 1e-300) if candidate else -np.inf
         )
-        if candidate is None or gain_ratio < _HELPS:
-            damping, growth = max(damping * growth, _FELT), growth * 2.0
-            trusted_share *= _SHORTER
+        if candidate is None or gain_ratio < _MIN_ACCEPTED_GAIN_RATIO:
+            damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
+            trusted_share *= _STEP_REDUCTION
             if abs(predicted) < tolerance:  # no step decreases the cost
                 return Found(x, current, evaluations, is_small_gain)
             continue
-        if gain_ratio > _GOOD:
-            damping = max(damping / 5.0, _LEAST_DAMPING)
-        elif gain_ratio < _POOR:
+        if gain_ratio > _MIN_GOOD_GAIN_RATIO:
+            damping = max(damping / 5.0, _MIN_DAMPING)
+        elif gain_ratio < _MAX_POOR_GAIN_RATIO:
             damping *= 2.0
-        growth, trusted_share = 2.0, min(1.0, trusted_share / _SHORTER)
+        growth, trusted_share = 2.0, min(1.0, trusted_share / _STEP_REDUCTION)
         x, current = trial, candidate
 
 
 @dataclass(frozen=True, slots=True)
-class _Trust:
+class _StepLimit:
     """Limit of a step from x."""
 
     space: Space
@@ -170,7 +176,7 @@ def _trusted_step(
     factor: FloatArray,
     damping: float,
     free: BoolArray,
-    trust: _Trust,
+    trust: _StepLimit,
 ) -> tuple[float, FloatArray]:
     """Damped step with limited components held at their limits; the others are re-optimised.
 
@@ -202,7 +208,7 @@ def _step(
         scale[scale == 0.0] = 1.0
         U, s, Vt = np.linalg.svd(R[:, free] / scale, full_matrices=False)
         projection = U.T @ (residual + R @ step)
-        is_usable = s > _SMALLEST * s[0]
+        is_usable = s > _MIN_SINGULAR_VALUE_RATIO * s[0]
         coefficients = -s[is_usable] * projection[is_usable] / (s[is_usable] ** 2 + damping)
         step[free] = Vt[is_usable].T @ coefficients / scale
     # |residual|^2 - |R step + residual|^2 without cancellation

@@ -32,10 +32,10 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
     try:
         R = np.linalg.cholesky(gram[np.ix_(order, order)]).T
     except np.linalg.LinAlgError:
-        return _upper(_blocked_qr(data, z, depth)[:, order]), rows
+        return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
     pivots = np.diagonal(R)
     if pivots.min() < SMALLEST_PIVOT * pivots.max():
-        return _upper(_blocked_qr(data, z, depth)[:, order]), rows
+        return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
     return np.asarray(R), rows
 
 
@@ -54,10 +54,10 @@ def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
         windows = np.lib.stride_tricks.sliding_window_view(z[record].ravel(), depth * width)
         windows = windows[::width]
         for start in range(0, len(windows), BLOCK):
-            R = _upper(np.vstack([R, windows[start : start + BLOCK]]))
+            R = _qr_factor(np.vstack([R, windows[start : start + BLOCK]]))
     return R
 
 
-def _upper(matrix: FloatArray) -> FloatArray:
+def _qr_factor(matrix: FloatArray) -> FloatArray:
     """Triangular factor R of matrix = Q R."""
     return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -25,14 +25,14 @@ from strainwave.statespace._riccati import is_stable
 
 # Step of the central differences along an entry of K, in standard deviations: far above rounding,
 # and small against the curvature of log det I_m.
-_STEP = 0.2
+_GAIN_STEP_STDS = 0.2
 
 # Samples used for the gradient. More samples add a constant to log det I_m and hardly change its
 # gradient.
-_SAMPLES = 1024
+_MAX_GRADIENT_SAMPLES = 1024
 
 # Maximum number of step halvings, down to 1/16 of the initial step.
-_HALVINGS = 5
+_MAX_STEP_HALVINGS = 5
 
 
 def restricted(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray | None) -> Matrices:
@@ -48,10 +48,10 @@ def restricted(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray 
     T = balancing(matrices)
     change = _change_of_coordinates(matrices, T)
     start, transformed_covariance = matrices.transformed(T), change @ covariance @ change.T
-    values, slope = start.pack(), _slope(evaluator, start, transformed_covariance)
+    values, slope = start.pack(), _gradient(evaluator, start, transformed_covariance)
     step = -transformed_covariance @ slope
     before = _cost(evaluator, values)
-    for _ in range(_HALVINGS):
+    for _ in range(_MAX_STEP_HALVINGS):
         # slope @ step is the first-order change of log det; the cost is evaluated
         if _cost(evaluator, values + step) + slope @ step < before:
             return evaluator.unpack(values + step).transformed(np.asarray(np.linalg.inv(T)))
@@ -83,13 +83,13 @@ def _cost(evaluator: Evaluator, values: FloatArray) -> float:
     return evaluator.cost(values) + barrier
 
 
-def _slope(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> FloatArray:
+def _gradient(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> FloatArray:
     """Gradient of (1/2) log det I_m over all entries, by central differences along K.
 
     The gradient is zero along the basis of I_m and along changes of state coordinates. These
     conditions determine the remaining entries.
     """
-    coordinate_directions, n = _coordinates(matrices), matrices.order
+    coordinate_directions, n = _coordinate_directions(matrices), matrices.order
     n_plant = matrices.A.size + matrices.B.size + matrices.C.size + matrices.D.size
     states = n_plant + matrices.K.size
     std = np.sqrt(np.maximum(np.diagonal(covariance)[:n_plant], 0.0))
@@ -101,8 +101,8 @@ def _slope(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> 
     information = _Information.of(evaluator, matrices, basis, states)
     values, slope = matrices.pack(), np.zeros(len(covariance))
     for entry in range(n_plant, states):
-        step = _STEP * float(np.sqrt(max(covariance[entry, entry], 0.0)))
-        for _ in range(_HALVINGS if step > 0.0 else 0):
+        step = _GAIN_STEP_STDS * float(np.sqrt(max(covariance[entry, entry], 0.0)))
+        for _ in range(_MAX_STEP_HALVINGS if step > 0.0 else 0):
             plus = information.half_log(values, entry, step)
             minus = information.half_log(values, entry, -step)
             if np.isfinite(plus - minus):
@@ -118,7 +118,7 @@ def _slope(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) -> 
     return slope
 
 
-def _coordinates(matrices: Matrices) -> FloatArray:
+def _coordinate_directions(matrices: Matrices) -> FloatArray:
     """Derivative of the entries of A, B, C, D, K with respect to T at T = I: (n_entries, n^2)."""
     A, B, C, n = matrices.A, matrices.B, matrices.C, matrices.order
     directions = []
@@ -132,7 +132,7 @@ def _coordinates(matrices: Matrices) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class _Information:
-    """Information I_m near a model, on the first `_SAMPLES` samples."""
+    """Information I_m near a model, on the first `_MAX_GRADIENT_SAMPLES` samples."""
 
     evaluator: Evaluator
     whitener: FloatArray
@@ -144,7 +144,7 @@ class _Information:
     def of(
         evaluator: Evaluator, matrices: Matrices, basis: FloatArray, states: int
     ) -> _Information:
-        data, lengths, remaining = evaluator.data, [], _SAMPLES
+        data, lengths, remaining = evaluator.data, [], _MAX_GRADIENT_SAMPLES
         for length in data.lengths:
             if remaining > 0:
                 lengths.append(min(length, remaining))

@@ -21,8 +21,8 @@ WELL_CONDITIONED = 1e6
 
 # Coefficients of (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first. The truncation
 # error is below rounding for |x| < _SMALL.
-_SERIES = [1.0 / factorial(k + 2) for k in range(14, -1, -1)]
-_SMALL = 0.5
+_HOLD_SERIES = [1.0 / factorial(k + 2) for k in range(14, -1, -1)]
+_MAX_SERIES_ARGUMENT = 0.5
 
 
 def to_continuous(model: StateSpace) -> ContinuousStateSpace:
@@ -51,7 +51,7 @@ def _entries(model: ContinuousStateSpace) -> FloatArray:
 def _convert(model: StateSpace) -> ContinuousStateSpace:
     """Conversion without covariance of one model or a stack of models."""
     T = model.sample_time
-    A, P1, P2 = _between_samples(model.A, T)
+    A, P1, P2 = _continuous_matrices(model.A, T)
     is_first_order = np.array([hold == "first" for hold in model.hold])
     B = np.asarray(np.linalg.solve(P1, model.B), dtype=np.float64)
     D = model.D.copy()
@@ -66,11 +66,11 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
         D=D,
         input_names=model.input_names,
         output_names=model.output_names,
-        warnings=_aliases(A, T),
+        warnings=_alias_warnings(A, T),
     )
 
 
-def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _continuous_matrices(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Continuous-time A, and the integrals P1 and P2 of `to_continuous`.
 
     A is the real logarithm with the smallest imaginary parts of the eigenvalues.
@@ -84,7 +84,7 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
         )
     if np.linalg.cond(vectors).max() >= WELL_CONDITIONED:
         if A.ndim > 2:
-            stacked = np.stack([np.stack(_between_samples(matrix, T)) for matrix in A], axis=1)
+            stacked = np.stack([np.stack(_continuous_matrices(matrix, T)) for matrix in A], axis=1)
             return stacked[0], stacked[1], stacked[2]
         from scipy.linalg import logm
 
@@ -92,8 +92,8 @@ def _between_samples(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, F
         return logarithm, *_hold_integrals(logarithm, T)
     x = np.log(values.astype(complex))
     # the closed form loses digits for small x, so the series is used there
-    small = np.abs(x) < _SMALL
-    series = np.polyval(_SERIES, x)
+    small = np.abs(x) < _MAX_SERIES_ARGUMENT
+    series = np.polyval(_HOLD_SERIES, x)
     nonzero = np.where(small, 1.0, x)
     second = np.where(small, series, (np.exp(nonzero) - 1.0 - nonzero) / nonzero**2)
     inverse = np.linalg.inv(vectors)
@@ -113,7 +113,7 @@ def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
     return top[:, n : 2 * n], top[:, 2 * n :]
 
 
-def _aliases(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
+def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
     fastest = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0))
     if fastest < NEAR_NYQUIST * np.pi / T:
         return ()

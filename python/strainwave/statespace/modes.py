@@ -18,7 +18,7 @@ FAR = 100.0
 
 # Shift of the inverted pencil, relative to the fastest pole. A shift on the unstable real axis that
 # is not a round number is unlikely to coincide with a zero.
-_ASIDE = 0.7320508
+_PENCIL_SHIFT = 0.7320508
 
 
 def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> Modes:
@@ -92,9 +92,11 @@ def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray
     N[:n, :n] = np.eye(n)
     # (M - s N) v = 0 is equivalent to (M - a N)^-1 N v = v / (s - a); infinite zeros become zero
     right = np.broadcast_to(N, M.shape)
-    inverses = np.linalg.eigvals(np.linalg.solve(M - _ASIDE * N, right)).astype(np.complex128)
+    inverses = np.linalg.eigvals(np.linalg.solve(M - _PENCIL_SHIFT * N, right)).astype(
+        np.complex128
+    )
     finite = np.abs(inverses) > 1e-12
-    zeros = size[..., 0] * (_ASIDE + 1.0 / np.where(finite, inverses, 1.0))
+    zeros = size[..., 0] * (_PENCIL_SHIFT + 1.0 / np.where(finite, inverses, 1.0))
     return np.where(finite, zeros, np.inf)
 
 

@@ -58,7 +58,7 @@ def select_order(
         raise InvalidInput(f"expected orders of at least 1, got {tuple(orders)}")
     stack(data)
     fit = fit or (lambda records: partial(pem, records, options=options))
-    kept, held_out = _parts(data, sorted_orders[-1])
+    kept, held_out = _split_records(data, sorted_orders[-1])
     fits: list[tuple[float, ...]] = [(float("nan"),) * records_of(data)[0].outputs.shape[1]]
     fits *= len(sorted_orders)
     is_sound = np.ones(len(sorted_orders), dtype=bool)
@@ -67,7 +67,7 @@ def select_order(
         model_on_kept = fit(kept)
         kept_models = [model_on_kept(order) for order in sorted_orders]
         fits = [_held_out_fit(model, held_out) for model in kept_models]
-        is_sound = _sound(kept_models)
+        is_sound = _converged(kept_models)
     unexplained_percent = np.array([100.0 - np.mean(percentages) for percentages in fits])
     if np.isfinite(unexplained_percent[is_sound]).any():
         is_candidate = is_sound & (
@@ -88,19 +88,19 @@ def select_order(
         for order, is_close in zip(sorted_orders, is_candidate, strict=True)
         if is_close
     ]
-    is_usable = _sound(models)
+    is_usable = _converged(models)
     candidates = [model for model, usable in zip(models, is_usable, strict=True) if usable]
-    chosen, rule = _choose(candidates, data, candidate_reason, single_reason)
+    chosen, rule = _choose_order(candidates, data, candidate_reason, single_reason)
     return OrderSelection(tuple(models), tuple(fits), chosen, rule)
 
 
-def _sound(models: Sequence[StateSpace]) -> BoolArray:
+def _converged(models: Sequence[StateSpace]) -> BoolArray:
     """Which fits converged (n_models,); all True if none converged."""
     converged = np.array([model.status in ("converged", "estimated") for model in models])
     return converged if converged.any() else np.ones(len(models), dtype=bool)
 
 
-def _parts(data: Data, highest: int) -> tuple[list[InputOutput], list[InputOutput]]:
+def _split_records(data: Data, highest: int) -> tuple[list[InputOutput], list[InputOutput]]:
     """Kept part of every record, and held-out part of the records that are long enough."""
     kept, held_out = [], []
     for record in records_of(data):
@@ -122,7 +122,9 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
     return fit_percent(stacked.outputs, stacked.outputs - evaluator.residuals(matrices))
 
 
-def _choose(candidates: Sequence[StateSpace], data: Data, among: str, rest: str) -> tuple[int, str]:
+def _choose_order(
+    candidates: Sequence[StateSpace], data: Data, among: str, rest: str
+) -> tuple[int, str]:
     """Chosen order and the reason."""
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:

@@ -32,7 +32,7 @@ from strainwave.statespace.subspace import (
 
 # K = 0 is not tried if its cost at the plant's poles exceeds the bound of the Bayesian information
 # criterion by this factor.
-_SURELY = 3.0
+_MAX_ZERO_GAIN_COST_FACTOR = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +88,12 @@ def pem(
         raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
     best = min(fits, key=lambda fit: fit.cost)
     if options.disturbance == "innovations" and best.status == "converged":
-        without = _without_gain(evaluator, best, through, options)
+        without = _fit_without_gain(evaluator, best, through, options)
         best = without or _restricted(evaluator, best, through, options)
     return _model(evaluator, best, through, options)
 
 
-def _without_gain(
+def _fit_without_gain(
     evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit | None:
     """Fit with K = 0 if the data do not require a gain, otherwise None.
@@ -107,7 +107,7 @@ def _without_gain(
     # Bayesian information criterion, as for the order: the likelihood ratio is not chi-square here.
     limit = best.cost + 0.5 * without_gain.K.size * np.log(evaluator.data.n_samples)
     start = evaluator.linear(without_gain, feedthrough, gain=False, solutions=1)
-    if evaluator.cost(start.pack()) > best.cost + _SURELY * (limit - best.cost):
+    if evaluator.cost(start.pack()) > best.cost + _MAX_ZERO_GAIN_COST_FACTOR * (limit - best.cost):
         return None
     fit = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
     if fit is None or fit.status != "converged" or fit.covariance is None:
@@ -181,7 +181,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
             f"got {shape[0]} and {shape[1]}"
         )
     states = np.zeros((len(data.lengths), start.order))
-    converted = _at_rate(start, data.sample_time, states)
+    converted = _resampled(start, data.sample_time, states)
     scaled = rescale(converted, data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + FLOOR * np.eye(len(noise))
@@ -189,7 +189,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
     return replace(scaled, K=K)
 
 
-def _at_rate(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
+def _resampled(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
     """Matrices of a start, converted to another sampling period.
 
     B and D depend on the hold, so the fit re-estimates them.
@@ -250,9 +250,9 @@ def _model(
     method: Literal["pem", "output-error"]
     method = "pem" if options.disturbance == "innovations" else "output-error"
     status = fit.status if fit.covariance is not None else "not-determined"
-    warnings = _advice(fit, options)
+    warnings = _fit_warnings(fit, options)
     model = assemble(data, fit.matrices, method, status, feedthrough, warnings)
-    model = replace(model, warnings=model.warnings + _unlike_simulation(model))
+    model = replace(model, warnings=model.warnings + _negative_fit_warning(model))
     covariance, kind = None, None
     if fit.covariance is not None:
         covariance, kind = _covariance(evaluator, fit, options, model.n_parameters)
@@ -265,7 +265,7 @@ def _model(
     )
 
 
-def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
+def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
     warnings = []
     if fit.status == "iteration-limit":
         warnings.append(
@@ -299,7 +299,7 @@ def _advice(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
     return tuple(warnings)
 
 
-def _unlike_simulation(model: StateSpace) -> tuple[Diagnostic, ...]:
+def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     """Warning for outputs whose simulated fit is negative.
 
     One-step predictions can still be accurate, because the last measured sample determines most of
@@ -357,7 +357,7 @@ def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> Fl
     residuals = evaluator.residuals(matrices)
     whitener = evaluator.whitener(matrices)
     scores = evaluator.core.scores(matrices.pack(), whitener)
-    window = _memory(residuals, data)
+    window = _correlation_window(residuals, data)
     size, entries = len(bread), scores.shape[1] - evaluator.order
     middle = np.zeros((size, size))
     for index, rows in enumerate(data.rows()):
@@ -371,7 +371,7 @@ def _sandwich(evaluator: Evaluator, matrices: Matrices, bread: FloatArray) -> Fl
     return bread @ middle @ bread
 
 
-def _memory(residuals: FloatArray, data: Stack) -> int:
+def _correlation_window(residuals: FloatArray, data: Stack) -> int:
     """Window of `_sandwich`: twice the last lag with a significant residual autocorrelation."""
     longest = max(2, min(max(data.lengths) // 10, 1000))
     last_lag = 1

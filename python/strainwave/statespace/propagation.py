@@ -42,15 +42,15 @@ def propagate(
         return np.atleast_1d(np.asarray(function(near), dtype=np.float64))
 
     if model.covariance is None and stacked:
-        return function(_moved(model, np.zeros((1, _n_entries(model)))))[0], None
+        return function(_with_changes(model, np.zeros((1, _n_entries(model)))))[0], None
     if model.covariance is None:
         return each(model), None
     steps = STEP * _directions(model.covariance).T
     changes = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
     if stacked:
-        values = function(_moved(model, changes))
+        values = function(_with_changes(model, changes))
     else:
-        values = np.stack([each(_moved(model, change)) for change in changes])
+        values = np.stack([each(_with_changes(model, change)) for change in changes])
     J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * STEP)
     return values[0], J @ J.T
 
@@ -82,7 +82,7 @@ def _n_entries(model: Model) -> int:
     return sum(getattr(model, name).size for name in _names(model))
 
 
-def _moved(model: Model, change: FloatArray) -> Model:
+def _with_changes(model: Model, change: FloatArray) -> Model:
     """Model with one change, or a stack of changes, added to its entries; without covariance."""
     entries, start = {}, 0
     for name in _names(model):

@@ -81,7 +81,7 @@ def whiteness(
         R = correlations[lag]
         statistic += samples**2 / (samples - lag) * np.trace(R.T @ R0_inverse @ R @ R0_inverse)
     degrees = max(p * p * lags - fitted, 1)
-    return _verdict(
+    return _test_result(
         "white",
         statistic,
         degrees,
@@ -107,9 +107,9 @@ def _cross_tests(
     forward = _correlations(residuals, data.inputs, data, lags) / samples  # e[k] u[k - l]
     backward = _correlations(data.inputs, residuals, data, lags) / samples  # u[k] e[k - l]
     backward = np.swapaxes(backward, 1, 2)
-    covariance = _spread(r_e, r_u, lags, p, m) / samples
-    statistic, degrees = _quadratic(forward.reshape(-1), covariance)
-    past = _verdict(
+    covariance = _correlation_covariance(r_e, r_u, lags, p, m) / samples
+    statistic, degrees = _quadratic_form(forward.reshape(-1), covariance)
+    past = _test_result(
         "independent-of-past-inputs",
         statistic,
         degrees,
@@ -118,8 +118,8 @@ def _cross_tests(
     )
     block = p * m
     # Time reversal puts the lags in descending order; the covariance is block Toeplitz.
-    statistic, degrees = _quadratic(backward[:0:-1].reshape(-1), covariance[:-block, :-block])
-    future = _verdict(
+    statistic, degrees = _quadratic_form(backward[:0:-1].reshape(-1), covariance[:-block, :-block])
+    future = _test_result(
         "no-feedback",
         statistic,
         degrees,
@@ -132,7 +132,9 @@ def _cross_tests(
     return past, future, cross / np.maximum(scale, np.finfo(float).tiny)
 
 
-def _spread(r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int) -> FloatArray:
+def _correlation_covariance(
+    r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int
+) -> FloatArray:
     """Covariance of the correlations times N: blocks sum_j R_e(j) (x) R_u(j + l' - l)."""
     zero_e, zero_u = len(r_e) // 2, len(r_u) // 2
     offsets = np.arange(-2 * lags, 2 * lags + 1)
@@ -146,7 +148,7 @@ def _spread(r_e: FloatArray, r_u: FloatArray, lags: int, p: int, m: int) -> Floa
     return np.block(rows)
 
 
-def _quadratic(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:
+def _quadratic_form(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:
     """Statistic v' P^+ v over the directions that the inputs excite, and its degrees of freedom."""
     covariance = 0.5 * (covariance + covariance.T)
     values, vectors = np.linalg.eigh(covariance)
@@ -175,7 +177,7 @@ def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
     return correlations / np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
 
 
-def _verdict(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
+def _test_result(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
     p_value = chi_square_tail(statistic, degrees)
     passed = p_value >= LEVEL
     return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

@@ -37,7 +37,7 @@ LONGEST_HORIZON = 40
 HIGHEST_ORDER = 10
 
 
-_DIVERGES = Diagnostic(
+_DIVERGENCE_WARNING = Diagnostic(
     "subspace-not-determined",
     "state-space model",
     "the predictor diverges on its own data. Take off means and drifts, or change the order",
@@ -107,7 +107,9 @@ def _estimate(
     if np.isfinite(evaluator.cost(matrices.pack())):
         model = assemble(data, matrices, "subspace", "estimated", through)
     else:
-        model = assemble(data, matrices, "subspace", "not-determined", through, (_DIVERGES,))
+        model = assemble(
+            data, matrices, "subspace", "not-determined", through, (_DIVERGENCE_WARNING,)
+        )
     return replace(model, singular_values=realisation.singular_values, horizon=realisation.horizon)
 
 
@@ -124,24 +126,28 @@ class Factors:
         def factor() -> FloatArray:
             return triangular_factor(self.data, past + 1, _regression_order(self.data, past))[0]
 
-        return cast("FloatArray", self._once("regression", past, factor))
+        return cast("FloatArray", self._cached("regression", past, factor))
 
     def predictor(self, past: int) -> Directions:
         """Singular directions of C (A - K C)^j times the states, from the ARX model."""
-        return cast("Directions", self._once("predictor", past, lambda: _predictor(self, past)))
+        return cast(
+            "Directions", self._cached("predictor", past, lambda: _predictor_directions(self, past))
+        )
 
     def oblique(self, past: int) -> Directions:
         """Singular directions of the oblique projection of the future outputs on the past."""
-        return cast("Directions", self._once("oblique", past, lambda: _oblique(self, past)))
+        return cast(
+            "Directions", self._cached("oblique", past, lambda: _oblique_directions(self, past))
+        )
 
     def past_and_future(self, past: int) -> FloatArray:
         """Triangular factor of [future inputs, past w, future outputs]."""
         return cast(
             "FloatArray",
-            self._once("past-and-future", past, lambda: _past_and_future(self.data, past)),
+            self._cached("past-and-future", past, lambda: _past_and_future_factor(self.data, past)),
         )
 
-    def _once(self, name: str, past: int, work: Callable[[], Any]) -> Any:
+    def _cached(self, name: str, past: int, work: Callable[[], Any]) -> Any:
         if (name, past) not in self._known:
             self._known[name, past] = work()
         return self._known[name, past]
@@ -170,7 +176,7 @@ def realise(
     _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
     for way in methods:
-        realisation = _WAYS[way](factors, order, length, feedthrough)
+        realisation = _METHODS[way](factors, order, length, feedthrough)
         if len(methods) == 1:
             return realisation
         evaluator = Evaluator(data, realisation.matrices.order)
@@ -224,7 +230,7 @@ def _regression_order(data: Stack, past: int) -> FloatArray:
     return np.concatenate([now + np.arange(m), lags, now + np.arange(m, width)])
 
 
-def _predictor(factors: Factors, past: int) -> Directions:
+def _predictor_directions(factors: Factors, past: int) -> Directions:
     """Singular directions of the states, from the ARX model y[k] = D u[k] + sum M_i z[k-i] + e[k].
 
     M_i = C (A - K C)^(i-1) [B - K D, K]. C (A - K C)^j times the state is the sum of M_(i+j)
@@ -241,28 +247,28 @@ def _predictor(factors: Factors, past: int) -> Directions:
     return Directions(rows, s, U)
 
 
-def _by_predictor(
+def _predictor_realisation(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     directions = factors.predictor(past)
     s = directions.singular_values
     n = order or _largest_gap(s)
     to_state = (directions.vectors[:, :n].T @ directions.matrix) / np.sqrt(s[:n])[:, None]
-    return _from_states(factors, to_state, past, s, feedthrough, given=None)
+    return _realise_from_states(factors, to_state, past, s, feedthrough, given=None)
 
 
-def _oblique(factors: Factors, past: int) -> Directions:
-    R, start, stop = factors.past_and_future(past), *_places(factors.data, past)
+def _oblique_directions(factors: Factors, past: int) -> Directions:
+    R, start, stop = factors.past_and_future(past), *_past_columns(factors.data, past)
     L_wy = R[start:stop, stop:]  # future outputs on the past, with the future inputs projected out
     _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
     return Directions(L_wy, s, Vt.T)
 
 
-def _moesp(
+def _moesp_realisation(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     """A and C from the extended observability matrix, states from the oblique projection."""
-    p, (start, stop) = factors.data.n_outputs, _places(factors.data, past)
+    p, (start, stop) = factors.data.n_outputs, _past_columns(factors.data, past)
     R, directions = factors.past_and_future(past), factors.oblique(past)
     s = directions.singular_values
     n = order or _largest_gap(s)
@@ -272,24 +278,24 @@ def _moesp(
     # x = O^+ (oblique projection) = O^+ L_wy' L_ww'^-1 w
     targets = directions.matrix @ np.linalg.pinv(observability).T
     oblique = solve_upper(R[start:stop, start:stop], targets)
-    return _from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
+    return _realise_from_oblique(factors, oblique, past, s, feedthrough, given=(A, C))
 
 
-def _n4sid(
+def _n4sid_realisation(
     factors: Factors, order: int | None, past: int, feedthrough: tuple[bool, ...]
 ) -> Realisation:
     """States from the unweighted oblique projection; A, B, C, D by regression on the states."""
-    R, (start, stop) = factors.past_and_future(past), _places(factors.data, past)
+    R, (start, stop) = factors.past_and_future(past), _past_columns(factors.data, past)
     onto_past = solve_upper(R[start:stop, start:stop], R[start:stop, stop:])
     # the projection acts on w itself, not on w after removal of the future inputs
     _, s, Vt = np.linalg.svd(np.linalg.qr(R[:stop, start:stop] @ onto_past, mode="r"))
     n = order or _largest_gap(s)
     observability = Vt[:n].T * np.sqrt(s[:n])
     oblique = onto_past @ np.linalg.pinv(observability).T
-    return _from_oblique(factors, oblique, past, s, feedthrough, given=None)
+    return _realise_from_oblique(factors, oblique, past, s, feedthrough, given=None)
 
 
-def _past_and_future(data: Stack, past: int) -> FloatArray:
+def _past_and_future_factor(data: Stack, past: int) -> FloatArray:
     """Triangular factor of [future inputs, past w, future outputs]."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     window = np.arange(2 * past * width).reshape(2 * past, width)
@@ -298,13 +304,13 @@ def _past_and_future(data: Stack, past: int) -> FloatArray:
     return triangular_factor(data, 2 * past, np.concatenate([c.ravel() for c in columns]))[0]
 
 
-def _places(data: Stack, past: int) -> tuple[int, int]:
-    """First and last column of the past in the matrix of `_past_and_future`."""
+def _past_columns(data: Stack, past: int) -> tuple[int, int]:
+    """First and last column of the past in the matrix of `_past_and_future_factor`."""
     m, width = data.n_inputs, data.n_inputs + data.n_outputs
     return past * m, past * m + past * width
 
 
-def _from_oblique(
+def _realise_from_oblique(
     factors: Factors,
     oblique: FloatArray,
     past: int,
@@ -315,10 +321,10 @@ def _from_oblique(
     """Realisation from state coefficients (past * width, n) of the past, oldest sample first."""
     n = oblique.shape[1]
     to_state = oblique.T.reshape(n, past, -1)[:, ::-1].reshape(n, -1)
-    return _from_states(factors, to_state, past, singular_values, feedthrough, given)
+    return _realise_from_states(factors, to_state, past, singular_values, feedthrough, given)
 
 
-def _from_states(
+def _realise_from_states(
     factors: Factors,
     to_state: FloatArray,
     past: int,
@@ -393,11 +399,15 @@ def _check(order: int | None, horizon: int | None, method: str) -> None:
     for name, number in (("order", order), ("horizon", horizon)):
         if number is not None and number < 1:
             raise InvalidInput(f"expected {name} of at least 1, got {number}")
-    known = ("auto", *_WAYS)
+    known = ("auto", *_METHODS)
     if method not in known:
         raise InvalidInput(
             f"expected method {', '.join(known[:-1])} or {known[-1]}, got {method!r}"
         )
 
 
-_WAYS = {"moesp": _moesp, "n4sid": _n4sid, "predictor": _by_predictor}
+_METHODS = {
+    "moesp": _moesp_realisation,
+    "n4sid": _n4sid_realisation,
+    "predictor": _predictor_realisation,
+}

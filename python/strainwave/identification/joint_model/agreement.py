@@ -19,13 +19,13 @@ from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 OUTSIDE = 3.0
 """Factor by which the compared and plotted frequency range exceeds the band of the fit."""
 
-_COHERENT = 0.8  # coherence below which a line is not compared
-_BLURRED = 0.3  # relative standard deviation above which a line is not compared
+_MIN_COHERENCE = 0.8  # coherence below which a line is not compared
+_MAX_RELATIVE_STD = 0.3  # relative standard deviation above which a line is not compared
 REACH = 1.96
 """Half-width of a 95 % band in standard deviations."""
 
-_APART = 2.0  # [dB] difference of about 25 %, clearly visible in the figure
-_MANY = 0.2  # share of the lines; a smaller share may be leakage or a harmonic
+_MIN_DIFFERENCE_DB = 2.0  # [dB] difference of about 25 %, clearly visible in the figure
+_MIN_DIFFERING_SHARE = 0.2  # share of the lines; a smaller share may be leakage or a harmonic
 
 
 def vector_of(joint: JointModel) -> FloatArray:
@@ -64,9 +64,9 @@ def trusted(measured: FrequencyResponse) -> BoolArray:
     for part in (measured.noise_variance, measured.distortion_variance):
         if part is not None:
             variance += part[:, 0, 0]
-    mask = np.sqrt(variance) <= _BLURRED * np.abs(measured.response[:, 0, 0])
+    mask = np.sqrt(variance) <= _MAX_RELATIVE_STD * np.abs(measured.response[:, 0, 0])
     if measured.coherence is not None:
-        mask &= measured.coherence[:, 0] >= _COHERENT
+        mask &= measured.coherence[:, 0] >= _MIN_COHERENCE
     return np.asarray(mask)
 
 
@@ -102,8 +102,8 @@ def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyRespons
     model_std = np.sqrt(np.clip(variance, 0.0, None))
     outside = np.abs(G - H) > REACH * (measured_std + model_std)
     difference_db = np.abs(20.0 * np.log10(np.abs(G) / np.abs(H)))
-    differs = outside & (difference_db > _APART)
-    if np.mean(differs) <= _MANY:
+    differs = outside & (difference_db > _MIN_DIFFERENCE_DB)
+    if np.mean(differs) <= _MIN_DIFFERING_SHARE:
         return None
     worst = int(np.argmax(np.where(differs, difference_db, 0.0)))
     return (

@@ -10,10 +10,12 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, Joint, Parameter
 from strainwave.domain.parameters import unit_of
 
-_IDENTIFIED = 0.3  # relative standard deviation up to which a viscous friction is reported
+_MAX_VISCOUS_RELATIVE_STD = (
+    0.3  # relative standard deviation up to which a viscous friction is reported
+)
 # only the sum of these is well determined in fast records
-_SPLIT = ("motor_viscous_friction", "link_viscous_friction")
-_REACH = 1.96  # half-width of a 95 % interval in standard deviations
+_VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 def parameters_of(
@@ -28,7 +30,7 @@ def parameters_of(
     `covariance` is (n_values, n_values); where it is NaN, no standard deviation is reported. The
     value of a parameter that is not determined is None. `number` counts joints from 1.
     """
-    standard_deviations = _deviations(covariance)
+    standard_deviations = _standard_deviations(covariance)
     for (name, value), std, is_determined in zip(
         values.items(), standard_deviations, determined, strict=True
     ):
@@ -58,14 +60,16 @@ def warnings_of(
     `source` lists the records that the values come from; the other arguments are those of
     `parameters_of`.
     """
-    standard_deviations = _deviations(covariance)
+    standard_deviations = _standard_deviations(covariance)
     for (name, value), std, is_determined in zip(
         values.items(), standard_deviations, determined, strict=True
     ):
         place, unit = f"{name} of joint {number}", unit_of(name, joint)
         identified = _is_identified(name, value, std, is_determined)
         estimate = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
-        if value + 2.0 * np.nan_to_num(std) < 0.0 and (identified or name not in _SPLIT):
+        if value + 2.0 * np.nan_to_num(std) < 0.0 and (
+            identified or name not in _VISCOUS_FRICTIONS
+        ):
             text = f"{estimate} is impossible: {source} show something that"
             yield Diagnostic("implausible", place, text + " this joint's model has not")
         elif not identified:
@@ -99,11 +103,17 @@ def _parameter(
     if not np.isfinite(std):
         return Parameter(name, number, value, None, unit, "decoupled")
     return Parameter(
-        name, number, value, std, unit, "decoupled", (value - _REACH * std, value + _REACH * std)
+        name,
+        number,
+        value,
+        std,
+        unit,
+        "decoupled",
+        (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std),
     )
 
 
-def _deviations(covariance: FloatArray) -> list[float]:
+def _standard_deviations(covariance: FloatArray) -> list[float]:
     return [float(d) for d in np.sqrt(np.clip(np.diag(covariance), 0.0, None))]
 
 
@@ -113,6 +123,6 @@ def _is_identified(name: str, value: float, std: float, determined: bool) -> boo
     In fast records only the sum of the viscous frictions is well determined, so each of them needs
     a small relative standard deviation as well.
     """
-    if name in _SPLIT and not std <= _IDENTIFIED * abs(value):
+    if name in _VISCOUS_FRICTIONS and not std <= _MAX_VISCOUS_RELATIVE_STD * abs(value):
         return False
     return determined

@@ -50,27 +50,27 @@ COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "rel
 
 _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
 
-_BELOW = 2.5  # ratio of the anti-resonance to the lower edge of the band
+_ANTI_RESONANCE_TO_LOW_EDGE = 2.5  # ratio of the anti-resonance to the lower edge of the band
 # ratio of the upper edge of the band to the resonance; the next structural resonance is higher
-_ABOVE = 1.8
+_HIGH_EDGE_TO_RESONANCE = 1.8
 # initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
 FIRST_BAND_HZ = (3.0, 60.0)
-_SLOWEST = 6.0  # minimum number of periods of the lower edge in the shortest record
-_BANDS = 6  # maximum number of bands in the search
-_SAME_BAND = 0.05  # relative difference of the edges up to which two bands are the same
+_MIN_PERIODS = 6.0  # minimum number of periods of the lower edge in the shortest record
+_MAX_BANDS = 6  # maximum number of bands in the search
+_BAND_TOLERANCE = 0.05  # relative difference of the edges up to which two bands are the same
 # number of samples used to search for the band; shorter records are used completely
 _SEARCHED = 1 << 16
-_OTHER_BAND = 1.3  # factor on the band edges for the estimate of the model error
-_ROUNDS = 8  # maximum number of iterations of weights and linearisation in one band
+_BAND_CHANGE = 1.3  # factor on the band edges for the estimate of the model error
+_MAX_ITERATIONS = 8  # maximum number of iterations of weights and linearisation in one band
 # convergence tolerances in standard deviations: for the final estimate, and for the search for the
 # band, whose edges need an accuracy of only a few percent
-_SETTLED, _COARSELY = 0.05, 10.0
-_NEARLY = 0.5  # the same tolerance for the fits that measure the model error
+_TOLERANCE, _SEARCH_TOLERANCE = 0.05, 10.0
+_MODEL_ERROR_TOLERANCE = 0.5  # the same tolerance for the fits that measure the model error
 _ROWS_PER_HZ = 4.0  # rows per second and per hertz of the upper edge, twice the Nyquist rate
-_BLOCKS = 20  # blocks of the jackknife over all records
-_KNOTS = 8.0  # knots of the free friction per period of the upper edge
+_JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
+_KNOTS_PER_PERIOD = 8.0  # knots of the free friction per period of the upper edge
 # minimum relative standard deviation of values from the rigid model, which keeps weights finite
-_SUREST = 1e-6
+_MIN_RELATIVE_STD = 1e-6
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STANDING = 0.58
 # the same for friction that follows the sign of the measured velocity: a tenth
@@ -99,9 +99,9 @@ class RigidKnowledge:
     def moved(self, error: RigidError) -> RigidKnowledge:
         """The values changed by one error."""
         return RigidKnowledge(
-            _moved(self.total_inertia, error.total_inertia),
-            _moved(self.total_viscous_friction, error.total_viscous_friction),
-            _moved(self.coulomb_friction, error.coulomb_friction),
+            _add_change(self.total_inertia, error.total_inertia),
+            _add_change(self.total_viscous_friction, error.total_viscous_friction),
+            _add_change(self.coulomb_friction, error.coulomb_friction),
         )
 
     def of_record(self, k: int) -> RigidKnowledge:
@@ -110,7 +110,7 @@ class RigidKnowledge:
         return replace(self, errors=errors)
 
 
-def _moved(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
+def _add_change(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
     return known and (known[0] + change, known[1])
 
 
@@ -137,9 +137,13 @@ class Solved:
     arm: Arm
     known: RigidKnowledge
     band: tuple[float, float]
-    own: _Weighted
-    as_it_shows: _Weighted  # with friction that follows the sign of the velocity everywhere
-    beside: tuple[_Weighted, ...]  # in a narrower and a wider band; empty if the band is given
+    own: _WeightedEquations
+    as_it_shows: (
+        _WeightedEquations  # with friction that follows the sign of the velocity everywhere
+    )
+    beside: tuple[
+        _WeightedEquations, ...
+    ]  # in a narrower and a wider band; empty if the band is given
 
     def fit(self) -> GreyBoxFit:
         """Estimates, with the model error added to the covariance.
@@ -161,13 +165,16 @@ class Solved:
         If its resonances differ, the equations are solved in new bands.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
-        weighted = _settled(self.own.of_record(k, known), known, _SETTLED)
+        weighted = _iterate(self.own.of_record(k, known), known, _TOLERANCE)
         band = _band_around(_joint_of(weighted), record, self.band)
-        if not same_band(self.band, band, _SAME_BAND):
+        if not same_band(self.band, band, _BAND_TOLERANCE):
             return solve(record, self.arm, known, search_from_hz=self.band)
-        with_sign_friction = _settled(self.as_it_shows.of_record(k, known), known, _NEARLY)
+        with_sign_friction = _iterate(
+            self.as_it_shows.of_record(k, known), known, _MODEL_ERROR_TOLERANCE
+        )
         in_other_bands = [
-            _settled(each.of_record(k, known), known, _NEARLY) for each in self.beside
+            _iterate(each.of_record(k, known), known, _MODEL_ERROR_TOLERANCE)
+            for each in self.beside
         ]
         return Solved(
             record, self.arm, known, self.band, weighted, with_sign_friction, tuple(in_other_bands)
@@ -195,14 +202,16 @@ def solve(
     if band_hz:
         band, equations = band_hz, _equations(records, arm, known, band_hz)
     else:
-        search_result = _found_in_part(records, arm, known, search_from_hz)
+        search_result = _search_band_in_middle(records, arm, known, search_from_hz)
         band, equations = search_result or _found(records, arm, known, search_from_hz)
-    weighted = _settled(equations, known, _SETTLED)
-    with_sign_friction = _settled(_as_it_shows(weighted, known), known, _NEARLY)
+    weighted = _iterate(equations, known, _TOLERANCE)
+    with_sign_friction = _iterate(
+        _with_sign_friction(weighted, known), known, _MODEL_ERROR_TOLERANCE
+    )
     in_other_bands = []
     for low, high in () if band_hz else _other_bands(band):
-        neighbouring = _equations(records, arm, known, _possible(low, high, records), weighted)
-        in_other_bands.append(_settled(neighbouring, known, _NEARLY))
+        neighbouring = _equations(records, arm, known, _limit_band(low, high, records), weighted)
+        in_other_bands.append(_iterate(neighbouring, known, _MODEL_ERROR_TOLERANCE))
     return Solved(
         tuple(records), arm, known, band, weighted, with_sign_friction, tuple(in_other_bands)
     )
@@ -213,26 +222,26 @@ def _found(
     arm: Arm,
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
-) -> tuple[tuple[float, float], _Weighted]:
+) -> tuple[tuple[float, float], _WeightedEquations]:
     """Iterate the band around the resonances; return it with the equations in it."""
-    band = _possible(*search_from_hz, records)
+    band = _limit_band(*search_from_hz, records)
     equations = _equations(records, arm, known, band)
-    for _ in range(_BANDS - 1):
-        equations = _settled(equations, known, _COARSELY)
+    for _ in range(_MAX_BANDS - 1):
+        equations = _iterate(equations, known, _SEARCH_TOLERANCE)
         next_band = _band_around(_joint_of(equations), records, band)
-        if same_band(band, next_band, _SAME_BAND):
+        if same_band(band, next_band, _BAND_TOLERANCE):
             break
         band = next_band
         equations = _equations(records, arm, known, band, equations)
     return band, equations
 
 
-def _found_in_part(
+def _search_band_in_middle(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     arm: Arm,
     known: RigidKnowledge,
     search_from_hz: tuple[float, float],
-) -> tuple[tuple[float, float], _Weighted] | None:
+) -> tuple[tuple[float, float], _WeightedEquations] | None:
     """The same with a search in the middle of long records, confirmed by the complete records.
 
     None if no record is long, or if the complete records need another band: the middle of a sweep,
@@ -242,9 +251,11 @@ def _found_in_part(
         return None
     middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
     band, middle_equations = _found(middle, arm, known, search_from_hz)
-    equations = _settled(_equations(records, arm, known, band, middle_equations), known, _COARSELY)
+    equations = _iterate(
+        _equations(records, arm, known, band, middle_equations), known, _SEARCH_TOLERANCE
+    )
     confirmed_band = _band_around(_joint_of(equations), records, band)
-    return (band, equations) if same_band(band, confirmed_band, _SAME_BAND) else None
+    return (band, equations) if same_band(band, confirmed_band, _BAND_TOLERANCE) else None
 
 
 def _middle(seen: Seen) -> Seen:
@@ -265,7 +276,7 @@ def _middle(seen: Seen) -> Seen:
 def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
     """A narrower band and a wider band."""
     low, high = band
-    return (low * _OTHER_BAND, high / _OTHER_BAND), (low / _OTHER_BAND, high * _OTHER_BAND)
+    return (low * _BAND_CHANGE, high / _BAND_CHANGE), (low / _BAND_CHANGE, high * _BAND_CHANGE)
 
 
 def _model_error(moves: Sequence[FloatArray]) -> FloatArray:
@@ -297,7 +308,7 @@ class _Piece:
 
 
 @dataclass(frozen=True, slots=True)
-class _Weighted:
+class _WeightedEquations:
     """Equations in one band with the weights of their last solution."""
 
     pieces: tuple[_Piece, ...]
@@ -306,7 +317,7 @@ class _Weighted:
     x: FloatArray  # point of linearisation
     standing: float = _STANDING  # prior standard deviation of the free friction, in f
 
-    def of_record(self, k: int, known: RigidKnowledge) -> _Weighted:
+    def of_record(self, k: int, known: RigidKnowledge) -> _WeightedEquations:
         """The equations of record `k` alone, with the values from the rigid step."""
         pieces = self.pieces[k : k + 1]
         equations = _assemble(pieces, known, self.x, self.standing)
@@ -316,12 +327,12 @@ class _Weighted:
         return replace(self, pieces=pieces, equations=equations, root=root)
 
 
-def _possible(
+def _limit_band(
     low: float, high: float, records: Sequence[tuple[LinkSignals, Decoupled]]
 ) -> tuple[float, float]:
     """Limit the band to the frequencies that the records contain."""
     for signals, _ in records:
-        low = max(low, _SLOWEST / (len(signals.time) * signals.sample_time))
+        low = max(low, _MIN_PERIODS / (len(signals.time) * signals.sample_time))
         high = min(high, 0.4 / signals.sample_time, 0.8 * (signals.bandwidth_hz or np.inf))
     return min(low, high / 2.0), high
 
@@ -334,7 +345,7 @@ def _band_around(
     if not np.all(p.vector[[0, 2, 4]] > 0.0):
         return otherwise
     low, high = anti_resonance(p).frequency_hz, resonance(p).frequency_hz
-    return _possible(low / _BELOW, high * _ABOVE, records)
+    return _limit_band(low / _ANTI_RESONANCE_TO_LOW_EDGE, high * _HIGH_EDGE_TO_RESONANCE, records)
 
 
 def _piece(
@@ -368,7 +379,7 @@ def _piece(
     impulse = np.zeros(2 * half_length + 1)
     impulse[half_length] = 1.0
     kernel = band_pass(unaliased(impulse, signals.shared, T, "straight"), low, high, T)
-    shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS * high * T))))
+    shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS_PER_PERIOD * high * T))))
     return _Piece(
         ratio=n,
         band=band,
@@ -388,8 +399,8 @@ def _equations(
     arm: Arm,
     known: RigidKnowledge,
     band: tuple[float, float],
-    near: _Weighted | None = None,
-) -> _Weighted:
+    near: _WeightedEquations | None = None,
+) -> _WeightedEquations:
     """Assemble the equations in one band.
 
     `near` is the solution in another band. It gives the point of linearisation and the weights;
@@ -397,25 +408,27 @@ def _equations(
     """
     pieces = tuple(_piece(signals, joint, arm, band) for signals, joint in records)
     if near is None:
-        x = _start(pieces)
+        x = _starting_values(pieces)
         equations = _assemble(pieces, known, x)
         root = ls.first_weights(equations.target, equations.group)
-        return _Weighted(pieces, equations, root, x)
+        return _WeightedEquations(pieces, equations, root, x)
     equations = _assemble(pieces, known, near.x)
     root = np.ones_like(equations.target)
     for group in range(2 * len(pieces)):
         typical_root = np.median(near.root[near.equations.group == group])
         root[equations.group == group] = typical_root
-    return _Weighted(pieces, equations, root, near.x)
+    return _WeightedEquations(pieces, equations, root, near.x)
 
 
-def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weighted:
+def _iterate(
+    weighted: _WeightedEquations, known: RigidKnowledge, within: float
+) -> _WeightedEquations:
     """Iterate weights and linearisation to convergence.
 
     Iteration stops when no unknown changes by more than `within` standard deviations.
     """
     pieces, equations, root, x = weighted.pieces, weighted.equations, weighted.root, weighted.x
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         stop_if_asked()
         factor = ls.factorise(equations, root)
         has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
@@ -424,10 +437,10 @@ def _settled(weighted: _Weighted, known: RigidKnowledge, within: float) -> _Weig
         root = ls.root_weights(equations, factor)
         if has_converged:
             break
-    return _Weighted(pieces, equations, root, x, weighted.standing)
+    return _WeightedEquations(pieces, equations, root, x, weighted.standing)
 
 
-def _as_it_shows(own: _Weighted, known: RigidKnowledge) -> _Weighted:
+def _with_sign_friction(own: _WeightedEquations, known: RigidKnowledge) -> _WeightedEquations:
     """The same equations with friction that follows the sign of the velocity everywhere.
 
     Within the resolution of the encoder a reversal lasts a few samples, in which the friction
@@ -437,7 +450,9 @@ def _as_it_shows(own: _Weighted, known: RigidKnowledge) -> _Weighted:
     return replace(own, equations=_assemble(own.pieces, known, own.x, _TAKEN), standing=_TAKEN)
 
 
-def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge) -> FloatArray:
+def _rigid_errors(
+    weighted: _WeightedEquations, factor: ls.Factor, known: RigidKnowledge
+) -> FloatArray:
     """Changes of the unknowns for each error of the rigid model, one column per error."""
     if not known.errors:
         return np.zeros((len(COLUMNS), 0))
@@ -448,13 +463,13 @@ def _rigid_errors(weighted: _Weighted, factor: ls.Factor, known: RigidKnowledge)
         for p, tau in zip(pieces, error.tau, strict=True):
             tau_change = p.passed(tau)
             changes += [p.ratio * tau_change, x[_COMPLIANCE] * tau_change]
-        _, prior = _knowledge(known, pieces[0].ratio)
-        _, changed_prior = _knowledge(known.moved(error), pieces[0].ratio)
+        _, prior = _prior_equations(known, pieces[0].ratio)
+        _, changed_prior = _prior_equations(known.moved(error), pieces[0].ratio)
         columns.append(np.concatenate([*changes, changed_prior - prior]))
     return ls.moves(weighted.equations, factor, np.column_stack(columns))
 
 
-def _start(pieces: Sequence[_Piece]) -> FloatArray:
+def _starting_values(pieces: Sequence[_Piece]) -> FloatArray:
     """Starting values: inertias and friction from (S6), then compliance and damping from (S7)."""
     x = np.zeros(len(COLUMNS))
     motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
@@ -486,7 +501,7 @@ def _assemble(
         gear[:, _RELAXATION] = -p.torsion[:, 1]
         local.append(ls.Local(n_before + np.arange(n_rows), p.free))
         n_before += 2 * n_rows
-        n_blocks = max(2, round(_BLOCKS * n_rows / total))
+        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * n_rows / total))
         block_index = first_block + np.arange(n_rows) * n_blocks // n_rows
         first_block += n_blocks
         shared += [motor, gear]
@@ -494,7 +509,7 @@ def _assemble(
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
         free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
-    prior_rows, prior_values = _knowledge(known, pieces[0].ratio)
+    prior_rows, prior_values = _prior_equations(known, pieces[0].ratio)
     rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
         shared=rows,
@@ -509,7 +524,7 @@ def _assemble(
     )
 
 
-def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
+def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
     """Rows and right-hand sides for the rigid-step values, divided by their standard deviations."""
     rows, values = [], []
     for value, columns in (
@@ -522,13 +537,13 @@ def _knowledge(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]
         row = np.zeros(len(COLUMNS))
         for column, factor in columns.items():
             row[column] = factor
-        std = max(value[1], _SUREST * abs(value[0]))
+        std = max(value[1], _MIN_RELATIVE_STD * abs(value[0]))
         rows.append(row / std)
         values.append(value[0] / std)
     return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
-def _joint_of(weighted: _Weighted) -> TwoInertia:
+def _joint_of(weighted: _WeightedEquations) -> TwoInertia:
     return joint_of(_physical(weighted.x)[:6], weighted.pieces[0].ratio)
 
 
@@ -540,7 +555,9 @@ def _physical(x: FloatArray) -> FloatArray:
     return np.concatenate([inertia_and_friction, gear, x[[_COULOMB]]])
 
 
-def _result(weighted: _Weighted, known: RigidKnowledge, band: tuple[float, float]) -> GreyBoxFit:
+def _result(
+    weighted: _WeightedEquations, known: RigidKnowledge, band: tuple[float, float]
+) -> GreyBoxFit:
     equations, x = weighted.equations, weighted.x
     factor = ls.factorise(equations, weighted.root)
     covariance, _ = ls.jackknife(equations, factor)

@@ -53,24 +53,31 @@ BELOW = 3.0  # ratio of the anti-resonance to the lower edge of the band
 ABOVE = 3.0
 # initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
 _FIRST_BAND_HZ = (3.0, 60.0)
-_SLOWEST = 6.0  # minimum number of periods of the lower edge in the longest stretch
+_MIN_PERIODS = 6.0  # minimum number of periods of the lower edge in the longest stretch
 # ratio of the sampling rate to the upper edge of the band. 3.5 to 4.5 work; above 5 the low-pass
 # leaves too little noise near Nyquist for the prediction-error method
-_OVERSAMPLED = 4.0
-_FITTED = 0.75  # share of a stretch used to fit; the rest is used to check the model
-_ROUNDS = 5  # maximum number of bands in the search
-_SAME_BAND = 0.1  # relative difference of the edges up to which the search has converged
-_FAR_OFF = 0.25  # relative difference of the edges above which the model is fitted again
-_HIGH_PASS, _LOW_PASS = 2, 6  # orders of the band-pass: powers of the frequency ratios in the gain
+_RATE_TO_HIGH_EDGE = 4.0
+_FIT_SHARE = 0.75  # share of a stretch used to fit; the rest is used to check the model
+_MAX_BANDS = 5  # maximum number of bands in the search
+_BAND_TOLERANCE = 0.1  # relative difference of the edges up to which the search has converged
+_REFIT_BAND_DIFFERENCE = (
+    0.25  # relative difference of the edges above which the model is fitted again
+)
+_HIGH_PASS_ORDER, _LOW_PASS_ORDER = (
+    2,
+    6,
+)  # orders of the band-pass: powers of the frequency ratios in the gain
 # share of the new sampling rate up to which inputs are divided by sinc^2, which is 0.1 there
-_RAISED = 0.75
-_BELOW_NYQUIST = 0.8  # cut-off over the new Nyquist frequency, as in MATLAB's `decimate`
-_SHORTEST = 10.0  # minimum number of periods of the cut-off in one period of the slowest motion
+_MAX_COMPENSATED_RATE_SHARE = 0.75
+_CUTOFF_TO_NYQUIST = 0.8  # cut-off over the new Nyquist frequency, as in MATLAB's `decimate`
+_MIN_CUTOFF_PERIODS = (
+    10.0  # minimum number of periods of the cut-off in one period of the slowest motion
+)
 PHYSICAL_ORDER = 3  # torsion and two velocities; the common angle is not observable
 _ORDERS = (3, 4, 5, 6)  # three states of the joint and up to three of the filters
 # samples used to select the order: about 100 per parameter of a model with three states
-_INFORMATIVE = 2000
-_OTHER_BAND = 1.2  # factor on the band edges for the estimate of the model error
+_ORDER_SELECTION_SAMPLES = 2000
+_BAND_CHANGE = 1.2  # factor on the band edges for the estimate of the model error
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +136,7 @@ def fit_linear(
         return _fit_in((0.0, _decimated_hz(joint[0], chosen)), joint, chosen, near)
     if chosen.band_hz is not None:
         return _fit_in(chosen.band_hz, joint, chosen, near)
-    band = _at_rate(_search(joint), joint, chosen)
+    band = _at_rate(_search_band(joint), joint, chosen)
     data = _data(joint, band, chosen)
     # the model of three states determines the band; then the order is selected in that band
     physical = _model(joint, data, physical_order(chosen))
@@ -139,7 +146,7 @@ def fit_linear(
     if is_whole and modes.anti_resonance and modes.resonance:
         resonances = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
         refined_band = band_for(resonances, joint, chosen)
-        if not same_band(band, refined_band, _FAR_OFF):
+        if not same_band(band, refined_band, _REFIT_BAND_DIFFERENCE):
             return _fit_in(refined_band, joint, chosen)
     model = _model(joint, data, chosen, physical=physical)
     return LinearFit(joint, chosen, band, data, model, physical)
@@ -167,7 +174,7 @@ def other_bands(
     low, high = band_hz
     return tuple(
         band_around(low * BELOW * by, high / ABOVE / by, records)
-        for by in (_OTHER_BAND, 1.0 / _OTHER_BAND)
+        for by in (_BAND_CHANGE, 1.0 / _BAND_CHANGE)
     )
 
 
@@ -179,7 +186,7 @@ def judge(fit: LinearFit) -> ModelCheck:
     """
     if not _has_resonances(fit.model):
         raise NotIdentifiable("the model does not ring: there is no band to judge it in")
-    cuts = [round(_FITTED * len(piece.inputs)) for piece in fit.data]
+    cuts = [round(_FIT_SHARE * len(piece.inputs)) for piece in fit.data]
     fitted_part = [piece.window(0, cut) for piece, cut in zip(fit.data, cuts, strict=True)]
     held_out_part = [
         piece.window(cut, len(piece.inputs)) for piece, cut in zip(fit.data, cuts, strict=True)
@@ -253,7 +260,7 @@ def band_around(
     low, high = anti_resonance_hz / BELOW, resonance_hz * ABOVE
     for record in records:
         longest = max((stop - start for start, stop in _stretches(record)), default=1)
-        low = max(low, _SLOWEST / (longest * record.sample_time))
+        low = max(low, _MIN_PERIODS / (longest * record.sample_time))
         high = min(high, 0.4 / record.sample_time, 0.8 * (record.bandwidth_hz or np.inf))
     return min(low, high / 4.0), high
 
@@ -274,7 +281,7 @@ def _at_rate(
     """Limit the upper edge of the band to what the decimation of the options allows."""
     if options.decimation is None:
         return band_hz
-    high = 1.0 / (_OVERSAMPLED * options.decimation * records[0].sample_time)
+    high = 1.0 / (_RATE_TO_HIGH_EDGE * options.decimation * records[0].sample_time)
     return min(band_hz[0], high / 4.0), high
 
 
@@ -286,7 +293,7 @@ def same_band(band: tuple[float, float], other: tuple[float, float], within: flo
 def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
     """Gain (n_frequencies,) of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6))."""
     low, high = band_hz
-    gain = (1.0 + (low / f) ** _HIGH_PASS) * (1.0 + (f / high) ** _LOW_PASS)
+    gain = (1.0 + (low / f) ** _HIGH_PASS_ORDER) * (1.0 + (f / high) ** _LOW_PASS_ORDER)
     return np.asarray(1.0 / gain)
 
 
@@ -298,13 +305,13 @@ def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
     inverse = np.zeros((len(f), 2, 2), dtype=complex)
     inverse[:, 0, 0] = inverse[:, 1, 1] = 1.0
     if record.fusion is not None:
-        F = _lean(f, record.fusion)
+        F = _fusion_low_pass(f, record.fusion)
         inverse[:, 1, 1] = 1.0 / (1.0 - F)
         inverse[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
     return inverse
 
 
-def _lean(f: FloatArray, fusion: Fusion) -> ComplexArray:
+def _fusion_low_pass(f: FloatArray, fusion: Fusion) -> ComplexArray:
     """Low-pass F of the fusion (10)."""
     x = 2j * np.pi * f * fusion.time_constant
     return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
@@ -325,8 +332,8 @@ def _data(
     if not stretches:
         raise NotIdentifiable(
             f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
-            f"{_SLOWEST:g} periods of "
-            f"{band_hz[0] or band_hz[1] / _SHORTEST:.3g} Hz: record for longer, "
+            f"{_MIN_PERIODS:g} periods of "
+            f"{band_hz[0] or band_hz[1] / _MIN_CUTOFF_PERIODS:.3g} Hz: record for longer, "
             "or lower the amplitude"
         )
     return tuple(stretches)
@@ -337,12 +344,14 @@ def _pieces(
 ) -> Iterator[InputOutput]:
     low, high = band_hz
     T = record.sample_time
-    step = options.decimation or max(1, round(1.0 / (_OVERSAMPLED * high * T)))
+    step = options.decimation or max(1, round(1.0 / (_RATE_TO_HIGH_EDGE * high * T)))
     n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
     n_out = 1 if options.outputs == "motor" else 2
 
     def raised(f: FloatArray) -> ComplexArray:
-        attenuation = np.where(f * step * T < _RAISED, np.sinc(f * step * T) ** 2, 1.0)
+        attenuation = np.where(
+            f * step * T < _MAX_COMPENSATED_RATE_SHARE, np.sinc(f * step * T) ** 2, 1.0
+        )
         return np.asarray(band_of(f, band_hz) / attenuation, dtype=complex)
 
     def undone(f: FloatArray) -> ComplexArray:
@@ -351,7 +360,7 @@ def _pieces(
     for start, stop in _stretches(record):
         edge = int(1.0 / (low * T))
         # the high-pass response lasts one period; the remaining samples must suffice for a fit
-        if (stop - start) * T * low < _SLOWEST - 1e-6:
+        if (stop - start) * T * low < _MIN_PERIODS - 1e-6:
             continue
         inputs = by_spectrum(record.inputs[start:stop, :n_in], raised, T, 3.0 / low)
         outputs = by_spectrum(record.outputs[start:stop], undone, T, 3.0 / low)
@@ -367,7 +376,7 @@ def _pieces(
 
 def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
     """Cut-off frequency [Hz] of the low-pass before decimation."""
-    return _BELOW_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
+    return _CUTOFF_TO_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
 
 
 def _decimated(
@@ -379,7 +388,7 @@ def _decimated(
     n_out = 1 if options.outputs == "motor" else 2
     for start, stop in _stretches(record):
         edge = int(1.0 / (cutoff * T))
-        if (stop - start) * T * cutoff < _SHORTEST * _SLOWEST:
+        if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * _MIN_PERIODS:
             continue
         columns = np.hstack([record.inputs[start:stop, :n_in], record.outputs[start:stop, :n_out]])
         samples = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
@@ -394,10 +403,10 @@ def _decimated(
         )
 
 
-def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
+def _search_band(records: Sequence[Decoupled]) -> tuple[float, float]:
     """Band around the resonances, from fast subspace estimates without starting values."""
     band = band_around(_FIRST_BAND_HZ[0] * BELOW, _FIRST_BAND_HZ[1] / ABOVE, records)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_BANDS):
         estimated_modes = modes_of(subspace(_data(records, band, LinearOptions()), 3))
         if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:
             break
@@ -407,7 +416,7 @@ def _search(records: Sequence[Decoupled]) -> tuple[float, float]:
             estimated_modes.resonance.frequency_hz,
         )
         band = band_around(min(low, high), max(low, high), records)
-        if same_band(previous_band, band, _SAME_BAND):
+        if same_band(previous_band, band, _BAND_TOLERANCE):
             break
     return band
 
@@ -432,11 +441,11 @@ def _model(
     if not options.order and order != PHYSICAL_ORDER and not _is_usable(model):
         reduced = physical or _fit(data, PHYSICAL_ORDER, options)
         if _is_usable(reduced):
-            model, notes = reduced, (_reduced(records, order),)
+            model, notes = reduced, (_order_warning(records, order),)
     return replace(model, warnings=(*model.warnings, *notes, *_warnings(model, records)))
 
 
-def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
+def _order_warning(records: Sequence[Decoupled], order: int) -> Diagnostic:
     where = ", ".join(record.experiment.name for record in records)
     text = (
         f"the data ask for {order} states, but no such model converges with a resonance: this has"
@@ -445,8 +454,8 @@ def _reduced(records: Sequence[Decoupled], order: int) -> Diagnostic:
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
-    """Select the model order with `select_order` on at most `_INFORMATIVE` samples."""
-    n_remaining, pieces = _INFORMATIVE, []
+    """Select the model order with `select_order` on at most `_ORDER_SELECTION_SAMPLES` samples."""
+    n_remaining, pieces = _ORDER_SELECTION_SAMPLES, []
     for piece in data:
         if n_remaining > 0:
             pieces.append(piece.window(0, min(n_remaining, len(piece.inputs))))

@@ -44,11 +44,17 @@ from strainwave.identification.joint_model.linear import (
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
 
-_IDENTIFIED = 1.0  # relative standard deviation above which the sign is not determined
-_SLOW = 0.1  # maximum of c_0/c_1 relative to the anti-resonance, an assumption of (18)
-_HEAVIER = 0.1  # relative difference of c_1 between the two models that causes a warning
-_RECIPROCAL = 70.0  # [percent] minimum agreement of G12 and G21; good records give above 90
-_LINES = 25  # number of frequencies at which G12 and G21 are compared
+_MAX_RELATIVE_STD = 1.0  # relative standard deviation above which the sign is not determined
+_MAX_LAG_TO_ANTI_RESONANCE = (
+    0.1  # maximum of c_0/c_1 relative to the anti-resonance, an assumption of (18)
+)
+_MAX_INERTIA_DIFFERENCE = (
+    0.1  # relative difference of c_1 between the two models that causes a warning
+)
+_MIN_RECIPROCITY_PERCENT = (
+    70.0  # [percent] minimum agreement of G12 and G21; good records give above 90
+)
+_RECIPROCITY_LINES = 25  # number of frequencies at which G12 and G21 are compared
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +97,7 @@ def from_state_space(
     names = tuple(record.experiment.name for record in joint_records)
     joint, where = arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
-    vector, pair_covariance = _propagated(model, nominal)
+    vector, pair_covariance = _pairs_with_covariance(model, nominal)
     if pair_covariance is None:
         pair_covariance = np.full((len(vector), len(vector)), np.nan)
     changes = [_pairs(other, nominal).vector - vector for other in others]
@@ -106,7 +112,7 @@ def from_state_space(
     values = dict(zip(NAMES, two_inertia.vector.tolist(), strict=True))
     standard_deviations = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     identified = tuple(
-        not std > _IDENTIFIED * abs(value)
+        not std > _MAX_RELATIVE_STD * abs(value)
         for std, value in zip(standard_deviations, two_inertia.vector, strict=True)
     )
     mode_std = np.sqrt(np.clip(np.diag(pair_covariance)[6:], 0.0, None))
@@ -117,7 +123,10 @@ def from_state_space(
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
     estimate = values, covariance, identified, joint, number
-    warnings = (*warnings_of(*estimate, where), *_doubts(nominal, coefficients, reciprocity, where))
+    warnings = (
+        *warnings_of(*estimate, where),
+        *_assumption_warnings(nominal, coefficients, reciprocity, where),
+    )
     return JointModel(
         joint=number,
         experiments=names,
@@ -145,7 +154,9 @@ def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArr
     return np.stack([*quadratic_coefficients, *lag, *frequencies_and_dampings], axis=-1)
 
 
-def _propagated(model: StateSpace, nominal: _Pairs) -> tuple[FloatArray, FloatArray | None]:
+def _pairs_with_covariance(
+    model: StateSpace, nominal: _Pairs
+) -> tuple[FloatArray, FloatArray | None]:
     """`_Pairs.vector` with its covariance."""
 
     def at_once(near: StateSpace) -> FloatArray:
@@ -200,7 +211,7 @@ def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
     return np.asarray(model.C @ np.linalg.solve(inner, right) + model.D)
 
 
-def _s(f: FloatArray) -> ComplexArray:
+def _laplace_variable(f: FloatArray) -> ComplexArray:
     return np.asarray(2j * np.pi * f, dtype=np.complex128)
 
 
@@ -229,7 +240,7 @@ def _fit_percent(
     A, B, C = state_space(joint)
     B[:, records[0].inputs.shape[1] :] = 0.0
     physical = ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
-    outputs_and_residuals = [_seen_and_missed(physical, record, band) for record in records]
+    outputs_and_residuals = [_outputs_and_residuals(physical, record, band) for record in records]
     residuals = np.concatenate([residual for _, residual in outputs_and_residuals])
     norm = np.linalg.norm(
         np.concatenate([y - y.mean(axis=0) for y, _ in outputs_and_residuals]), axis=0
@@ -238,14 +249,16 @@ def _fit_percent(
     return dict(zip(("motor_velocity", "link_velocity"), fits.tolist(), strict=True))
 
 
-def _seen_and_missed(
+def _outputs_and_residuals(
     physical: ContinuousStateSpace, record: Decoupled, band: tuple[float, float]
 ) -> tuple[FloatArray, FloatArray]:
     """Both velocities of a record in the band, and the residuals of a model."""
     n_in = record.inputs.shape[1]
 
     def modelled(f: FloatArray) -> ComplexArray:
-        return np.asarray(band_of(f, band)[:, None, None] * _response(physical, _s(f)))
+        return np.asarray(
+            band_of(f, band)[:, None, None] * _response(physical, _laplace_variable(f))
+        )
 
     def measured(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band)[:, None, None] * velocities(f, record))
@@ -264,28 +277,30 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
     """Agreement of G12 and G21 in percent. The two are equal for a passive joint."""
     if min(len(model.C), model.B.shape[1]) < 2:
         return None
-    f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _LINES)
-    G = _response(to_continuous(without_alternating(replace(model, covariance=None))), _s(f))
+    f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _RECIPROCITY_LINES)
+    G = _response(
+        to_continuous(without_alternating(replace(model, covariance=None))), _laplace_variable(f)
+    )
     difference, average = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
     return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(average)))
 
 
-def _doubts(
+def _assumption_warnings(
     own: _Pairs, lag: FloatArray, reciprocity: float | None, where: str
 ) -> Iterator[Diagnostic]:
     """Warnings for assumptions of the method that the estimates violate."""
-    if reciprocity is not None and reciprocity < _RECIPROCAL:
+    if reciprocity is not None and reciprocity < _MIN_RECIPROCITY_PERCENT:
         message = (
             f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
         )
         yield Diagnostic(
             "not-reciprocal", where, message + " ratio, torque_per_volt and the link sensor"
         )
-    if abs(lag[4] / lag[5]) > _SLOW * abs(own.zero):
+    if abs(lag[4] / lag[5]) > _MAX_LAG_TO_ANTI_RESONANCE * abs(own.zero):
         message = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
         yield Diagnostic("lag-not-slow", where, message)
     ratio = own.lag[1] / lag[5]
-    if abs(ratio - 1.0) > _HEAVIER:
+    if abs(ratio - 1.0) > _MAX_INERTIA_DIFFERENCE:
         message = (
             f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
         )

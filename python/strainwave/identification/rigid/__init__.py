@@ -51,25 +51,27 @@ __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
 
 _ROUNDS = 20  # maximum number of iterations
 # change in standard deviations for white errors, which are smaller than those of the jackknife
-_CONVERGED = 0.02
-_STEP = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
+_TOLERANCE = 0.02
+_BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
 # log of a significant ratio of standard deviations, the accuracy of the jackknife
-_GAIN = np.log(1.1)
-_UNSETTLED = 0.5  # last change in standard deviations above which the fit has not converged
+_MIN_LOG_GAIN = np.log(1.1)
+_MAX_LAST_CHANGE = 0.5  # last change in standard deviations above which the fit has not converged
 # share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
-_VAGUE = 0.003
+_MAX_UNCERTAIN_TORQUE_SHARE = 0.003
 # minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
-_ROWS_A_BLOCK = 2.0
-_FRUITLESS = 3  # number of successive bandwidths without improvement that ends the search
+_MIN_ROWS_PER_BLOCK = 2.0
+_MAX_BANDWIDTHS_WITHOUT_GAIN = (
+    3  # number of successive bandwidths without improvement that ends the search
+)
 # significance of load-dependent friction in standard deviations: 1e-4 false alarms
-_EVIDENT = 4.0
-_LEAST_SHARE = 0.01  # of the load; smaller shares are below the error of the torque constant
+_MIN_LOAD_FRICTION_STDS = 4.0
+_MIN_LOAD_FRICTION = 0.01  # of the load; smaller shares are below the error of the torque constant
 OTHER_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
-_MUCH_STANDING = 0.3  # share of a record in possible stiction that causes a warning
-_POOR = 300.0  # condition number that causes a warning; good motion gives 10 to 50
+_MAX_STICTION_SHARE = 0.3  # share of a record in possible stiction that causes a warning
+_MAX_CONDITION_NUMBER = 300.0  # condition number that causes a warning; good motion gives 10 to 50
 _REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
 # minimum ratio of anti-resonance to bandwidth for the first-order compliance model
-_BELOW_RESONANCE = 3.0
+_RESONANCE_RATIO = 3.0
 
 
 _Motion = tuple[Signals, float]  # signals and their period in samples
@@ -128,20 +130,20 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
         trials = [_trial(arm, _prepared(arm, motions, chosen.bandwidth_hz), None)]
     else:
         trials = _search(motions, arm)
-    best = _choose(trials, arm)
-    loaded_joints = _loaded(arm, best, chosen.load_friction)
+    best = _select_bandwidth(trials, arm)
+    loaded_joints = _load_dependent_joints(arm, best, chosen.load_friction)
     if loaded_joints:
         neighbours = [best, *_neighbours(trials, best)]
         best, *neighbours = trials = [
             _with_loads(arm, trial, loaded_joints) for trial in neighbours
         ]
-    model_error = _scatter(trials, best) + _elastic_remainder(arm, best)
+    model_error = _bandwidth_model_error(trials, best) + _elastic_model_error(arm, best)
     covariance = best.covariance + np.diag(model_error)
     model = _model(arm, best, covariance, _load_friction(trials, best, loaded_joints))
     return replace(model, torque_ratio=_torque_ratio(arm, trials, best))
 
 
-def _loaded(arm: Arm, best: _Trial, wanted: bool | None) -> list[int]:
+def _load_dependent_joints(arm: Arm, best: _Trial, wanted: bool | None) -> list[int]:
     """Joints, from 0, whose friction increases with the load.
 
     All joints if `wanted` is True. Otherwise those with a significant share whose other parameters
@@ -159,19 +161,20 @@ def _loaded(arm: Arm, best: _Trial, wanted: bool | None) -> list[int]:
         assemble(arm, best.stretches, best.estimate, loads), best.factor.root
     )
     # one solve excludes most arms; iteration takes many times as long
-    if np.all(first_solution.common <= _LEAST_SHARE):
+    if np.all(first_solution.common <= _MIN_LOAD_FRICTION):
         return []
     trial = _with_loads(arm, best, joints)
     share, friction_std = trial.factor.common, trial.compliance_deviation
-    implausible = {arm.rigid_columns[k].joint for k in _impossible(arm, trial)}
+    implausible = {arm.rigid_columns[k].joint for k in _implausible_parameters(arm, trial)}
     return [
         k
         for k in joints
-        if share[k] > max(_LEAST_SHARE, _EVIDENT * friction_std[k]) and k + 1 not in implausible
+        if share[k] > max(_MIN_LOAD_FRICTION, _MIN_LOAD_FRICTION_STDS * friction_std[k])
+        and k + 1 not in implausible
     ]
 
 
-def _impossible(arm: Arm, trial: _Trial) -> list[int]:
+def _implausible_parameters(arm: Arm, trial: _Trial) -> list[int]:
     """Parameters that are significantly negative although they must be positive."""
     return [
         k
@@ -205,7 +208,7 @@ def _load_friction(
                 + (max(0.0, np.median(squared_changes) - variance) if squared_changes else 0.0)
             )
         )
-        half_width = _student(len(np.unique(best.equations.block)) - 1) * std
+        half_width = _interval_half_width(len(np.unique(best.equations.block)) - 1) * std
         interval = (share - half_width, share + half_width)
         parameters.append(Parameter("load_friction", joint + 1, share, std, "1", "rigid", interval))
     return tuple(parameters)
@@ -250,8 +253,8 @@ def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
     trials: list[_Trial] = []
     least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
     is_rigid = n_compliances(arm) == 0
-    for bandwidth in _bandwidths(motions, _STEP ** (2 if is_rigid else 1)):
-        limits = [_surely_elastic(arm, trial) for trial in trials[-2:]]
+    for bandwidth in _bandwidths(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
+        limits = [_max_rigid_bandwidth(arm, trial) for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
         stretches = _prepared(arm, motions, bandwidth)
@@ -260,15 +263,15 @@ def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
         )
         trial = _trial(arm, stretches, start)
         trials.append(trial)
-        has_improved = bool(np.any(trial.spread < least_spread - _GAIN))
+        has_improved = bool(np.any(trial.spread < least_spread - _MIN_LOG_GAIN))
         n_without_gain = 0 if has_improved else n_without_gain + 1
         least_spread = np.minimum(least_spread, trial.spread)
-        if n_without_gain >= _FRUITLESS:
+        if n_without_gain >= _MAX_BANDWIDTHS_WITHOUT_GAIN:
             break
     return trials
 
 
-def _surely_elastic(arm: Arm, trial: _Trial) -> float:
+def _max_rigid_bandwidth(arm: Arm, trial: _Trial) -> float:
     """Bandwidth [Hz] above which the first-order compliance model is not valid.
 
     Infinite if the trial is uncertain: at low bandwidths a parameter may be poorly determined, and
@@ -276,12 +279,15 @@ def _surely_elastic(arm: Arm, trial: _Trial) -> float:
     of the errors, the standard deviations are unreliable.
     """
     blocks = len(np.unique(trial.equations.block)) * arm.n_joints
-    is_uncertain = trial.vagueness > _VAGUE or len(trial.equations.target) < _ROWS_A_BLOCK * blocks
+    is_uncertain = (
+        trial.vagueness > _MAX_UNCERTAIN_TORQUE_SHARE
+        or len(trial.equations.target) < _MIN_ROWS_PER_BLOCK * blocks
+    )
     if not n_compliances(arm) or is_uncertain:
         return np.inf
     compliance = np.clip(trial.estimate.compliance - 2.0 * trial.compliance_deviation, 0.0, None)
     lower_bound = replace(trial.estimate, compliance=compliance)
-    return float(np.min(anti_resonances(arm, lower_bound))) / _BELOW_RESONANCE
+    return float(np.min(anti_resonances(arm, lower_bound))) / _RESONANCE_RATIO
 
 
 def _bandwidths(motions: Sequence[_Motion], step: float) -> Iterator[float]:
@@ -337,7 +343,7 @@ def _trial(
         change_size = np.abs(change)
         known = factor.deviation > 0.0  # other parameters do not change
         step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
-        has_converged = iteration > 1 and np.all(change_size <= _CONVERGED * factor.deviation)
+        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, motor_share)
         if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
             estimate = halfway(around, estimate)
@@ -347,7 +353,7 @@ def _trial(
         root = ls.root_weights(equations, factor)
         equations = assemble(arm, stretches, around, loads)
     covariance, compliance_variance = ls.jackknife(equations, factor)
-    identified = ls.determined(equations, factor, covariance) & _shows_friction(arm, stretches)
+    identified = ls.determined(equations, factor, covariance) & _determines_friction(arm, stretches)
     standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
     assert around is not None
     return _Trial(
@@ -362,7 +368,7 @@ def _trial(
     )
 
 
-def _shows_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
+def _determines_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
     """False for Coulomb friction and offset of a joint that never slides in both directions.
 
     The apparent information on them comes from the prior of the stiction torque, not from data.
@@ -382,7 +388,7 @@ def _shows_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
     return identified
 
 
-def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
+def _elastic_model_error(arm: Arm, best: _Trial) -> FloatArray:
     """Variance (n_parameters,) of the error of the first-order compliance model.
 
     It has two parts: the change of the estimates with the motor's share of the first inertia, from
@@ -404,7 +410,7 @@ def _elastic_remainder(arm: Arm, best: _Trial) -> FloatArray:
     return np.asarray(next_order**2 + (solution - other_share_trial.estimate.solution) ** 2)
 
 
-def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
+def _select_bandwidth(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     """Select the bandwidth at which all standard deviations are close to their minimum.
 
     The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
@@ -417,7 +423,7 @@ def _choose(trials: Sequence[_Trial], arm: Arm) -> _Trial:
     regret = np.max(spread[:, identified] - least_spread[identified], axis=1, initial=0.0)
     if not any(joint.elastic for joint in arm.joints):
         return trials[int(np.argmin(regret))]
-    return trials[int(np.argmax(regret <= regret.min() + _GAIN))]
+    return trials[int(np.argmax(regret <= regret.min() + _MIN_LOG_GAIN))]
 
 
 def _neighbours(trials: Sequence[_Trial], best: _Trial) -> list[_Trial]:
@@ -426,7 +432,7 @@ def _neighbours(trials: Sequence[_Trial], best: _Trial) -> list[_Trial]:
     ]
 
 
-def _scatter(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
+def _bandwidth_model_error(trials: Sequence[_Trial], best: _Trial) -> FloatArray:
     """Variance (n_parameters,) of the model error, from the change with the bandwidth.
 
     With an exact model, the estimates at all bandwidths agree within their standard deviations. The
@@ -450,7 +456,7 @@ def _model(
     identified = best.determined
     standard_deviations = np.sqrt(np.diag(covariance))
     n_blocks = len(np.unique(best.equations.block))
-    half_width = _student(n_blocks - 1)
+    half_width = _interval_half_width(n_blocks - 1)
     parameters = []
     for k, column in enumerate(columns):
         value, std = float(best.estimate.solution[k]), float(standard_deviations[k])
@@ -490,7 +496,7 @@ def _model(
     )
 
 
-def _student(degrees: int) -> float:
+def _interval_half_width(degrees: int) -> float:
     """Half-width of a 95 % interval in standard deviations, for `degrees` degrees of freedom."""
     return student_quantile(0.975, max(1, degrees))
 
@@ -510,24 +516,24 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
     names = ", ".join(s.signals.experiment.name for s in best.stretches)
     for k, column in enumerate(columns):
         if not best.determined[k]:
-            yield Diagnostic("not-identifiable", str(column), _why(arm, best, k))
+            yield Diagnostic("not-identifiable", str(column), _reason(arm, best, k))
     for stretch in best.stretches:
         stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stiction_shares):
-            if share > _MUCH_STANDING:
+            if share > _MAX_STICTION_SHARE:
                 message = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
                 message += (
                     " then carries no information on its friction; move faster, reverse less often"
                 )
                 yield Diagnostic("standing", stretch.signals.experiment.name, message)
-    if best.factor.condition_number > _POOR and best.determined.all():
+    if best.factor.condition_number > _MAX_CONDITION_NUMBER and best.determined.all():
         weakest_direction = np.abs(best.factor.directions[-1])
         names_involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
         message = (
             f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
         )
         yield Diagnostic("poor-excitation", names, f"{message} {names_involved}; {_REMEDY}")
-    for k in _impossible(arm, best):
+    for k in _implausible_parameters(arm, best):
         message = (
             f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
         )
@@ -535,20 +541,20 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
             " the records show something that a rigid arm with Coulomb and viscous friction is not"
         )
         yield Diagnostic("implausible", str(columns[k]), message)
-    if best.last_move > _UNSETTLED:
+    if best.last_move > _MAX_LAST_CHANGE:
         message = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
         message += " deviations; record a longer or livelier motion"
         yield Diagnostic("not-settled", names, message)
-    limit = _surely_elastic(arm, best)
+    limit = _max_rigid_bandwidth(arm, best)
     if best.bandwidth_hz > limit:
         message = (
-            f"the gears' compliance shows at {_BELOW_RESONANCE * limit:.1f} Hz, too near to the"
+            f"the gears' compliance shows at {_RESONANCE_RATIO * limit:.1f} Hz, too near to the"
         )
         message += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
         yield Diagnostic("not-rigid", names, message)
 
 
-def _why(arm: Arm, best: _Trial, unknown: int) -> str:
+def _reason(arm: Arm, best: _Trial, unknown: int) -> str:
     """Reason why one parameter is not identifiable, and what to record."""
     columns = arm.rigid_columns
     column = columns[unknown]

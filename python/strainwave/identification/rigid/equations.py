@@ -34,14 +34,14 @@ _ROWS_PER_CUTOFF = 4.0  # rows per period of the cut-off; the filter prevents al
 _MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
 # Periods of the cut-off after which the filter response has decayed to 0.1 %. Rows nearer to the
 # ends of a record are not used: free friction is not defined beyond the ends.
-_REACH = 2.5
+_EDGE_PERIODS = 2.5
 _KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off; 8 suffice
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
-_STANDING = 0.58
-_BLOCKS = 20  # blocks of the jackknife over all records
-_LOAD_SHARE = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
-_STIFF = 0.25  # prior standard deviation of (bandwidth / anti-resonance)^2
-_NO_INERTIA = 1e-30  # [kg m^2] lower bound of a link inertia, which avoids division by zero
+_STICTION_STD = 0.58
+_JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
+_LOAD_FRICTION_STD = 0.5  # prior standard deviation of the load friction; gears have 0.03 to 0.3
+_COMPLIANCE_STD = 0.25  # prior standard deviation of (bandwidth / anti-resonance)^2
+_MIN_INERTIA = 1e-30  # [kg m^2] lower bound of a link inertia, which avoids division by zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +92,7 @@ class Stretch:
 
     def motion_samples(self) -> IntArray:
         """Sample indices of the motion; they include the rows of the equations."""
-        start = _reach(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
+        start = _edge_samples(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
         return np.arange(start, len(self.signals.time), self.motion_step)
 
     def filtered(self, signal: FloatArray) -> FloatArray:
@@ -113,9 +113,9 @@ def _motion_step(sample_time: float, bandwidth_hz: float) -> int:
     return max(1, int(1.0 / (per_second * sample_time)))
 
 
-def _reach(sample_time: float, bandwidth_hz: float) -> int:
+def _edge_samples(sample_time: float, bandwidth_hz: float) -> int:
     """Number of samples between an end of the record and the nearest equation."""
-    return int(_REACH / (bandwidth_hz * sample_time))
+    return int(_EDGE_PERIODS / (bandwidth_hz * sample_time))
 
 
 def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
@@ -126,7 +126,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     T = signals.sample_time
     n_samples, n_joints = signals.motor_torque.shape
     cutoff_period = 1.0 / (bandwidth_hz * T)  # samples per period of the cut-off
-    edge = _reach(T, bandwidth_hz)
+    edge = _edge_samples(T, bandwidth_hz)
     step = _motion_step(T, bandwidth_hz)
     rows = np.arange(edge, n_samples - edge, decimation(T, bandwidth_hz))
     motion_samples = np.arange(edge % step, n_samples, step)  # samples of the motion
@@ -135,12 +135,12 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     elastic = n_compliances(arm) > 0
     keep, standing, free = [], [], []
     for i in range(n_joints):
-        keep.append(_clear_of(~signals.valid[:, i], int(cutoff_period / 2))[rows])
+        keep.append(_away_from(~signals.valid[:, i], int(cutoff_period / 2))[rows])
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
         if elastic:
             at_rest = signals.direction[:, i] == 0.0
-            near = np.flatnonzero(~_clear_of(at_rest, len(motion_kernel))[motion_samples])
+            near = np.flatnonzero(~_away_from(at_rest, len(motion_kernel))[motion_samples])
             standing.append((near, responses(shapes, motion_samples[near], motion_kernel)))
         free.append(responses(shapes, rows, kernel))
     angle, velocity, acceleration, torque, direction = (
@@ -175,7 +175,7 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
 
 def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
     """Impulse response of the low-pass, centred, until it has decayed."""
-    half_length = _reach(sample_time, cutoff_hz)
+    half_length = _edge_samples(sample_time, cutoff_hz)
     impulse = np.zeros(2 * half_length + 1)
     impulse[half_length] = 1.0
     return low_pass(impulse, cutoff_hz, sample_time)
@@ -212,7 +212,7 @@ class Loads:
         directions = []
         for stretch in stretches:
             T, step = stretch.signals.sample_time, stretch.motion_step
-            motion_rows = slice(_reach(T, stretch.bandwidth_hz) % step, None, step)
+            motion_rows = slice(_edge_samples(T, stretch.bandwidth_hz) % step, None, step)
             cutoff = _MOTION_CUTOFFS * stretch.bandwidth_hz
             directions.append(low_pass(stretch.signals.direction, cutoff, T, kept=motion_rows))
         return Loads(tuple(joints), tuple(directions))
@@ -256,7 +256,7 @@ def assemble(
     first_block = n_before = 0
     for record, stretch in enumerate(stretches):
         body, lags, torque = _body_equations(arm, stretch, around, record, elastic)
-        n_blocks = max(2, round(_BLOCKS * stretch.duration / total))
+        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.duration / total))
         block_of_row = first_block + stretch.blocks(n_blocks)
         load_columns = np.zeros((len(lags), arm.n_joints, 0))
         if loads is not None and around is not None:
@@ -268,7 +268,7 @@ def assemble(
             X[:, :n_of_body] = body[:, i]
             X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
             coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
-            free_friction_std += [max(_STANDING * abs(float(coulomb)), 1e-300)] * free.n_columns
+            free_friction_std += [max(_STICTION_STD * abs(float(coulomb)), 1e-300)] * free.n_columns
             keep = np.flatnonzero(stretch.keep[:, i])
             shared.append(X[keep])
             common.append(
@@ -287,8 +287,8 @@ def assemble(
         common=np.concatenate(common),
         common_deviation=np.concatenate(
             [
-                _compliance_deviation(arm, stretches, around) if n_elastic else np.zeros(0),
-                np.full(load_columns.shape[2], _LOAD_SHARE),
+                _compliance_std(arm, stretches, around) if n_elastic else np.zeros(0),
+                np.full(load_columns.shape[2], _LOAD_FRICTION_STD),
             ]
         ),
         local=tuple(local),
@@ -371,7 +371,7 @@ def _body_equations(
     motors = arm.motors_of_rigid(around.motor_share)
     for i, k in np.argwhere(motors):
         phi[:, i, k] += motors[i, k] / n[i] * c[i] * ddgear[:, i]
-    lags = _mass_times(arm, around, q, ddgear) * elastic
+    lags = _compliance_regressor(arm, around, q, ddgear) * elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
     return phi, lags, stretch.torque + lags @ c
@@ -393,7 +393,9 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
     return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
-def _mass_times(arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray) -> FloatArray:
+def _compliance_regressor(
+    arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray
+) -> FloatArray:
     """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
     torque = arm.torques_of_accelerations(_base(arm, around), angle, ddgear)
     return np.asarray(-arm.gear_ratios[:, None] * torque)
@@ -404,14 +406,12 @@ def _base(arm: Arm, around: Estimate) -> FloatArray:
     return np.asarray(arm.base_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
 
 
-def _compliance_deviation(
-    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None
-) -> FloatArray:
+def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate | None) -> FloatArray:
     """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
     assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
     inertia = np.abs(arm.link_inertias(_base(arm, around)))
-    return np.asarray(_STIFF / (np.maximum(inertia, _NO_INERTIA) * w**2))
+    return np.asarray(_COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2))
 
 
 def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray:
@@ -439,6 +439,6 @@ def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray
     return np.asarray(np.sqrt(power))
 
 
-def _clear_of(bad: BoolArray, reach: int) -> BoolArray:
+def _away_from(bad: BoolArray, reach: int) -> BoolArray:
     """Samples that are at least `reach` away from every bad sample."""
     return ~running(np.logical_or, bad, 2 * max(1, reach) + 1)

@@ -11,10 +11,14 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Signals
 
-_LOOKED_AT = 1 << 17  # maximum number of samples in the search; a longer period needs no repetition
-_ALIKE = 0.95  # minimum correlation of repeated motion; servoed motion has 0.999
-_BESIDE = 2.0  # [samples] tolerance of a multiple of the period, which is rounded
-_UNLIKE = 0.5  # the correlation must fall below this first; otherwise the motion is only slow
+_MAX_SEARCH_SAMPLES = (
+    1 << 17
+)  # maximum number of samples in the search; a longer period needs no repetition
+_MIN_CORRELATION = 0.95  # minimum correlation of repeated motion; servoed motion has 0.999
+_MULTIPLE_TOLERANCE = 2.0  # [samples] tolerance of a multiple of the period, which is rounded
+_MAX_CORRELATION_BETWEEN_PERIODS = (
+    0.5  # the correlation must fall below this first; otherwise the motion is only slow
+)
 
 
 def period_of(signals: Signals) -> float:
@@ -23,21 +27,21 @@ def period_of(signals: Signals) -> float:
     Returns the number of samples if the motion does not repeat.
     """
     n = len(signals.time)
-    velocity = signals.motor_velocity[:_LOOKED_AT]
+    velocity = signals.motor_velocity[:_MAX_SEARCH_SAMPLES]
     correlation = _correlation(velocity - velocity.mean(axis=0))
-    low_correlation = np.flatnonzero(correlation < _UNLIKE)
+    low_correlation = np.flatnonzero(correlation < _MAX_CORRELATION_BETWEEN_PERIODS)
     if not low_correlation.size:
         return float(n)
     peaks = 1 + np.flatnonzero(
         (correlation[1:-1] >= correlation[:-2]) & (correlation[1:-1] > correlation[2:])
     )
-    peaks = peaks[(peaks > low_correlation[0]) & (correlation[peaks] > _ALIKE)]
+    peaks = peaks[(peaks > low_correlation[0]) & (correlation[peaks] > _MIN_CORRELATION)]
     if not peaks.size or not _repeats(signals.motor_velocity, int(peaks[0])):
         return float(n)
     # a multiple has the same absolute error, so the period becomes more accurate
     period = float(peaks[0])
     for k in range(2, len(correlation)):
-        candidates = np.flatnonzero(np.abs(peaks - k * period) <= _BESIDE)
+        candidates = np.flatnonzero(np.abs(peaks - k * period) <= _MULTIPLE_TOLERANCE)
         if not candidates.size:
             break
         period = float(peaks[candidates[np.argmax(correlation[peaks[candidates]])]]) / k
@@ -62,7 +66,7 @@ def _correlation(motion: FloatArray) -> FloatArray:
 
 def _repeats(motion: FloatArray, period: int) -> bool:
     """Whether the whole motion repeats, beyond the samples of the search."""
-    step = max(1, len(motion) // _LOOKED_AT)
+    step = max(1, len(motion) // _MAX_SEARCH_SAMPLES)
     motion_before, motion_after = motion[:-period:step], motion[period::step]
     squared_difference = np.sum((motion_after - motion_before) ** 2, axis=0)
     energy = np.sum(
@@ -70,4 +74,4 @@ def _repeats(motion: FloatArray, period: int) -> bool:
         + (motion_after - motion_after.mean(axis=0)) ** 2,
         axis=0,
     )
-    return bool(np.all(squared_difference <= (1.0 - _ALIKE) * energy))
+    return bool(np.all(squared_difference <= (1.0 - _MIN_CORRELATION) * energy))

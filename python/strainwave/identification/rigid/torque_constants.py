@@ -15,12 +15,12 @@ from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics import least_squares as ls
 
-_ROUNDS = 15  # maximum number of iterations
-_SETTLED = 1e-3  # relative change at convergence
-_LARGEST_STEP = 2.0  # maximum factor on the ratio in one iteration
-_UNKNOWN = 3.0  # prior standard deviation of the relative change, practically uninformative
-_VAGUE = 0.5  # relative standard deviation above which the ratio is not identifiable
-_SECOND = 1  # group of the rows of joint 2
+_MAX_ITERATIONS = 15  # maximum number of iterations
+_TOLERANCE = 1e-3  # relative change at convergence
+_MAX_FACTOR = 2.0  # maximum factor on the ratio in one iteration
+_PRIOR_STD = 3.0  # prior standard deviation of the relative change, practically uninformative
+_MAX_RELATIVE_STD = 0.5  # relative standard deviation above which the ratio is not identifiable
+_JOINT_2_GROUP = 1  # group of the rows of joint 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,17 +50,17 @@ def torque_ratio(
         return None
     ratio = 1.0
     factor = ls.factorise(equations, root)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_ITERATIONS):
         scaled = _scaled(arm, equations, compliance, factor.value, ratio)
         factor = ls.factorise(scaled, root)
         step = float(factor.common[-1]) / ratio
         if not np.isfinite(step):
             return None
-        if abs(step) < _SETTLED:
+        if abs(step) < _TOLERANCE:
             variance = float(ls.jackknife(scaled, factor)[1][-1])
-            identified = variance < _VAGUE**2 * ratio**2
+            identified = variance < _MAX_RELATIVE_STD**2 * ratio**2
             return TorqueRatio(ratio * (1.0 + step), variance) if identified else None
-        ratio *= float(np.clip(1.0 + step, 1.0 / _LARGEST_STEP, _LARGEST_STEP))
+        ratio *= float(np.clip(1.0 + step, 1.0 / _MAX_FACTOR, _MAX_FACTOR))
         root = ls.root_weights(scaled, factor)
     return None
 
@@ -73,7 +73,7 @@ def _scaled(
     ratio: float,
 ) -> ls.Equations:
     """Multiply the body torques of joint 2 by a ratio and add a column for its relative change."""
-    is_joint_2 = equations.group == _SECOND
+    is_joint_2 = equations.group == _JOINT_2_GROUP
     n = arm.n_body
     shared, common = equations.shared.copy(), equations.common.copy()
     torque = shared[:, :n] @ solution[:n] * is_joint_2
@@ -85,6 +85,6 @@ def _scaled(
         equations,
         shared=shared,
         common=np.column_stack([common, torque]),
-        common_deviation=np.append(equations.common_deviation, _UNKNOWN * ratio),
+        common_deviation=np.append(equations.common_deviation, _PRIOR_STD * ratio),
         target=target,
     )

@@ -47,13 +47,13 @@ INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocit
 BEGINNING = 0.02
 """Time [s] from the start in which initial velocity and standstill are estimated."""
 
-_SHORTER = 4.0  # factor of shorter steps with negligible step error
+_REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
 # steps per period of the cut-off (600 per resonance period): negligible error
-_SHORT_STEPS = 120.0
-_WIDER = 1e-3  # relative change of a bandwidth for its numerical derivative
+_REFINED_STEPS_PER_PERIOD = 120.0
+_RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
 Key = tuple[str, int | None]
 # sensors with a bandwidth
-_SENSORS = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
+_SENSORS_WITH_BANDWIDTH = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +156,7 @@ class Dataset:
         inputs = self._inputs(values)
         simulated = [key for key in directions if not is_sensor_constant(key)]
         core_directions = inputs.directions(simulated)
-        resonates = self._rings(values)
+        resonates = self._has_resonant_mount(values)
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
@@ -169,7 +169,7 @@ class Dataset:
             low_pass=None if resonates else self.low_pass(),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
-        to_channels = self.seen if resonates else self._by_channel
+        to_channels = self.seen if resonates else self._stack_channels
         channels, tangent = to_channels(motion, values) + self.lacking, to_channels(slopes, values)
         tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
@@ -233,7 +233,7 @@ class Dataset:
         motion: Mapping[Quantity, FloatArray] = {}
         if any(is_mounting(key) or is_of_mount(key) for key in keys):
             motion = self.run(values, local, self.quantities())
-            motion = motion if self._rings(values) else self._rows(motion)
+            motion = motion if self._has_resonant_mount(values) else self._rows(motion)
         return self._sensor_tangent(seen, motion, values, local, keys)
 
     def _sensor_tangent(
@@ -260,31 +260,35 @@ class Dataset:
                     tangent[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
                     tangent[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
-            for key, slope in self._by_mount(channel, motion, values, keys).items():
+            for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
             if channel.axis is not None and mounting:
                 quantities = np.stack(
                     [motion[name][:, channel.joint - 1] for name in channel.reads], 1
                 )
-                if self._rings(values):
+                if self._has_resonant_mount(values):
                     quantities = self.kernels.rows(
-                        self._behind(channel, quantities, values), rate=False
+                        self._filter_by_mount(channel, quantities, values), rate=False
                     )
                 by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
                 tangent[:, k, mounting] += scales[k] * quantities @ by
         bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
         if bandwidths:
-            wider = {keys[k]: (1.0 + _WIDER) * values[keys[k]] for k in bandwidths}
+            wider = {
+                keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
+            }
             runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
             wider_rows, nominal = (self.seen(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
                     if keys[at] == bandwidth_of(channel.sensor, channel.joint):
-                        by = (wider_rows[:, k] - nominal[:, k]) / (_WIDER * values[keys[at]])
+                        by = (wider_rows[:, k] - nominal[:, k]) / (
+                            _RELATIVE_BANDWIDTH_STEP * values[keys[at]]
+                        )
                         tangent[:, k, at] = scales[k] * by
         return tangent
 
-    def _by_mount(
+    def _mount_slopes(
         self,
         channel: Channel,
         motion: Mapping[Quantity, FloatArray],
@@ -292,7 +296,7 @@ class Dataset:
         keys: Sequence[tuple[str, int | None]],
     ) -> dict[Key, FloatArray]:
         """Derivatives of a channel's rows by its mount constants, without scale factors."""
-        mount, names = self._mount(channel, values), mount_of(channel.sensor, channel.joint)
+        mount, names = self._mount_of(channel, values), mount_of(channel.sensor, channel.joint)
         if mount is None or names is None or not any(name in keys for name in names):
             return {}
         slopes = mount.slopes(self._reading(channel, motion, values), self.log.sample_time)
@@ -365,7 +369,7 @@ class Dataset:
         The noise estimate excludes the simulated motion.
         """
         exact, error = self._step_error(values, local)
-        noise = np.minimum(self.noise, self._noise_beside(exact, values))
+        noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = error if self.step_error is None else self.lacking + error - self.step_error
         return replace(self, lacking=correction, noise=noise, step_error=error)
 
@@ -379,12 +383,15 @@ class Dataset:
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""
-        step = min(self.longest_step / _SHORTER, 1.0 / (_SHORT_STEPS * self.cutoff_hz))
+        step = min(
+            self.longest_step / _REFINEMENT_FACTOR,
+            1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
+        )
         refined = replace(self, longest_step=step)
         exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
         return exact, self.seen(exact, values) - self.seen(coarse, values)
 
-    def _noise_beside(
+    def _residual_noise(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]
     ) -> FloatArray:
         """Filtered sensor noise (n_channels,) from the residuals of the unfiltered samples.
@@ -395,7 +402,7 @@ class Dataset:
         scales = self.sensor_scales(values)
         residuals = [
             self.log.channels[c.name]
-            - scale * self._behind(c, self._reading(c, runs, values), values)
+            - scale * self._filter_by_mount(c, self._reading(c, runs, values), values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
         return noise_behind(self.channels, residuals, self.kernels, self.counts)
@@ -429,10 +436,10 @@ class Dataset:
         `values` must contain the mountings of sensors of unknown mounting.
         """
         known_values = values or {}
-        if not self._rings(known_values):
-            return self._by_channel(self._rows(runs), known_values)
+        if not self._has_resonant_mount(known_values):
+            return self._stack_channels(self._rows(runs), known_values)
         readings = [
-            self._behind(c, self._reading(c, runs, known_values), known_values)
+            self._filter_by_mount(c, self._reading(c, runs, known_values), known_values)
             for c in self.channels
         ]
         pairs = zip(readings, self.channels, strict=True)
@@ -461,24 +468,24 @@ class Dataset:
                     changes[:, k, at] = scales[k] * self.kernels.rows(change, rate=channel.rate)
         return changes
 
-    def _mount(
+    def _mount_of(
         self, channel: Channel, values: Mapping[tuple[str, int | None], float]
     ) -> MountResonance | None:
         """Mount resonance of a channel's sensor; None if it has none."""
         return mount_resonance(channel.sensor, channel.joint, values)
 
-    def _rings(self, values: Mapping[tuple[str, int | None], float]) -> bool:
+    def _has_resonant_mount(self, values: Mapping[tuple[str, int | None], float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
-        return any(self._mount(channel, values) for channel in self.channels)
+        return any(self._mount_of(channel, values) for channel in self.channels)
 
-    def _behind(
+    def _filter_by_mount(
         self,
         channel: Channel,
         samples: FloatArray,
         values: Mapping[tuple[str, int | None], float],
     ) -> FloatArray:
         """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
-        mount = self._mount(channel, values)
+        mount = self._mount_of(channel, values)
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
     def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
@@ -486,7 +493,7 @@ class Dataset:
         kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.reads)
         return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
 
-    def _by_channel(
+    def _stack_channels(
         self,
         rows: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float],
@@ -529,7 +536,9 @@ def with_bandwidths(arm: Arm, values: Mapping[tuple[str, int | None], float]) ->
     """Set the sensor bandwidths [Hz] of an arm; other `values` are ignored."""
     joints = []
     for i, joint in enumerate(arm.joints, start=1):
-        bandwidths = {f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS}
+        bandwidths = {
+            f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS_WITH_BANDWIDTH
+        }
         given = {key: hz for key, hz in bandwidths.items() if hz is not None}
         tangential = joint.accelerometer_distance is None
         imu = joint.imu

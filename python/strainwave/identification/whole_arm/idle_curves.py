@@ -15,7 +15,7 @@ def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if all terms are significant.
     """
-    insignificant = _idle(fit, selection)
+    insignificant = _insignificant_terms(fit, selection)
     if not insignificant:
         return fit
     values = fit.objective.space.values(fit.z)
@@ -24,7 +24,7 @@ def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
     return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
 
 
-def _idle(fit: Fit, selection: Selection) -> list[Key]:
+def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:
     """Optional parameters of gear laws that are zero within their errors.
 
     A chi-square distance tests all optional parameters of a gear together.

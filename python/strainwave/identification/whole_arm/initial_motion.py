@@ -19,9 +19,9 @@ from strainwave.identification.whole_arm.solver import resumed_coarse_search
 from strainwave.numerics.parallel import side_by_side
 
 # minimum cost reduction: chi-square of 6 initial states, probability 1e-4
-_EVIDENT = 28.0
+_MIN_COST_REDUCTION = 28.0
 # minimum share of the record's cost that initial states explain; model errors persist
-_SHARE = 0.5
+_MIN_EXPLAINED_SHARE = 0.5
 
 
 def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
@@ -46,14 +46,19 @@ def in_motion(objective: Objective, z: FloatArray) -> Objective:
     rows = objective.rows(z)
     costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
     estimates = side_by_side(
-        [partial(_evident, objective, z, *each) for each in zip(at_standstill, costs, strict=True)]
+        [
+            partial(_estimate_initial_motion, objective, z, *each)
+            for each in zip(at_standstill, costs, strict=True)
+        ]
     )
     for k, estimate in zip(at_standstill, estimates, strict=True):
         objective = objective if estimate is None else objective.in_motion(k, estimate)
     return objective
 
 
-def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatArray | None:
+def _estimate_initial_motion(
+    objective: Objective, z: FloatArray, k: int, rest: float
+) -> FloatArray | None:
     """Initial states and sensor biases (n_own,) of a record that begins in motion.
 
     `rest` is the cost of the record from standstill. Returns None if initial states do not explain
@@ -64,11 +69,11 @@ def _evident(objective: Objective, z: FloatArray, k: int, rest: float) -> FloatA
     rough_start = replace(free_start, beginning_tolerance=ROUGH_BEGINNING)
     try:
         (rows,) = rough_start.rows(z[:0])
-        if (1.0 - ROUGH_BEGINNING) * rows.cost(objective.weights[k]) > _SHARE * rest:
+        if (1.0 - ROUGH_BEGINNING) * rows.cost(objective.weights[k]) > _MIN_EXPLAINED_SHARE * rest:
             return None  # a more precise search cannot reach the required share
         (rows,) = free_start.rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # the arm cannot be simulated from such initial states
     cost = rows.cost(objective.weights[k])
-    is_evident = rest - cost > _EVIDENT and cost < _SHARE * rest
+    is_evident = rest - cost > _MIN_COST_REDUCTION and cost < _MIN_EXPLAINED_SHARE * rest
     return rows.evaluated.own + rows.step if is_evident else None

@@ -8,10 +8,10 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_PER_PERIOD = 4.0  # rows per period of the cut-off; further rows would be redundant
-_REACH = 1.5  # half-length of the filter, in periods of the cut-off
-_BAND = 8  # output rows per matrix product
-_SHAPE = 5.0  # beta of the Kaiser window: 50 dB stop-band attenuation
+_ROWS_PER_PERIOD = 4.0  # rows per period of the cut-off; further rows would be redundant
+_HALF_LENGTH_PERIODS = 1.5  # half-length of the filter, in periods of the cut-off
+_ROWS_PER_PRODUCT = 8  # output rows per matrix product
+_KAISER_BETA = 5.0  # beta of the Kaiser window: 50 dB stop-band attenuation
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,18 +33,18 @@ class Kernels:
         """
         taps, step = self.taps(rate=rate), self.step
         n_rows = (len(samples) - len(taps)) // step + 1
-        band = np.zeros((_BAND, (_BAND - 1) * step + len(taps)))
-        for k in range(_BAND):
+        band = np.zeros((_ROWS_PER_PRODUCT, (_ROWS_PER_PRODUCT - 1) * step + len(taps)))
+        for k in range(_ROWS_PER_PRODUCT):
             band[k, k * step : k * step + len(taps)] = taps
         flat = np.ascontiguousarray(samples).reshape(len(samples), -1)
         rows = np.empty((n_rows, flat.shape[1]))
-        n_blocked = n_rows // _BAND * _BAND
+        n_blocked = n_rows // _ROWS_PER_PRODUCT * _ROWS_PER_PRODUCT
         if n_blocked:
             n_reached, (sample_stride, column_stride) = band.shape[1], flat.strides
             blocks: FloatArray = np.ndarray(  # overlapping views of the samples
-                (n_blocked // _BAND, n_reached, flat.shape[1]),
+                (n_blocked // _ROWS_PER_PRODUCT, n_reached, flat.shape[1]),
                 buffer=flat,
-                strides=(_BAND * step * sample_stride, sample_stride, column_stride),
+                strides=(_ROWS_PER_PRODUCT * step * sample_stride, sample_stride, column_stride),
             )
             rows[:n_blocked] = np.matmul(band, blocks).reshape(n_blocked, -1)
         remaining = flat[n_blocked * step : (n_rows - 1) * step + len(taps)]
@@ -58,12 +58,12 @@ def low_pass_kernels(cutoff_hz: float, sample_time: float, ahead: float = 0.0) -
     `sample_time` is in s; `ahead` is a fractional advance of the rows in samples. The cut-off sets
     the decimation `step`, and the number of taps is a multiple of it.
     """
-    step = max(1, int(1.0 / (_PER_PERIOD * cutoff_hz * sample_time)))
-    n_steps = 2 * int(np.ceil(_REACH / (cutoff_hz * sample_time * step)))
+    step = max(1, int(1.0 / (_ROWS_PER_PERIOD * cutoff_hz * sample_time)))
+    n_steps = 2 * int(np.ceil(_HALF_LENGTH_PERIODS / (cutoff_hz * sample_time * step)))
     n_taps = n_steps * step
     half = 0.5 * (n_taps - 1)
     offset = np.arange(n_taps) - half - ahead
-    window = np.i0(_SHAPE * np.sqrt(np.clip(1.0 - (offset / half) ** 2, 0.0, None)))
+    window = np.i0(_KAISER_BETA * np.sqrt(np.clip(1.0 - (offset / half) ** 2, 0.0, None)))
     smooth = np.sinc(2.0 * cutoff_hz * sample_time * offset) * np.where(
         np.abs(offset) > half, 0.0, window
     )

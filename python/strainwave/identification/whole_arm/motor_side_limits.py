@@ -15,13 +15,13 @@ from strainwave.identification.whole_arm.parametrisation import VISCOUS, Key
 from strainwave.numerics.filters import signal_band
 
 # half-width of a confidence interval, relative to its value, that needs a reason
-_POOR = 0.1
-_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
-_NEAR_END = 0.5  # share of the band above which a resonance is attenuated
-_NO_PEAK = 0.5  # damping ratio above which a resonance has hardly any peak
-_ROUNDING = 0.5  # share of the residual variance above which encoder rounding dominates
+_MAX_RELATIVE_HALF_WIDTH = 0.1
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_MAX_RESONANCE_BAND_SHARE = 0.5  # share of the band above which a resonance is attenuated
+_MAX_PEAK_DAMPING_RATIO = 0.5  # damping ratio above which a resonance has hardly any peak
+_MIN_ROUNDING_SHARE = 0.5  # share of the residual variance above which encoder rounding dominates
 # parameters that need a reason, in addition to the slopes of the gear
-_MAIN = ("gear_damping", "motor_inertia", "link_inertia")
+_MAIN_PARAMETERS = ("gear_damping", "motor_inertia", "link_inertia")
 
 
 def motor_side_limits(
@@ -47,19 +47,19 @@ def motor_side_limits(
         poor = [
             p
             for p in joint_parameters
-            if (p.name in _MAIN or is_slope(p.name)) and _is_poor(p, at_bounds)
+            if (p.name in _MAIN_PARAMETERS or is_slope(p.name)) and _is_poor(p, at_bounds)
         ]
         if poor:
             reasons = list(_reasons(fit, arm, number))
             if reasons:
-                text = f"{_named(poor, at_bounds)}: {', and '.join(reasons)}"
+                text = f"{_describe(poor, at_bounds)}: {', and '.join(reasons)}"
                 text += "; an accelerometer or an encoder on the link would show it"
                 yield Diagnostic("motor-side-limit", f"joint {number}", text)
         poor_viscous = [p for p in joint_parameters if p.name in VISCOUS and _is_poor(p, at_bounds)]
         if poor_viscous:
             anti_resonance_hz = _anti_resonance(fit, arm, number)
             text = (
-                f"{_named(poor_viscous, at_bounds)}: far below the anti-resonance,"
+                f"{_describe(poor_viscous, at_bounds)}: far below the anti-resonance,"
                 f" {anti_resonance_hz:.3g} Hz, motor"
             )
             text += " and link move as one and only the sum d_M + n^2 d_L acts at the motor; use"
@@ -73,10 +73,10 @@ def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
         return True
     if p.value is None or p.std is None:
         return not is_by_load(p.name)  # a slope outside the torque range has its own warning
-    return _REACH * p.std > _POOR * abs(p.value)
+    return _CI95_HALF_WIDTH * p.std > _MAX_RELATIVE_HALF_WIDTH * abs(p.value)
 
 
-def _named(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
+def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
     """List the parameters, each with its relative uncertainty."""
     descriptions = []
     for p in poor:
@@ -84,12 +84,12 @@ def _named(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
         if (p.name, p.joint) in at_bounds:
             uncertainty = "at the end of its range"
         elif p.value is not None and p.std is not None:
-            uncertainty = f"to {100.0 * _REACH * p.std / abs(p.value):.2g} % only"
+            uncertainty = f"to {100.0 * _CI95_HALF_WIDTH * p.std / abs(p.value):.2g} % only"
         descriptions.append(f"{p.label} {uncertainty}")
     return ", ".join(descriptions)
 
 
-def _mobility(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
+def _joint_dynamics(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
     """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side.
 
     The stiffness is that at zero torsion.
@@ -103,41 +103,41 @@ def _mobility(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
 
 def _anti_resonance(fit: Fit, arm: Arm, joint: int) -> float:
     """Anti-resonance frequency sqrt(k / m_L) / (2 pi) [Hz]."""
-    stiffness, _, _ = _mobility(fit, arm, joint)
+    stiffness, _, _ = _joint_dynamics(fit, arm, joint)
     m_l = value_of(arm.link_inertia(joint), fit.objective.space.values(fit.z))
     return float(np.sqrt(stiffness / m_l) / (2.0 * np.pi))
 
 
 def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
     """Reasons why the motor encoder does not determine the gear: stiffness, damping, resolution."""
-    stiffness, damping, s = _mobility(fit, arm, joint)
+    stiffness, damping, s = _joint_dynamics(fit, arm, joint)
     resonance = float(np.sqrt(stiffness * s) / (2.0 * np.pi))
     records = fit.objective.records
     logs = [record.log for record in records]
     signal_hz = max(signal_band(log.channels[f"theta_m{joint}"], log.sample_time) for log in logs)
     band = min(signal_hz, max(record.cutoff_hz for record in records))
-    if resonance > _NEAR_END * band:
+    if resonance > _MAX_RESONANCE_BAND_SHARE * band:
         where = "beyond" if resonance > band else "near the end of"
         yield (
             f"the gear is very stiff: its resonance, {resonance:.3g} Hz, lies {where} the band of"
             f" {band:.3g} Hz in which the motor's motion stands above its encoder's noise"
         )
     damping_ratio = 0.5 * damping * float(np.sqrt(s / stiffness))
-    if damping_ratio > _NO_PEAK:
+    if damping_ratio > _MAX_PEAK_DAMPING_RATIO:
         yield (
             f"the gear is very damped: with a damping ratio of {damping_ratio:.2g} its resonance,"
             f" {resonance:.3g} Hz, makes no peak in the motor's response"
         )
     counts = arm.joints[joint - 1].encoder_counts
-    share, error, noise = _rounding(fit, joint)
-    if counts and share > _ROUNDING:
+    share, error, noise = _rounding_share(fit, joint)
+    if counts and share > _MIN_ROUNDING_SHARE:
         yield (
             f"the encoder is coarse: of the residuals of omega_m{joint}, {error:.2g} rad/s,"
             f" {noise:.2g} are the rounding of its {counts:g} counts per turn"
         )
 
 
-def _rounding(fit: Fit, joint: int) -> tuple[float, float, float]:
+def _rounding_share(fit: Fit, joint: int) -> tuple[float, float, float]:
     """Share of encoder rounding in the residual variance of a motor velocity.
 
     The second and third values are the standard deviations of residual and rounding [rad/s]. They

@@ -30,12 +30,12 @@ from strainwave.identification.whole_arm.solver import (
 from strainwave.signals.imu_attitude import imu_candidates, in_mirror
 from strainwave.signals.mounting_start import distance_of
 
-_FEW = 3  # mountings of least cost that start a short search
-_STEPS = 12  # maximum evaluations of a short search
-_EVIDENT = 4.0  # standard deviations from which a tilt is significant
-_LEAST_TILT = 0.07  # [rad] about each axis, where the search for a tilt starts
-_LOWER = 0.02  # minimum cost reduction of another mounting, relative
-_FLAT = 0.1  # minimum cost reduction of a tilt out of the plane of motion, relative
+_MAX_STARTS = 3  # mountings of least cost that start a short search
+_MAX_SEARCH_EVALUATIONS = 12  # maximum evaluations of a short search
+_MIN_TILT_SIGNIFICANCE = 4.0  # standard deviations from which a tilt is significant
+_START_TILT = 0.07  # [rad] about each axis, where the search for a tilt starts
+_MIN_COST_REDUCTION = 0.02  # minimum cost reduction of another mounting, relative
+_MIN_TILT_COST_SHARE = 0.1  # minimum cost reduction of a tilt out of the plane of motion, relative
 
 
 def best_placed(
@@ -52,11 +52,11 @@ def best_placed(
     for joint in range(1, arm.n_joints + 1):
         axes = _axes_on(objective, joint)
         if unknowns_of(axes, arm):
-            objective, z = _placed(objective, z, axes, arm, options)
+            objective, z = _choose_mounting(objective, z, axes, arm, options)
     return objective, z
 
 
-def _placed(
+def _choose_mounting(
     objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of the sensors of one link."""
@@ -66,32 +66,42 @@ def _placed(
         {key: values[key] for key in mounting_keys if key in values}
     ]
     try:
-        mountings += _by_simulation(objective, values, axes, arm)
+        mountings += _simulated_mountings(objective, values, axes, arm)
     except (InvalidInput, NumericalFailure):
         return objective, z
     has_attitude = (TURN[0], joint) in objective.space.keys
     if has_attitude:
         mountings += [in_mirror(one, joint) for one in mountings]
-    starts = [_with(objective, values, one) for one in mountings]
+    starts = [_with_mounting(objective, values, one) for one in mountings]
     if (
         has_attitude
         and {a.kind for a in axes} == {"accelerometer"}
         and {0, 1} == {a.number for a in axes}
     ):
         held: dict[Key, float] = {(name, joint): 0.0 for name in TURN[:2]}
-        lying = _by_simulation(objective, values, axes, arm, flat=True)
+        lying = _simulated_mountings(objective, values, axes, arm, flat=True)
         lying += [in_mirror(one, joint) for one in lying]
-        starts += [_holding(*_with(objective, values, {**one, **held}), held) for one in lying]
+        starts += [
+            _hold(*_with_mounting(objective, values, {**one, **held}), held) for one in lying
+        ]
     costs = sorted((cost_of(*one), k) for k, one in enumerate(starts))
     by_kind: tuple[list[int], list[int]] = ([], [])
     for cost, k in costs:
         if np.isfinite(cost):
-            by_kind[_is_flat(starts[k][0].space, joint)].append(k)
+            by_kind[_is_in_plane(starts[k][0].space, joint)].append(k)
     trials = []
-    for k in (*by_kind[0][:_FEW], *by_kind[1][:2]):
+    for k in (*by_kind[0][:_MAX_STARTS], *by_kind[1][:2]):
         candidate, start = starts[k]
-        trial = search_from(candidate, start, 0, options, tolerance=COARSE_GAIN, most=_STEPS)
-        trials.append((trial.cost * (1.0 - _FLAT * _is_flat(candidate.space, joint)), k, trial))
+        trial = search_from(
+            candidate, start, 0, options, tolerance=COARSE_GAIN, most=_MAX_SEARCH_EVALUATIONS
+        )
+        trials.append(
+            (
+                trial.cost * (1.0 - _MIN_TILT_COST_SHARE * _is_in_plane(candidate.space, joint)),
+                k,
+                trial,
+            )
+        )
     if not trials:
         return objective, z
     best = min(trials, key=lambda one: one[:2])[2]
@@ -104,7 +114,7 @@ def cost_of(objective: Objective, z: FloatArray) -> float:
     return np.inf if linearised is None else linearised.cost
 
 
-def _is_flat(space: ParameterSpace, joint: int) -> bool:
+def _is_in_plane(space: ParameterSpace, joint: int) -> bool:
     """Whether the IMU of a joint is assumed to lie in the plane of motion."""
     return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
 
@@ -121,15 +131,19 @@ def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
         has_attitude = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, arm)
         if not has_attitude or fit.iterations >= options.max_iterations:
             continue
-        flat = _is_flat(space, joint)
-        mountings = _by_simulation(fit.objective, values, axes, arm, flat=flat)
+        flat = _is_in_plane(space, joint)
+        mountings = _simulated_mountings(fit.objective, values, axes, arm, flat=flat)
         mountings += [in_mirror(one, joint) for one in mountings]
-        starts = [_with(fit.objective, values, one) for one in mountings]
-        for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_FEW]:
+        starts = [_with_mounting(fit.objective, values, one) for one in mountings]
+        for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_MAX_STARTS]:
             trial = search_from(
-                *starts[k], fit.iterations, options, tolerance=COARSE_GAIN, most=_STEPS
+                *starts[k],
+                fit.iterations,
+                options,
+                tolerance=COARSE_GAIN,
+                most=_MAX_SEARCH_EVALUATIONS,
             )
-            if trial.cost < (1.0 - _LOWER) * fit.cost:
+            if trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost:
                 fit = resumed_coarse_search(trial.objective, trial.z, trial.iterations, options)
                 break
     return fit
@@ -150,29 +164,34 @@ def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
         # about a fixed axis, tilt and distance are nearly collinear without gravity
-        if not _is_flat(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
+        if not _is_in_plane(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
             continue
         tilts: list[Key] = [(name, joint) for name in TURN[:2]]
         values = fit.objective.space.values(fit.z)
         trials = []
         for side in (1.0, -1.0):
-            starts = {tilts[0]: _LEAST_TILT, tilts[1]: side * _LEAST_TILT}
+            starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
             space = with_sensors(fit.objective.space, tilts, starts)
             objective = fit.objective.for_unknowns(space)
             start = space.coordinates({**values, **starts})
             evaluations = fit.iterations
             trials.append(
                 search_from(
-                    objective, start, evaluations, options, tolerance=COARSE_GAIN, most=_STEPS
+                    objective,
+                    start,
+                    evaluations,
+                    options,
+                    tolerance=COARSE_GAIN,
+                    most=_MAX_SEARCH_EVALUATIONS,
                 )
             )
         best = min(trials, key=lambda one: one.cost)
-        if fit.cost - best.cost > _EVIDENT**2:
+        if fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
             fit = refined(best, options)
     return fit
 
 
-def _with(
+def _with_mounting(
     objective: Objective, values: Values, mounting: Mapping[Key, float]
 ) -> tuple[Objective, FloatArray]:
     """Objective and point with another mounting."""
@@ -181,7 +200,7 @@ def _with(
     return objective.for_unknowns(space), space.coordinates({**values, **mounting})
 
 
-def _holding(
+def _hold(
     objective: Objective, z: FloatArray, held: Mapping[Key, float]
 ) -> tuple[Objective, FloatArray]:
     """Objective and point with some unknowns fixed."""
@@ -189,7 +208,7 @@ def _holding(
     return objective.for_unknowns(objective.space.holding(held)), z[kept]
 
 
-def _by_simulation(
+def _simulated_mountings(
     objective: Objective, values: Values, axes: Sequence[Axis], arm: Arm, *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings by least squares on the simulated link motion of all records."""
@@ -197,4 +216,4 @@ def _by_simulation(
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if axes[0].kind == "tangential":
         return [{(DISTANCE, axes[0].joint): distance_of(tables[0])}]
-    return imu_candidates(axes, tables, arm, flat=flat)[:_FEW]
+    return imu_candidates(axes, tables, arm, flat=flat)[:_MAX_STARTS]

@@ -33,19 +33,19 @@ The error of the best models is about as large.
 BLOCKS = 10
 """Blocks per record whose errors are assumed independent."""
 
-_MOVES = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
-_FIRST = 0.1  # initial standard deviation of residuals, as a share of the channel's
-_ROBUST = 1.4826  # standard deviation over median absolute deviation, normal distribution
+_MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
+_INITIAL_ERROR_SHARE = 0.1  # initial standard deviation of residuals, as a share of the channel's
+_STD_PER_MEDIAN = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
 # maximum updates of the robust weights in the solution for record parameters
-_ROUNDS = 6
+_MAX_WEIGHT_UPDATES = 6
 # change of residuals, in standard deviations, at which these updates end
-_STAYS = 1e-3
+_ROBUST_WEIGHT_TOLERANCE = 1e-3
 # predicted cost reduction at which the search for initial states ends
-_BEGUN = 0.1
+_INITIAL_STATE_TOLERANCE = 0.1
 ROUGH_BEGINNING = 0.2
 """Relative cost reduction at which an approximate search for initial states ends."""
-_BEGINNINGS = 12  # maximum evaluations of a search for initial states
+_MAX_INITIAL_STATE_EVALUATIONS = 12  # maximum evaluations of a search for initial states
 
 LEAST_BEND = 0.5
 """Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
@@ -87,7 +87,7 @@ class Evaluated:
     def beginning(self, weights: Weights) -> Linearised:
         """Cost and least squares problem in the record parameters only."""
         residual = self.difference / weights.deviation
-        root = np.sqrt(_weight(residual, weights))
+        root = np.sqrt(_robust_weight(residual, weights))
         table = np.concatenate(
             [self.local / weights.deviation[:, None], residual[..., None]], axis=2
         )
@@ -99,17 +99,19 @@ class Evaluated:
         """Weighted rows, with optimal record parameters."""
         initial_residual = self.difference / weights.deviation
         columns = (self.local / weights.deviation[:, None]).reshape(initial_residual.size, -1)
-        residual, weight = initial_residual, _weight(initial_residual, weights)
+        residual, weight = initial_residual, _robust_weight(initial_residual, weights)
         step = np.zeros(self.n_own)
         is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
-        for _ in range(_ROUNDS if self.n_own else 0):
-            step = _solved(columns, -initial_residual.ravel(), weight.ravel(), apart=is_separable)
+        for _ in range(_MAX_WEIGHT_UPDATES if self.n_own else 0):
+            step = _solve_weighted(
+                columns, -initial_residual.ravel(), weight.ravel(), apart=is_separable
+            )
             previous, residual = (
                 residual,
                 initial_residual + (columns @ step).reshape(initial_residual.shape),
             )
-            weight = _weight(residual, weights)
-            if np.max(np.abs(residual - previous)) < _STAYS:
+            weight = _robust_weight(residual, weights)
+            if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
                 break
         return Rows(residual, np.sqrt(weight), self, weights.deviation, step)
 
@@ -191,7 +193,7 @@ class Objective:
         """Create an objective with initial weights: 1/10 of each channel's standard deviation."""
         weights = []
         for record in records:
-            spread = _FIRST * np.std(record.measured, axis=0)
+            spread = _INITIAL_ERROR_SHARE * np.std(record.measured, axis=0)
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
         own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records]
@@ -207,7 +209,7 @@ class Objective:
             return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least_bend))
 
         try:
-            evaluated_records = self._at(z, linearised)
+            evaluated_records = self._map_evaluated(z, linearised)
         except (InvalidInput, NumericalFailure):
             return None
         self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in evaluated_records]
@@ -224,13 +226,13 @@ class Objective:
         point, cached = z.tobytes(), self.memory.rows
         if cached is not None and cached[0] == point and cached[1] is self.weights:
             return cached[2]
-        rows = self._at(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
+        rows = self._map_evaluated(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
         self.memory.rows = point, self.weights, rows
         return rows
 
     def evaluate(self, z: FloatArray) -> list[Evaluated]:
         """Unweighted residuals and derivatives of every record at z."""
-        return self._at(z, lambda _, evaluated: evaluated)
+        return self._map_evaluated(z, lambda _, evaluated: evaluated)
 
     def reweighted(self, z: FloatArray) -> Objective:
         """Update the weights from the residuals at z."""
@@ -238,7 +240,7 @@ class Objective:
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
             errors = rows.residual * old.deviation
             minimum = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
-            stds = np.maximum(_size(errors), minimum)
+            stds = np.maximum(_robust_std(errors), minimum)
             weights.append(Weights(stds, np.array([repeats_of(column) for column in errors.T])))
         return replace(self, weights=tuple(weights), guessed=False)
 
@@ -268,7 +270,7 @@ class Objective:
         def corrected(k: int, record: Dataset) -> Dataset:
             return record.corrected(values, self.memory.own[k][: len(record.local)])
 
-        records = tuple(self._each(corrected))
+        records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
         memory = _Memory(list(self.memory.own), (z.tobytes(), shifted))
@@ -293,14 +295,14 @@ class Objective:
             residual = (rows[k].residual * self.weights[k].deviation)[:n_rows]
             counted = None if record.counted is None else record.counted[:n_rows]
             long = replace(long, lacking=np.zeros_like(residual), counted=counted)
-            evaluated = self._begun(long, z, record_parameters[k])
+            evaluated = self._evaluate_from(long, z, record_parameters[k])
             if not np.isfinite(evaluated.columns).all():
                 raise NumericalFailure("the derivatives overflow in long steps")
             long = replace(long, lacking=residual - evaluated.difference)
             return long, replace(evaluated, difference=residual)
 
         try:
-            pairs = self._each(lengthened)
+            pairs = self._map_records(lengthened)
         except (InvalidInput, NumericalFailure):
             return self
         records = tuple(record for record, _ in pairs)
@@ -316,7 +318,7 @@ class Objective:
         def known(k: int, record: Dataset) -> Dataset:
             return record.with_step_error(values, self.memory.own[k][: len(record.local)])
 
-        return replace(self, records=tuple(self._each(known)))
+        return replace(self, records=tuple(self._map_records(known)))
 
     def seen_by(self, records: Sequence[Dataset]) -> Objective:
         """Replace the rows of the records; weights and record parameters stay."""
@@ -339,7 +341,7 @@ class Objective:
         shares = []
         evaluated = zip(self.records, self.weights, self.rows(z), strict=True)
         for record, weights, rows in evaluated:
-            stds = np.maximum(_size(rows.residual * weights.deviation), record.noise)
+            stds = np.maximum(_robust_std(rows.residual * weights.deviation), record.noise)
             repeats = repetitions_of(record)
             share = np.divide(record.noise, stds, out=np.ones_like(stds), where=stds > 0.0) ** 2
             share = np.minimum(1.0, share * repeats / weights.repeats)
@@ -355,34 +357,34 @@ class Objective:
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
             difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
             spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-            is_at_rest = spread < _MOVES * record.noise * np.sqrt(len(record.time))
+            is_at_rest = spread < _MIN_SIGNAL_TO_NOISE * record.noise * np.sqrt(len(record.time))
             fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
             names = [channel.name.replace("theta", "omega") for channel in record.channels]
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
 
-    def _at(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
+    def _map_evaluated(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
         """Apply `work` to the evaluation of every record at z, which is cached."""
         point, last = z.tobytes(), self.memory.last
         cached = last[1] if last is not None and last[0] == point else None
 
         def both(k: int, record: Dataset) -> tuple[Evaluated, T]:
-            evaluated = cached[k] if cached is not None else self._evaluated(k, record, z)
+            evaluated = cached[k] if cached is not None else self._evaluate_record(k, record, z)
             return evaluated, work(k, evaluated)
 
-        results = self._each(both)
+        results = self._map_records(both)
         self.memory.last = point, [evaluated for evaluated, _ in results]
         return [result for _, result in results]
 
-    def _evaluated(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
+    def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
         """Evaluate record k at z, with optimal initial states if it begins in motion."""
         if not record.moving:
-            return self._begun(record, z, self.memory.own[k])
+            return self._evaluate_from(record, z, self.memory.own[k])
         results: dict[bytes, Evaluated] = {}
 
         def linearise(own: FloatArray) -> Linearised | None:
             try:
-                results[own.tobytes()] = self._begun(record, z, own)
+                results[own.tobytes()] = self._evaluate_from(record, z, own)
             except (InvalidInput, NumericalFailure):
                 return None
             return results[own.tobytes()].beginning(self.weights[k])
@@ -392,16 +394,16 @@ class Objective:
             linearise,
             own,
             Flat(),
-            tolerance=_BEGUN,
+            tolerance=_INITIAL_STATE_TOLERANCE,
             relative=self.beginning_tolerance,
-            max_evaluations=_BEGINNINGS,
+            max_evaluations=_MAX_INITIAL_STATE_EVALUATIONS,
         )
         if minimum is None:
             raise NumericalFailure(f"{record.log.name} cannot be simulated from where it begins")
         self.memory.own[k] = minimum.x
         return results[minimum.x.tobytes()]
 
-    def _begun(self, record: Dataset, z: FloatArray, own: FloatArray) -> Evaluated:
+    def _evaluate_from(self, record: Dataset, z: FloatArray, own: FloatArray) -> Evaluated:
         """Evaluate a record at z with given record parameters (n_own,)."""
         n_begin, n = len(record.local), len(self.space.unknowns)
         values = self.space.values(z)
@@ -460,16 +462,16 @@ class Objective:
         if beforehand is not None:
             border[: len(beforehand)] = beforehand
         stacked = np.concatenate(
-            [*self._each(factor), np.column_stack([prior_columns, border, prior_residual])]
+            [*self._map_records(factor), np.column_stack([prior_columns, border, prior_residual])]
         )
         return np.asarray(np.linalg.qr(stacked, mode="r"))
 
-    def _each(self, work: Callable[[int, Dataset], T]) -> list[T]:
+    def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Apply `work` to every record in parallel threads; simulations release the GIL."""
         return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
-def _solved(
+def _solve_weighted(
     columns: FloatArray, target: FloatArray, weight: FloatArray, *, apart: bool
 ) -> FloatArray:
     """Weighted least squares.
@@ -494,7 +496,7 @@ def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
     return np.asarray(loss / weights.repeats)
 
 
-def _weight(residual: FloatArray, weights: Weights) -> FloatArray:
+def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
     """Weights (1 + r^2)^(-1/2) / repetitions of the soft L1 loss."""
     return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.repeats))
 
@@ -507,9 +509,9 @@ def _shifts(record: Dataset) -> FloatArray:
     return columns
 
 
-def _size(errors: FloatArray) -> FloatArray:
+def _robust_std(errors: FloatArray) -> FloatArray:
     """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
-    typical = _ROBUST * np.median(np.abs(errors), axis=0)
+    typical = _STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
 
 

@@ -32,25 +32,25 @@ __all__ = [
 
 # relative errors of rigid-step estimates if the model lacks an effect, by parameter; that of the
 # friction offset is relative to the Coulomb friction
-_MISLED = {COULOMB: 0.03, OFFSET: 0.03}
+_BIAS_SHARES = {COULOMB: 0.03, OFFSET: 0.03}
 # the same of viscous friction, and of inertias and gravity torques
-_VISCOUS_MISLED, _BODY_MISLED = 0.3, 0.1
-_LEAST_MISLED = 1e-12  # [SI] minimum error, for estimates of zero
+_VISCOUS_BIAS_SHARE, _BODY_BIAS_SHARE = 0.3, 0.1
+_MIN_BIAS = 1e-12  # [SI] minimum error, for estimates of zero
 
 SETTLING = "friction_settling_time"
 SETTLING_START = 1e-4
 """Starting value [s] of a friction settling time."""
 
-_BASE = ("alpha", "beta", "gamma")  # base parameters with the range of an inertia
+_BASE_PARAMETERS = ("alpha", "beta", "gamma")  # base parameters with the range of an inertia
 # minimum starting Coulomb friction, as a share of the largest motor torque
-_LEAST_COULOMB = 0.01
-_FAR = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
+_MIN_COULOMB_SHARE = 0.01
+_INERTIA_LOG_RANGE = np.log(3.0)  # range of the logarithm of an inertia or a stiffness
 # limits of the relative change of a positive value in one step
-_LOWEST, _HIGHEST = -0.8, 1.5
+_MIN_RELATIVE_CHANGE, _MAX_RELATIVE_CHANGE = -0.8, 1.5
 # lower limit of the relative change of a settling time, which may be zero
-_TO_NOTHING = -0.99
+_MIN_SETTLING_CHANGE = -0.99
 # range of the logarithm of friction, damping and other gear parameters
-_VERY_FAR = np.log(30.0)
+_FRICTION_LOG_RANGE = np.log(30.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,7 +104,7 @@ class Prior:
         Each error is scaled by its typical size if the model lacks an effect.
         """
         places = [k for k, name in enumerate(self.names) if name in names]
-        units = np.eye(len(self.names))[:, places] * self._misled[places]
+        units = np.eye(len(self.names))[:, places] * self._typical_biases[places]
         return np.asarray(np.linalg.solve(self.factor, units))
 
     def loosened(self, names: Collection[Key]) -> Prior:
@@ -113,7 +113,7 @@ class Prior:
         if not places:
             return self
         added_errors = np.zeros((len(self.names), len(places)))
-        added_errors[places, range(len(places))] = self._misled[places]
+        added_errors[places, range(len(places))] = self._typical_biases[places]
         factor = np.asarray(
             np.linalg.cholesky(self.factor @ self.factor.T + added_errors @ added_errors.T)
         )
@@ -140,7 +140,7 @@ class Prior:
         return replace(self, rows=rows, target=target, errors=errors, factor=factor, before=None)
 
     @property
-    def _misled(self) -> FloatArray:
+    def _typical_biases(self) -> FloatArray:
         """Typical errors (n_rows,) of the rigid-model parameters if the model lacks an effect."""
         estimates = dict(zip(self.names, np.abs(self.mean).tolist(), strict=True))
         errors = []
@@ -148,9 +148,9 @@ class Prior:
             size = (
                 estimates.get((COULOMB, joint), 0.0) if name == OFFSET else estimates[name, joint]
             )
-            relative_error = _VISCOUS_MISLED if "viscous" in name else _BODY_MISLED
-            errors.append(_MISLED.get(name, relative_error) * size)
-        return np.asarray(np.maximum(errors, _LEAST_MISLED))
+            relative_error = _VISCOUS_BIAS_SHARE if "viscous" in name else _BODY_BIAS_SHARE
+            errors.append(_BIAS_SHARES.get(name, relative_error) * size)
+        return np.asarray(np.maximum(errors, _MIN_BIAS))
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +199,7 @@ class ParameterSpace:
                 for u, at in zip(self.unknowns, z, strict=True)
             ]
         )
-        for lower, upper in self._stacked:
+        for lower, upper in self._bound_pairs:
             values[upper] += values[lower]
         for k, unknown in enumerate(self.unknowns):
             if unknown.above is not None:
@@ -213,7 +213,7 @@ class ParameterSpace:
             for u, at in zip(self.unknowns, z, strict=True)
         ]
         jacobian = np.diag(np.array(scales))
-        for lower, upper in self._stacked:
+        for lower, upper in self._bound_pairs:
             jacobian[upper] += jacobian[lower]
         return np.asarray(jacobian)
 
@@ -223,7 +223,7 @@ class ParameterSpace:
         The data determine sums best, such as link inertia plus motor inertia, or the total viscous
         friction. The valleys of the cost are then straight in values and curved in logarithms.
         """
-        moved, positive = z + step, self._positive
+        moved, positive = z + step, self._is_positive
         moved[positive] = z[positive] + np.log1p(step[positive])
         return np.asarray(np.clip(moved, self.lower, self.upper))
 
@@ -237,16 +237,19 @@ class ParameterSpace:
 
         `share` scales the maximum relative change.
         """
-        positive = self._positive
+        positive = self._is_positive
         down, up = self.lower - z, self.upper - z
         down[positive], up[positive] = np.expm1(down[positive]), np.expm1(up[positive])
-        lower_change = [_TO_NOTHING if u.name == SETTLING else _LOWEST for u in self.unknowns]
+        lower_change = [
+            _MIN_SETTLING_CHANGE if u.name == SETTLING else _MIN_RELATIVE_CHANGE
+            for u in self.unknowns
+        ]
         down[positive] = np.maximum(down, share * np.array(lower_change))[positive]
-        up[positive] = np.minimum(up, share * _HIGHEST)[positive]
+        up[positive] = np.minimum(up, share * _MAX_RELATIVE_CHANGE)[positive]
         return np.asarray(np.clip(step, np.minimum(down, 0.0), np.maximum(up, 0.0)))
 
     @property
-    def _positive(self) -> BoolArray:
+    def _is_positive(self) -> BoolArray:
         """Which unknowns (n_unknowns,) have logarithmic coordinates."""
         return np.array([not unknown.signed for unknown in self.unknowns])
 
@@ -280,7 +283,7 @@ class ParameterSpace:
         )
 
     @property
-    def _stacked(self) -> list[tuple[int, int]]:
+    def _bound_pairs(self) -> list[tuple[int, int]]:
         """Index pairs (lower, upper) of unknowns of which the first bounds the second."""
         at = {key: k for k, key in enumerate(self.keys)}
         pairs = ((at.get((u.above, u.joint)), k) for k, u in enumerate(self.unknowns) if u.above)
@@ -311,7 +314,7 @@ def space_of(
     unknowns = []
     pairs = zip(arm.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
-        torque = _LEAST_COULOMB * voltage * (joint.torque_per_volt or 1.0)
+        torque = _MIN_COULOMB_SHARE * voltage * (joint.torque_per_volt or 1.0)
         start[COULOMB, i] = max(start[COULOMB, i], torque)
     for (name, number), value in start.items():
         scale = value
@@ -320,7 +323,11 @@ def space_of(
         signed = name == OFFSET or name.startswith("gravity")
         if signed and scale == 0.0:
             scale = 1.0
-        reach = _FAR if "inertia" in name or name in (*_BASE, STIFFNESS) else _VERY_FAR
+        reach = (
+            _INERTIA_LOG_RANGE
+            if "inertia" in name or name in (*_BASE_PARAMETERS, STIFFNESS)
+            else _FRICTION_LOG_RANGE
+        )
         unit = unit_of(name, None if number is None else arm.joints[number - 1])
         unknowns.append(Unknown(name, number, unit, value, abs(scale), signed, float(reach)))
     keys = [unknown.key for unknown in unknowns]
@@ -354,7 +361,7 @@ def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unkn
     unknowns = []
     for p in joint.law.parameters:
         value, unit = start[p.name], unit_of(p.name, joint)
-        reach = stiffness.reach if p.is_slope else float(_VERY_FAR)
+        reach = stiffness.reach if p.is_slope else float(_FRICTION_LOG_RANGE)
         positive = p.described.range == "positive"
         limits = (-1.0, float(np.exp(reach))) if p.described.range == "non-negative" else None
         scale = value - (start[p.above] if p.above is not None else 0.0)
@@ -370,7 +377,8 @@ def with_settling(space: ParameterSpace) -> ParameterSpace:
     """Add the friction settling time of each joint."""
     joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
     settling_times = [
-        Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _VERY_FAR) for j in joints
+        Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _FRICTION_LOG_RANGE)
+        for j in joints
     ]
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(settling_times))))
     return ParameterSpace(

@@ -36,10 +36,10 @@ BAND = 5.0
 LEAST_BAND = 0.1
 """Maximum cut-off of the low-pass, as a share of the sampling rate."""
 
-_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
-_RIGID = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
-_BEND = 0.565  # mean curvature (1 + r^2)^(-3/2) of the soft L1 loss, r standard normal
-_SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2), r standard normal
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_RIGID_RELATIVE_STD = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
+_MEAN_CURVATURE = 0.565  # mean curvature (1 + r^2)^(-3/2) of the soft L1 loss, r standard normal
+_MEAN_SQUARE_SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2), r standard normal
 
 
 def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple[Parameter, ...]:
@@ -67,9 +67,11 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     cutoff = min([signal_hz, sampling_limit] + ([BAND * fastest] if fastest else []))
     keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
-    scale = np.array([_scale(key, values) for key in keys])
+    scale = np.array([_magnitude(key, values) for key in keys])
     records = [dataset_of(log, arm, cutoff) for log in used]
-    evidence = side_by_side([partial(_evidence, record, values, keys, scale) for record in records])
+    evidence = side_by_side(
+        [partial(_information_of, record, values, keys, scale) for record in records]
+    )
     prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
     from_prior = prior.T @ prior
     information = sum((own for own, _ in evidence), from_prior)
@@ -84,13 +86,13 @@ def _is_unknown(key: Key, known: Values) -> bool:
     return key[0] != SETTLING and (key in known or key[0] == OFFSET)
 
 
-def _scale(key: Key, values: Mapping[Key, float]) -> float:
+def _magnitude(key: Key, values: Mapping[Key, float]) -> float:
     """Magnitude of a parameter; of a friction offset, that of the Coulomb friction of its joint."""
     size = abs(values[(COULOMB, key[1]) if key[0] == OFFSET else key])
     return size or 1.0
 
 
-def _evidence(
+def _information_of(
     record: Dataset, values: Values, keys: Sequence[Key], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of one record, and covariance of its gradient due to sensor noise."""
@@ -118,9 +120,9 @@ def _evidence(
         lags = np.zeros(n_rows)
         noise_lags = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:n_rows]
         # the gradient is a product of rows and errors, both divided by sqrt(repetitions)
-        lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _SLOPE / repeats[k]
+        lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _MEAN_SQUARE_SLOPE / repeats[k]
         covariance += gradient_covariances(shared[:, k], (lags,))[0]
-    return _BEND * R.T @ R, covariance
+    return _MEAN_CURVATURE * R.T @ R, covariance
 
 
 def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> Iterator[FloatArray]:
@@ -128,7 +130,7 @@ def _rigid_rows(arm: Arm, keys: Sequence[Key], values: Mapping[Key, float]) -> I
     for column in arm.rigid_columns:
         magnitude = abs(value_of(column.parts, values))
         if magnitude > 0.0 and column.name != OFFSET:
-            yield combination(keys, column.parts) / (_RIGID * magnitude)
+            yield combination(keys, column.parts) / (_RIGID_RELATIVE_STD * magnitude)
 
 
 def _parameters(
@@ -142,5 +144,5 @@ def _parameters(
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
-        interval = (value - _REACH * std, value + _REACH * std)
+        interval = (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

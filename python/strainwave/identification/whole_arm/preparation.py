@@ -26,11 +26,11 @@ from strainwave.signals.recorded_input import (
 
 _STEP = 2.5e-4  # [s] integrator step; its error is below a quarter of the sensor noise
 # encoder counts, or standard deviations of noise, within which a joint stands still
-_REST = 3.0
+_STANDSTILL_TOLERANCE = 3.0
 STEPS_PER_PERIOD = 8.0
 """Integrator steps per period of the cut-off if the step error is corrected or acceptable."""
-_SAME_STEP = 1.0 + 1e-9  # tolerance of step comparisons, for rounding
-_TURN = 0.002  # [s] spacing of the second differences that estimate accelerations
+_STEP_TOLERANCE_FACTOR = 1.0 + 1e-9  # tolerance of step comparisons, for rounding
+_ACCELERATION_SPACING = 0.002  # [s] spacing of the second differences that estimate accelerations
 
 
 def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
@@ -51,7 +51,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     missing = missing_motor_signal(arm, log)
     if missing:
         raise InvalidInput(missing, where=log.name, remedy="log every motor's angle and voltage")
-    log = _with_link_angles(log, arm)
+    log = _add_link_angles(log, arm)
     T = log.sample_time
     kernels = low_pass_kernels(cutoff_hz, T)
     n_taps = len(kernels.smooth)
@@ -65,12 +65,13 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     raw = [log.channels[channel.name] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        _count(arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0 for c in channels
+        _encoder_resolution(arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
+        for c in channels
     )
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
         log=log,
-        arm=_as_driven(log, arm),
+        arm=_simulated_arm(log, arm),
         cutoff_hz=cutoff_hz,
         drive=_drive(log, arm, closed_loop=closed_loop),
         channels=channels,
@@ -82,7 +83,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
         moving=_begins_in_motion(log, arm),
         longest_step=_STEP,
         lacking=np.zeros((len(rows[0]), len(channels))),
-        counted=_counted(log, channels, kernels),
+        counted=_unmasked_rows(log, channels, kernels),
     )
 
 
@@ -92,7 +93,7 @@ def coarsened(record: Dataset, longest_step: float) -> Dataset:
     `longest_step` [s] also limits the sampling rate: closer samples are decimated, and voltages are
     averaged. The row period stays approximately the same.
     """
-    coarse = _thinned(record, max(1, int(longest_step / record.log.sample_time)))
+    coarse = _decimate(record, max(1, int(longest_step / record.log.sample_time)))
     return replace(coarse, longest_step=max(longest_step, _STEP))
 
 
@@ -105,16 +106,18 @@ def in_long_steps(record: Dataset) -> Dataset:
     step, T = record.kernels.step, record.log.sample_time
     longest_step = 1.0 / (STEPS_PER_PERIOD * record.cutoff_hz)
     divisors = (every for every in range(1, step + 1) if step % every == 0)
-    every = max(each for each in divisors if each == 1 or each * T <= longest_step * _SAME_STEP)
+    every = max(
+        each for each in divisors if each == 1 or each * T <= longest_step * _STEP_TOLERANCE_FACTOR
+    )
     if every == 1:
         return replace(record, longest_step=max(longest_step, record.longest_step))
-    coarse = _thinned(record, every)
+    coarse = _decimate(record, every)
     ahead = 0.5 * (1.0 - 1.0 / every)
     kernels = low_pass_kernels(record.cutoff_hz, every * T, ahead)
     return replace(coarse, kernels=kernels, longest_step=max(longest_step, record.longest_step))
 
 
-def _thinned(record: Dataset, every: int) -> Dataset:
+def _decimate(record: Dataset, every: int) -> Dataset:
     """Decimate a record by the factor `every`, with averaged voltages."""
     log = record.log
     n = len(log) // every
@@ -139,7 +142,7 @@ def _thinned(record: Dataset, every: int) -> Dataset:
     return replace(coarse, noise=record.noise, moving=record.moving)
 
 
-def _with_link_angles(log: Log, arm: Arm) -> Log:
+def _add_link_angles(log: Log, arm: Arm) -> Log:
     """Add link angles theta_l = n theta_m + deflection of joints with measured deflection."""
     channels, masked = dict(log.channels), dict(log.masked)
     for i, joint in enumerate(arm.joints, start=1):
@@ -150,7 +153,7 @@ def _with_link_angles(log: Log, arm: Arm) -> Log:
     return replace(log, channels=channels, masked=masked)
 
 
-def _counted(log: Log, channels: Sequence[Channel], kernels: Kernels) -> BoolArray | None:
+def _unmasked_rows(log: Log, channels: Sequence[Channel], kernels: Kernels) -> BoolArray | None:
     """Whether each row (n_rows, n_channels) is free of masked samples; None if all are."""
     masked = [unmeasured(log, (channel.name,)) for channel in channels]
     if not any(bad.any() for bad in masked):
@@ -188,12 +191,12 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     From standstill a motor moves at most a t^2 / 2, with a the largest acceleration of the record.
     """
     T = log.sample_time
-    span = max(1, round(_TURN / T))
+    span = max(1, round(_ACCELERATION_SPACING / T))
     n_first = min(max(2, round(BEGINNING / T)), len(log) // 4)
     t = T * np.arange(n_first)
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
-        tolerance = _REST * max(_count(joint), noise_deviation(angle))
+        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise_deviation(angle))
         second_difference = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
         max_acceleration = np.max(np.abs(second_difference)) / (span * T) ** 2
         if np.any(np.abs(angle[:n_first] - angle[0]) > tolerance + 0.5 * max_acceleration * t**2):
@@ -201,12 +204,12 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     return False
 
 
-def _count(joint: Joint) -> float:
+def _encoder_resolution(joint: Joint) -> float:
     """Resolution of the motor encoder [rad], zero if unknown."""
     return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
 
 
-def _as_driven(log: Log, arm: Arm) -> Arm:
+def _simulated_arm(log: Log, arm: Arm) -> Arm:
     """The arm for simulation: unquantised encoders, and IMUs for sensors of unknown mounting."""
     joints = tuple(
         replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, arm, i), joint))

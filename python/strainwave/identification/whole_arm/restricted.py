@@ -77,7 +77,7 @@ def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> 
             remedy="leave something to be fitted",
         )
     limited = tuple(
-        _limited(unknown, _range(options, unknown.key), at)
+        _limit(unknown, _factors_of(options, unknown.key), at)
         for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
     )
     return replace(space, unknowns=limited).holding(held)
@@ -102,14 +102,14 @@ def _names(key: Key) -> list[str]:
     return names
 
 
-def _range(options: TuningOptions, key: Key) -> tuple[float, float] | None:
+def _factors_of(options: TuningOptions, key: Key) -> tuple[float, float] | None:
     """Lower and upper factor of the start; None if the options do not limit the parameter."""
     given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
     is_limited = options.as_published and not is_sensor_constant(key)
     return given or (PUBLISHED_RANGE if is_limited else None)
 
 
-def _limited(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
+def _limit(unknown: Unknown, factors: tuple[float, float] | None, at: float) -> Unknown:
     """Limit an unknown to factors of its value at coordinate `at`; a zero value is not limited."""
     if factors is None:
         return unknown

@@ -45,7 +45,7 @@ MATTERS = 0.04
 LEAST = 0.01
 """Cost reduction, relative, below which no effect is relevant: other errors explain as much."""
 
-_INTERVAL = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,13 +77,13 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     reduction is in addition to those of the preceding significant effects. Returns an empty list if
     the arm cannot be simulated with the effects.
     """
-    candidates = _missing(fit, arm)
+    candidates = _missing_effects(fit, arm)
     if not candidates:
         return []
     hypotheses = _hypotheses(fit, arm, candidates)
     for steps in (in_long_steps(fit), fit):  # some effects are too stiff for long steps
         try:
-            return list(_chosen(EffectColumns.of(steps, arm, hypotheses), fit))
+            return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
         except (InvalidInput, NumericalFailure):
             continue
     return []
@@ -96,7 +96,7 @@ def in_long_steps(fit: Fit) -> Fit:
     return fit if at is None else replace(fit, objective=objective, cost=at.cost)
 
 
-def _missing(fit: Fit, arm: Arm) -> list[NamedEffect]:
+def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     """Effects that the model lacks and that the channels of the records permit."""
     present = effects_in(fit.objective.space, arm)
     channels = [channel for record in fit.objective.records for channel in record.channels]
@@ -160,7 +160,7 @@ class _Step:
         return self.gain - chi_square_limit(chance, len(self.size))
 
 
-def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
+def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
     """Forward selection: each effect is tested given the significant effects before it."""
     chance = FALSE_ALARMS / len(columns.sizes)
     selected = np.zeros((len(columns.target), 0))
@@ -171,8 +171,8 @@ def _chosen(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
     while remaining:
         best = max(steps, key=lambda step: step.beyond(chance))
         hypothesis = best.candidate
-        score_test = _scored(best, fit, _moved(columns, best, fit), chance)
-        reached = _reached(columns, single_steps[hypothesis], fit)
+        score_test = _score_test(best, fit, _values_after_step(columns, best, fit), chance)
+        reached = _fit_start(columns, single_steps[hypothesis], fit)
         yield Tested(
             score_test,
             chance,
@@ -200,14 +200,14 @@ def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
     return {step.candidate: step for step in best.values()}
 
 
-def _moved(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
     """Values of the unknowns after the linear step of an effect."""
     change = columns.answer(step.candidate, step.size, step.shift)
     space = fit.objective.space
     return space.values(space.moved(fit.z, space.trusted(fit.z, change, 1.0)))
 
 
-def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+def _fit_start(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
     """Starting values of a fit: unknowns, admissible sizes and non-default shapes."""
     one = step.candidate
     joint, effect = one.joint, effect_named(one.effect)
@@ -220,10 +220,10 @@ def _reached(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
         for name, value in zip(step.names, step.size.tolist(), strict=True)
         if effect.is_signed(name) or value > 0.0
     }
-    return _moved(columns, step, fit) | sizes | shapes
+    return _values_after_step(columns, step, fit) | sizes | shapes
 
 
-def _scored(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
+def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
     """Score test by the parameters of the effect."""
     share = step.gain / max(fit.cost, 1e-300)
     significant = step.beyond(chance) > 0.0
@@ -247,7 +247,7 @@ def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
     It is if its `share` of the cost exceeds `MATTERS`, or if the share exceeds `LEAST` and another
     parameter leaves its 95 % confidence interval.
     """
-    moved = any(abs(move.deviations) > _INTERVAL for move in moves)
+    moved = any(abs(move.deviations) > _CI95_HALF_WIDTH for move in moves)
     return share > MATTERS or (share > LEAST and moved)
 
 
@@ -285,8 +285,8 @@ def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
     effect are free.
     """
     parts = (columns.shifts(one), columns.seen(one), columns.target)
-    shifts, columns_of_effect, target = _beside(taken, *parts)
-    projected, remaining = _beside(shifts, columns_of_effect, target)
+    shifts, columns_of_effect, target = _project_out(taken, *parts)
+    projected, remaining = _project_out(shifts, columns_of_effect, target)
     names = tuple(name for name, _ in columns.sizes[one])
     effect = effect_named(one.effect)
     size = least_squares(projected, remaining, np.array([effect.is_signed(name) for name in names]))
@@ -297,7 +297,7 @@ def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
     return _Step(one, names, gain, rigid, size, std, shift)
 
 
-def _beside(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
+def _project_out(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
     """Project columns on the orthogonal complement of the columns `taken`."""
     basis = np.linalg.qr(taken)[0]
     for columns in others:

@@ -6,8 +6,8 @@ from strainwave.domain import ArmModel
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import effects_among
 
-_GAIN = "drive-gain"  # effect that a wrong torque constant resembles
-_CLEARLY = 1.2  # minimum ratio of cost reductions, other effect over wrong torque constant
+_DRIVE_GAIN = "drive-gain"  # effect that a wrong torque constant resembles
+_MIN_GAIN_RATIO = 1.2  # minimum ratio of cost reductions, other effect over wrong torque constant
 
 
 def blames_another(model: ArmModel, arm: Arm) -> bool:
@@ -22,7 +22,9 @@ def blames_another(model: ArmModel, arm: Arm) -> bool:
     keys = ((parameter.name, parameter.joint) for parameter in model.parameters)
     fitted = [effect for _, effect in effects_among(keys, arm.n_joints)]
     causes = model.criticism.causes
-    if _GAIN in fitted or not causes:
-        return bool(fitted) and _GAIN not in fitted
-    gain_reduction = max((cause.gain for cause in causes if cause.effect == _GAIN), default=0.0)
-    return causes[0].effect != _GAIN and causes[0].gain > _CLEARLY * gain_reduction
+    if _DRIVE_GAIN in fitted or not causes:
+        return bool(fitted) and _DRIVE_GAIN not in fitted
+    gain_reduction = max(
+        (cause.gain for cause in causes if cause.effect == _DRIVE_GAIN), default=0.0
+    )
+    return causes[0].effect != _DRIVE_GAIN and causes[0].gain > _MIN_GAIN_RATIO * gain_reduction

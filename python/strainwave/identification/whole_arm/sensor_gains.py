@@ -29,10 +29,10 @@ _ACCELEROMETER_HZ = 300.0  # [Hz] bandwidth of a typical accelerometer
 _GYRO_HZ = 100.0  # [Hz] bandwidth of a typical gyro
 _GYRO_DENSITY = float(np.radians(0.01))  # [rad/s/sqrt(Hz)] noise density of a typical gyro
 _LINK_COUNTS = 2**17  # counts per turn of a typical link encoder
-_DISTANCE = 0.3  # [m] of an accelerometer from the axis if the study gives no length
-_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
+_DEFAULT_DISTANCE = 0.3  # [m] of an accelerometer from the axis if the study gives no length
+_MEAN_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
 # prefixes of the reported parameters
-_NAMES = ("gear_", "motor_inertia", "link_inertia")
+_REPORTED_PREFIXES = ("gear_", "motor_inertia", "link_inertia")
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,9 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     in any record. The list is empty if there is no candidate or the simulation fails.
     """
     candidates = list(_candidates(fit.objective.records, arm))
-    reported = [p for p in parameters if p.name.startswith(_NAMES) and p.value and p.std]
+    reported = [
+        p for p in parameters if p.name.startswith(_REPORTED_PREFIXES) and p.value and p.std
+    ]
     if not candidates or not reported:
         return []
     try:
@@ -149,7 +151,7 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
 
 def _distance(joint: Joint, arm: Arm) -> float:
     """Distance [m] of the accelerometer from the axis: given, or the length of the first link."""
-    return joint.accelerometer_distance or arm.link_length or _DISTANCE
+    return joint.accelerometer_distance or arm.link_length or _DEFAULT_DISTANCE
 
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
@@ -165,11 +167,11 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
         readings, tangent = extended.linearised(
             values, initial_states, [keys[k] for k in parameter_places]
         )
-        scale = np.sqrt(_ROBUST_WEIGHT / repetitions_of(extended))
+        scale = np.sqrt(_MEAN_ROBUST_WEIGHT / repetitions_of(extended))
         scale = scale / np.maximum(extended.noise, LEAST_ERROR * np.std(readings, axis=0))
         columns = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
         factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
-        information = [_shared(factor, n_own)]
+        information = [_shared_information(factor, n_own)]
         for k, candidate in enumerate(candidates):
             # columns: bias of the sensor, record parameters, shared unknowns
             sensor_rows = np.zeros((len(readings), 1 + columns.shape[2]))
@@ -182,7 +184,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
             if not candidate.channel.shifted:
                 stacked = stacked[:, 1:]
             information.append(
-                _shared(triangular_factor(stacked), n_own + candidate.channel.shifted)
+                _shared_information(triangular_factor(stacked), n_own + candidate.channel.shifted)
             )
         return information
 
@@ -190,7 +192,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
     return side_by_side([partial(one, *pair) for pair in pairs])
 
 
-def _shared(factor: FloatArray, n_own: int) -> FloatArray:
+def _shared_information(factor: FloatArray, n_own: int) -> FloatArray:
     """Information R'R of the shared unknowns after elimination of the record parameters."""
     R = factor[n_own:, n_own:]
     return np.asarray(R.T @ R)

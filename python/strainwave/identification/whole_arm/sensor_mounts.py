@@ -27,17 +27,17 @@ from strainwave.identification.whole_arm.solver import fine_search, search_from
 from strainwave.numerics.distributions import chi_square_limit
 
 # natural frequencies [Hz] of the tested mounts
-_FREQUENCIES = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)
-_DAMPINGS = (0.05, 0.12)  # damping ratios of the tested mounts, at each frequency
-_BEYOND_BAND = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4 change in the band
-_FALSE_ALARMS = 1e-4  # false alarm probability over all tested mounts
+_TESTED_FREQUENCIES_HZ = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)
+_TESTED_DAMPING_RATIOS = (0.05, 0.12)  # damping ratios of the tested mounts, at each frequency
+_MAX_BAND_RATIO = 2.0  # maximum frequency over the cut-off; beyond, at most 1/4 change in the band
+_FALSE_ALARM_PROBABILITY = 1e-4  # false alarm probability over all tested mounts
 # minimum cost reduction of a linear step, as a share of the sensor's cost
-_SHARE = 0.1
-_STARTS = 3  # starting mounts of a fit
-_TRIAL = 12  # maximum evaluations per start
-_GAIN = 0.1  # predicted cost reduction at which a trial ends
-_LEFT = 0.3  # maximum cost of the sensor after the fit, relative to that before
-_SPOILED = 0.2  # maximum cost increase of other channels, relative to the reduction
+_MIN_LINEAR_COST_SHARE = 0.1
+_MAX_STARTS = 3  # starting mounts of a fit
+_MAX_TRIAL_EVALUATIONS = 12  # maximum evaluations per start
+_TRIAL_TOLERANCE = 0.1  # predicted cost reduction at which a trial ends
+_MAX_REMAINING_COST_SHARE = 0.3  # maximum cost of the sensor after the fit, relative to that before
+_MAX_SPILLOVER_SHARE = 0.2  # maximum cost increase of other channels, relative to the reduction
 
 Names = tuple[Key, Key]
 """Keys of the frequency and the damping ratio of a sensor's mount."""
@@ -52,7 +52,7 @@ def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
-        best = _best(fit, selection)
+        best = _best_mount_fit(fit, selection)
         if best is None:
             break
         selection.grant(best.iterations)
@@ -61,18 +61,18 @@ def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
     return fit
 
 
-def _best(fit: Fit, selection: Selection) -> Fit | None:
+def _best_mount_fit(fit: Fit, selection: Selection) -> Fit | None:
     """Fit with the most significant acceptable mount; None if there is none."""
-    for names, mounts in _promising(fit, selection).items():
-        refit = _fitted(fit, names, mounts, selection)
-        if refit is not None and _explains(fit, refit, names):
+    for names, mounts in _significant_mounts(fit, selection).items():
+        refit = _fit_mount(fit, names, mounts, selection)
+        if refit is not None and _is_acceptable(fit, refit, names):
             return refit
     return None
 
 
-def _promising(fit: Fit, selection: Selection) -> Mounts:
+def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     """Mounts with significant score tests, by sensor, the most significant first."""
-    tested = _tested(fit, selection)
+    tested = _mounts_to_test(fit, selection)
     n = sum(map(len, tested.values()))
     if not n:
         return {}
@@ -89,23 +89,28 @@ def _promising(fit: Fit, selection: Selection) -> Mounts:
     square = np.sum(projected**2, axis=0)
     gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
     gains /= np.where(square > 0.0, square, np.inf)
-    gain, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARMS / n, 1)
+    gain, limit = iter(gains.tolist()), chi_square_limit(_FALSE_ALARM_PROBABILITY / n, 1)
     significant: list[tuple[float, Names, list[MountResonance]]] = []
     for names, mounts in tested.items():
         ranked = sorted(((next(gain), mount) for mount in mounts), key=lambda one: -one[0])
-        threshold = max(limit, _SHARE * _cost(fit, names)[0])
+        threshold = max(limit, _MIN_LINEAR_COST_SHARE * _split_cost(fit, names)[0])
         if ranked[0][0] > threshold:
-            significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_STARTS]]))
+            significant.append((ranked[0][0], names, [mount for _, mount in ranked[:_MAX_STARTS]]))
     significant.sort(key=lambda one: -one[0])
     return {names: mounts for _, names, mounts in significant}
 
 
-def _tested(fit: Fit, selection: Selection) -> Mounts:
+def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
     """Mounts to test: of sensors with residuals above noise and without a mount resonance."""
     objective, mounts = fit.objective, Mounts()
-    limit_hz = _BEYOND_BAND * max(record.cutoff_hz for record in objective.records)
+    limit_hz = _MAX_BAND_RATIO * max(record.cutoff_hz for record in objective.records)
     present = objective.space.keys
-    candidates = [MountResonance(f, d) for f in _FREQUENCIES if f < limit_hz for d in _DAMPINGS]
+    candidates = [
+        MountResonance(f, d)
+        for f in _TESTED_FREQUENCIES_HZ
+        if f < limit_hz
+        for d in _TESTED_DAMPING_RATIOS
+    ]
     for record, beyond in zip(objective.records, beyond_noise(objective, fit.z), strict=True):
         for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
             names = mount_of(channel.sensor, channel.joint)
@@ -120,7 +125,7 @@ def _tested(fit: Fit, selection: Selection) -> Mounts:
     return mounts
 
 
-def _fitted(
+def _fit_mount(
     fit: Fit, names: Names, mounts: Sequence[MountResonance], selection: Selection
 ) -> Fit | None:
     """Best of short searches with a mount as additional unknowns, from several starts."""
@@ -130,9 +135,9 @@ def _fitted(
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = with_sensors(fit.objective.space, list(starts), starts)
         objective, start = fit.objective.for_unknowns(space), space.coordinates(values | starts)
-        options = replace(selection.options, max_iterations=_TRIAL)
+        options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
         try:
-            trial = search_from(objective, start, 0, options, tolerance=_GAIN)
+            trial = search_from(objective, start, 0, options, tolerance=_TRIAL_TOLERANCE)
         except NotIdentifiable:
             continue
         if best is None or trial.cost < best.cost:
@@ -140,17 +145,18 @@ def _fitted(
     return best
 
 
-def _explains(before: Fit, after: Fit, names: Names) -> bool:
+def _is_acceptable(before: Fit, after: Fit, names: Names) -> bool:
     """Whether a mount explains the residuals of its sensor without increasing others much."""
     (cost_before, others_before), (cost_after, others_after) = (
-        _cost(fit, names) for fit in (before, after)
+        _split_cost(fit, names) for fit in (before, after)
     )
-    return cost_after < _LEFT * cost_before and others_after - others_before < _SPOILED * (
-        cost_before - cost_after
+    return (
+        cost_after < _MAX_REMAINING_COST_SHARE * cost_before
+        and others_after - others_before < _MAX_SPILLOVER_SHARE * (cost_before - cost_after)
     )
 
 
-def _cost(fit: Fit, names: Names) -> tuple[float, float]:
+def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
     """Cost of the channels of the mount's sensor, and of all other channels."""
     costs = np.zeros(2)
     objective = fit.objective

@@ -47,26 +47,26 @@ from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
-_EVIDENT = 4.0
+_MIN_SIGNIFICANCE = 4.0
 # minimum cost reduction in long steps, relative: these have step errors
-_MATTERS_COARSELY = 0.1
+_MIN_COARSE_COST_SHARE = 0.1
 # minimum drift at the ends of a record, in standard deviations of the residual
-_STANDS_OUT = 1.0
-_STAYS = 3.0  # standard deviations below which the fine fit removes a constant
+_MIN_DRIFT_RATIO = 1.0
+_MIN_KEPT_SIGNIFICANCE = 3.0  # standard deviations below which the fine fit removes a constant
 
-_AT_END = 0.99  # share of its range from which a constant is at a bound
-_SIZE = 0.1  # [m or 1] minimum scale of the coordinates of a mounting
-_NEAREST = 1e-3  # [m] minimum starting distance from the axis
-_FAR = 30.0  # range of mounting coordinates, in units of their scale
+_BOUND_SHARE = 0.99  # share of its range from which a constant is at a bound
+_MIN_MOUNTING_SCALE = 0.1  # [m or 1] minimum scale of the coordinates of a mounting
+_MIN_START_DISTANCE = 1e-3  # [m] minimum starting distance from the axis
+_MOUNTING_RANGE = 30.0  # range of mounting coordinates, in units of their scale
 # range of the logarithm of a distance, bandwidth or mount constant
-_WIDE = float(np.log(30.0))
-_FASTEST = 1e4  # [m/s^3 or rad/s^2] range of drifts
-_LARGEST_TILT = 0.5  # [rad] range of the tilt of a tangential accelerometer
-_SHORTEST = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
-_SHARE = 0.5  # share of a delay that the starting bandwidth explains
-_WORTH_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
+_LOG_RANGE = float(np.log(30.0))
+_DRIFT_RANGE = 1e4  # [m/s^3 or rad/s^2] range of drifts
+_TILT_RANGE = 0.5  # [rad] range of the tilt of a tangential accelerometer
+_MIN_LOW_PASS_DELAY = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
+_LOW_PASS_DELAY_SHARE = 0.5  # share of a delay that the starting bandwidth explains
+_MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
 # minimum scale error of a warning: typical tolerance of a data sheet
-_WORTH_SCALE = 0.01
+_MIN_REPORTED_SCALE_ERROR = 0.01
 
 
 def with_sensors(
@@ -79,30 +79,32 @@ def with_sensors(
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in START}
-    added = [_unknown(key, starts) for key in keys]
+    added = [_unknown_of(key, starts) for key in keys]
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(added))))
     known_values = {**space.fixed, **fixed}
     return ParameterSpace((*space.unknowns, *added), known_values, replace(space.prior, rows=rows))
 
 
-def _unknown(key: Key, starts: Values) -> Unknown:
+def _unknown_of(key: Key, starts: Values) -> Unknown:
     """Unknown of a sensor constant, with its starting value, scale and range."""
     name, joint = key
     if is_mounting(key) and not is_optional(key):
         start = starts[key]
         if name == FROM_AXIS:
-            start = max(start, _NEAREST)
-            return Unknown(name, joint, "m", start, start, False, _WIDE)
+            start = max(start, _MIN_START_DISTANCE)
+            return Unknown(name, joint, "m", start, start, False, _LOG_RANGE)
         unit = "m" if name in (DISTANCE, FROM_AXIS, *PLACE) else "1" if is_hidden(key) else "rad"
-        return Unknown(name, joint, unit, start, max(abs(start), _SIZE), True, _FAR)
+        return Unknown(
+            name, joint, unit, start, max(abs(start), _MIN_MOUNTING_SCALE), True, _MOUNTING_RANGE
+        )
     if is_bandwidth(key) or is_of_mount(key):
         unit = "1" if name.endswith("_damping") else "Hz"
-        return Unknown(name, joint, unit, starts[key], starts[key], False, _WIDE)
+        return Unknown(name, joint, unit, starts[key], starts[key], False, _LOG_RANGE)
     if name == TILT:
-        return Unknown(name, joint, "rad", 0.0, _LARGEST_TILT, True, 1.0)
+        return Unknown(name, joint, "rad", 0.0, _TILT_RANGE, True, 1.0)
     if is_drift(key):
         unit = "m/s^3" if name.startswith(("accelerometer", "imu_a")) else "rad/s^2"
-        return Unknown(name, joint, unit, 0.0, 1.0, True, _FASTEST)
+        return Unknown(name, joint, unit, 0.0, 1.0, True, _DRIFT_RANGE)
     unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", LARGEST_SCALE_ERROR)
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
@@ -116,11 +118,15 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     arm, options = selection.arm, selection.options
     space = fit.objective.space
     values, starts = space.values(fit.z), {}
-    for delay, bandwidth in _late(fit, arm):
+    for delay, bandwidth in _delayed_sensors(fit, arm):
         lag = values[delay]
-        if lag > _SHORTEST and bandwidth not in values and not is_held(bandwidth, options):
-            starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _SHARE * lag)
-            values[delay] = (1.0 - _SHARE) * lag
+        if (
+            lag > _MIN_LOW_PASS_DELAY
+            and bandwidth not in values
+            and not is_held(bandwidth, options)
+        ):
+            starts[bandwidth] = np.sqrt(2.0) / (2.0 * np.pi * _LOW_PASS_DELAY_SHARE * lag)
+            values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
     if not starts or fit.iterations >= options.max_iterations:
         return fit
     extended = with_sensors(space, list(starts), starts)
@@ -130,7 +136,7 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     return _refined_from(fit, objective, start, options)
 
 
-def _late(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
+def _delayed_sensors(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
     """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
     keys, visited = fit.objective.space.keys, set()
     for channel in (c for record in fit.objective.records for c in record.channels):
@@ -154,8 +160,10 @@ def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit
     """
     options = selection.options
     while fit.iterations < options.max_iterations and not options.as_published:
-        estimates = _evident(fit, options, _MATTERS_COARSELY * fit.cost if coarse else 0.0)
-        estimates |= _evident_drifts(fit, options)
+        estimates = _significant_constants(
+            fit, options, _MIN_COARSE_COST_SHARE * fit.cost if coarse else 0.0
+        )
+        estimates |= _significant_drifts(fit, options)
         if not estimates:
             break
         values = fit.objective.space.values(fit.z)
@@ -177,7 +185,7 @@ def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: Tuning
 
 def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
-    while insignificant := _idle(fit):
+    while insignificant := _least_significant(fit):
         values = fit.objective.space.values(fit.z)
         space = fit.objective.space.holding(insignificant)
         fit = _refined_from(
@@ -186,7 +194,7 @@ def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
     return fit
 
 
-def _idle(fit: Fit) -> dict[Key, float]:
+def _least_significant(fit: Fit) -> dict[Key, float]:
     """Least significant sensor constant and its nominal value; empty if all are significant.
 
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
@@ -197,24 +205,32 @@ def _idle(fit: Fit) -> dict[Key, float]:
     if not optional:
         return {}
     stds = np.sqrt(np.diag(fit.confidence.cautious))
-    within_range = (fit.z > _AT_END * space.lower) & (fit.z < _AT_END * space.upper)
+    within_range = (fit.z > _BOUND_SHARE * space.lower) & (fit.z < _BOUND_SHARE * space.upper)
     rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
     distances = {
         key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
         for key, value, std, within in rows
         if key in optional and (within or is_bandwidth(key))
     }
-    for key in [key for key in distances if _twin(key) in distances and _twin(key) != key]:
+    for key in [
+        key for key in distances if _counterpart(key) in distances and _counterpart(key) != key
+    ]:
         # a delay and a low-pass that cannot be separated both stay; their intervals show it
-        if distances[key] < _STAYS and distances[_twin(key)] < _STAYS and not _ended(fit, key):
+        if (
+            distances[key] < _MIN_KEPT_SIGNIFICANCE
+            and distances[_counterpart(key)] < _MIN_KEPT_SIGNIFICANCE
+            and not _is_at_upper_bound(fit, key)
+        ):
             del distances[key]
     weakest = min(distances, key=lambda key: distances[key], default=None)
     return (
-        {weakest: nominal(weakest)} if weakest is not None and distances[weakest] < _STAYS else {}
+        {weakest: nominal(weakest)}
+        if weakest is not None and distances[weakest] < _MIN_KEPT_SIGNIFICANCE
+        else {}
     )
 
 
-def _twin(key: Key) -> Key:
+def _counterpart(key: Key) -> Key:
     """Bandwidth key for a delay key and vice versa; other keys are unchanged."""
     name, joint = key
     sensor, _, what = name.rpartition("_")
@@ -222,13 +238,13 @@ def _twin(key: Key) -> Key:
     return f"{sensor}_{other}", joint
 
 
-def _ended(fit: Fit, key: Key) -> bool:
+def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
     """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
     k = fit.objective.space.keys.index(key)
-    return is_bandwidth(key) and bool(fit.z[k] > _AT_END * fit.objective.space.upper[k])
+    return is_bandwidth(key) and bool(fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k])
 
 
-def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
+def _significant_constants(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
     """Significant sensor constants and their values after one linear step.
 
     Forward selection: each constant must reduce the cost by `least` and significantly, given those
@@ -239,18 +255,20 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
         key
         for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
         if key not in included and not is_drift(key) and not is_held(key, options)
-        if not _imitated(key, fit)
+        if not _is_collinear_with_tilt(key, fit)
     ]
     if not candidates:
         return {}
-    factor = _scores(fit, candidates)
+    factor = _score_factor(fit, candidates)
     columns, target = factor[:, :-1], factor[:, -1]
     selected: list[int] = []
     cost = float(target @ target)
     while len(selected) < len(candidates):
-        costs = {k: _left(columns[:, [*selected, k]], target) for k in range(len(candidates))}
+        costs = {
+            k: _residual_cost(columns[:, [*selected, k]], target) for k in range(len(candidates))
+        }
         best = min((k for k in costs if k not in selected), key=lambda k: costs[k])
-        if cost - costs[best] < max(_EVIDENT**2, least):
+        if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, least):
             break
         selected.append(best)
         cost = costs[best]
@@ -263,7 +281,7 @@ def _evident(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]
     }
 
 
-def _evident_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
+def _significant_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
     """Significant drifts of sensor biases and their rates.
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
@@ -282,12 +300,14 @@ def _evident_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
             rate = float(-since @ residual / (since @ since))
             remaining = residual + rate * since
             std = np.std(remaining) * np.sqrt(repeats_of(remaining) / (since @ since))
-            if abs(rate) > max(_EVIDENT * std, _STANDS_OUT * np.std(remaining) / np.max(since)):
+            if abs(rate) > max(
+                _MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * np.std(remaining) / np.max(since)
+            ):
                 rates[key] = rate
     return rates
 
 
-def _imitated(key: Key, fit: Fit) -> bool:
+def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
     """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes."""
     name, joint = key
     if not name.startswith("imu_a") or not name.endswith("_scale"):
@@ -297,7 +317,7 @@ def _imitated(key: Key, fit: Fit) -> bool:
     return count == 2 and (TURN[0], joint) in fit.objective.space.keys
 
 
-def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
+def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
     """R of [sensor constants, residual] after projection on the complement of the unknowns."""
     objective = fit.objective
     values, simulated = objective.space.values(fit.z), objective.simulated(fit.z)
@@ -311,7 +331,7 @@ def _scores(fit: Fit, keys: Sequence[Key]) -> FloatArray:
     return objective.bordered(fit.z, len(keys), tangent)[n:, n:]
 
 
-def _left(columns: FloatArray, target: FloatArray) -> float:
+def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
     """Residual sum of squares after regression on the columns."""
     step = np.linalg.lstsq(columns, -target)[0]
     return float(np.sum((target + columns @ step) ** 2))
@@ -322,12 +342,14 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     for parameter in parameters:
         key = parameter.name, parameter.joint
         if is_drift(key) and parameter.value is not None:
-            yield _drifts(parameter, parameter.value)
+            yield _drift_warning(parameter, parameter.value)
         if not parameter.name.endswith(("_delay", "_scale")) or parameter.value is None:
             continue
         if not is_optional(key):
             continue
-        threshold = _WORTH_DELAY if parameter.name.endswith("_delay") else _WORTH_SCALE
+        threshold = (
+            _MIN_REPORTED_DELAY if parameter.name.endswith("_delay") else _MIN_REPORTED_SCALE_ERROR
+        )
         if abs(parameter.value - nominal(key)) < threshold:
             continue
         sensor = parameter.name.rsplit("_", 1)[0].replace("_", " ")
@@ -353,7 +375,7 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
             yield Diagnostic("sensor-scale", f"joint {parameter.joint}", text)
 
 
-def _drifts(found: Parameter, rate: float) -> Diagnostic:
+def _drift_warning(found: Parameter, rate: float) -> Diagnostic:
     name = base_name(found.name)
     sensor, record = name.removesuffix("_drift").replace("_", " "), found.name[len(name) + 1 : -1]
     half = 1.96 * (found.std or 0.0)

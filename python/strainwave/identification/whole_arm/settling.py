@@ -14,7 +14,7 @@ from strainwave.identification.whole_arm.selection import EVIDENT, TRIAL, Select
 from strainwave.identification.whole_arm.solver import fine_search
 
 # share of the lower bound of its logarithm from which a settling time is zero
-_NOTHING = 0.99
+_ZERO_BOUND_SHARE = 0.99
 
 
 def with_settling_times(fit: Fit, selection: Selection) -> Fit:
@@ -43,7 +43,7 @@ def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
         return fit
     values = fit.objective.space.values(fit.z)
     stds = np.sqrt(np.diag(fit.confidence.cautious))
-    at_lower_bound = fit.z < _NOTHING * fit.objective.space.lower
+    at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.objective.space.lower
     insignificant = {
         key: 0.0
         for key, std, is_at_bound in zip(

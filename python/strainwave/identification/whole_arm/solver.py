@@ -20,14 +20,14 @@ from strainwave.numerics.trust_region import Linearised, minimise
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_GAIN, COARSE_SHARE = 1.0, 2e-3
 # the same: absolute for the fine search, relative for a search with initial weights
-_FINE, _GUESSED = 1e-2, 2e-2
-_ROUNDS = 4  # maximum updates of the weights; the third rarely changes the result
-_ROUGH_ROUNDS = 8  # maximum updates of the weights in the coarse search
+_FINE_TOLERANCE, _INITIAL_RELATIVE_TOLERANCE = 1e-2, 2e-2
+_MAX_WEIGHT_UPDATES = 4  # maximum updates of the weights; the third rarely changes the result
+_MAX_COARSE_UPDATES = 8  # maximum updates of the weights in the coarse search
 # maximum change of log standard deviations at which the weights have converged
-_SETTLED = 0.2
+_WEIGHT_TOLERANCE = 0.2
 # ratio of new to old standard deviations below which another search follows
-_SMALLER = 0.7
-_NEAR = 1e-8  # initial damping near the minimum
+_MAX_DECREASED_RATIO = 0.7
+_NEAR_DAMPING = 1e-8  # initial damping near the minimum
 
 
 Progress = Callable[[int, int], None]
@@ -54,10 +54,12 @@ def coarse_search(objective: Objective, start: FloatArray, options: TuningOption
     Large initial errors give small weights, and with these a search may end too early. The weights
     are updated as long as the errors decrease markedly.
     """
-    fit = search_from(objective, start, 0, options, tolerance=COARSE_GAIN, relative=_GUESSED)
+    fit = search_from(
+        objective, start, 0, options, tolerance=COARSE_GAIN, relative=_INITIAL_RELATIVE_TOLERANCE
+    )
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
-    return _reweighted(fit, options)
+    return _reweight(fit, options)
 
 
 def resumed_coarse_search(
@@ -67,18 +69,18 @@ def resumed_coarse_search(
 
     `spent` is the number of evaluations so far.
     """
-    return _reweighted(search_from(objective, z, spent, options, tolerance=COARSE_GAIN), options)
+    return _reweight(search_from(objective, z, spent, options, tolerance=COARSE_GAIN), options)
 
 
-def _reweighted(fit: Fit, options: TuningOptions) -> Fit:
+def _reweight(fit: Fit, options: TuningOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.reweighted(fit.z))
     search = partial(search_from, options=options, tolerance=COARSE_GAIN, relative=COARSE_SHARE)
-    for _ in range(_ROUGH_ROUNDS):
+    for _ in range(_MAX_COARSE_UPDATES):
         fit = search(fit.objective, fit.z, fit.iterations)
         updated = fit.objective.reweighted(fit.z)
         is_finished = not fit.converged or fit.iterations >= options.max_iterations
-        if is_finished or not _smaller(fit.objective, updated):
+        if is_finished or not _has_decreased(fit.objective, updated):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -91,17 +93,26 @@ def fine_search(objective: Objective, z: FloatArray, spent: int, options: Tuning
     error of the integrator is corrected after the first search and again near the minimum. Call
     `polished` to complete the search.
     """
-    fit = search_from(objective, z, spent, options, tolerance=_FINE, relative=_GUESSED)
+    fit = search_from(
+        objective,
+        z,
+        spent,
+        options,
+        tolerance=_FINE_TOLERANCE,
+        relative=_INITIAL_RELATIVE_TOLERANCE,
+    )
     if spent >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=spent, converged=False)
     if fit.converged and fit.iterations < options.max_iterations:
-        fit = refined(_corrected(fit), options, tolerance=_FINE)
+        fit = refined(_update_corrections(fit), options, tolerance=_FINE_TOLERANCE)
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
-    return refined(_corrected(fit), options)  # with the step error at the end of the search
+    return refined(
+        _update_corrections(fit), options
+    )  # with the step error at the end of the search
 
 
-def _corrected(fit: Fit) -> Fit:
+def _update_corrections(fit: Fit) -> Fit:
     """Update the step error correction and the weights at the current iterate."""
     return replace(fit, objective=fit.objective.corrected(fit.z).reweighted(fit.z))
 
@@ -113,12 +124,12 @@ def refined(fit: Fit, options: TuningOptions, tolerance: float = COARSE_GAIN) ->
     standard deviation of the minimum, which is sufficient for the model selection.
     """
     search = partial(search_from, options=options, tolerance=tolerance)
-    for _ in range(_ROUNDS):
+    for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
-        fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR)
+        fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR_DAMPING)
         updated = fit.objective.reweighted(fit.z)
-        if not fit.converged or _settled(fit.objective, updated):
+        if not fit.converged or _has_converged(fit.objective, updated):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -129,7 +140,12 @@ def polished(fit: Fit, options: TuningOptions) -> Fit:
     if not fit.converged or fit.iterations >= options.max_iterations:
         return fit
     return search_from(
-        fit.objective, fit.z, fit.iterations, options, tolerance=_FINE, damping=_NEAR
+        fit.objective,
+        fit.z,
+        fit.iterations,
+        options,
+        tolerance=_FINE_TOLERANCE,
+        damping=_NEAR_DAMPING,
     )
 
 
@@ -173,13 +189,15 @@ def search_from(
     )
 
 
-def _settled(old: Objective, new: Objective) -> bool:
+def _has_converged(old: Objective, new: Objective) -> bool:
     """Whether the weights have converged."""
     pairs = zip(old.weights, new.weights, strict=True)
-    return all(np.max(np.abs(np.log(b.deviation / a.deviation))) < _SETTLED for a, b in pairs)
+    return all(
+        np.max(np.abs(np.log(b.deviation / a.deviation))) < _WEIGHT_TOLERANCE for a, b in pairs
+    )
 
 
-def _smaller(old: Objective, new: Objective) -> bool:
+def _has_decreased(old: Objective, new: Objective) -> bool:
     """Whether the error of any channel has decreased markedly."""
     pairs = zip(old.weights, new.weights, strict=True)
-    return any(np.min(b.deviation / a.deviation) < _SMALLER for a, b in pairs)
+    return any(np.min(b.deviation / a.deviation) < _MAX_DECREASED_RATIO for a, b in pairs)

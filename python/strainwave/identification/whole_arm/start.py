@@ -50,8 +50,8 @@ from strainwave.identification.whole_arm.sensors import (
 from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
 from strainwave.signals.mounting_start import mounting_starts
 
-_LOOKS = 31  # grid points of an unknown stiffness over its range, a factor of nine
-_UNLIKELY = (
+_STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine
+_INFEASIBLE_START = (
     "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
     " of the channels, gear_ratio and torque_per_volt"
 )
@@ -125,13 +125,13 @@ def start_of(
     start, initial = start[kept], initial[kept]
     coarse = Objective.of(space, long_steps)
     if coarse.linearise(start) is None:
-        raise NotIdentifiable(_UNLIKELY)
+        raise NotIdentifiable(_INFEASIBLE_START)
     if placed:
         coarse, start = best_placed(coarse, start, arm, chosen)
     starts = starts_of(model, joints, arm)
     for name, joint in starts.rejected:
         if name == STIFFNESS:
-            start = _best_along(coarse, start, joint)
+            start = _scan_stiffness(coarse, start, joint)
     if best.reached is None or placed:
         initial = start
     return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, arm)))
@@ -149,7 +149,7 @@ def _records(
     return records, [coarsened(r, 1.0 / (STEPS_PER_PERIOD * cutoff)) for r in records]
 
 
-def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
+def _scan_stiffness(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
     """Scan the range of an unknown stiffness for the minimum of the cost.
 
     A resonance is about 10 % wide. A search that starts further away ends in a local minimum.
@@ -157,7 +157,7 @@ def _best_along(coarse: Objective, start: FloatArray, joint: int | None) -> Floa
     slopes = [k for k, key in enumerate(coarse.space.keys) if key[1] == joint and is_slope(key[0])]
     low, high = coarse.space.lower[slopes], coarse.space.upper[slopes]
     best, lowest = start, np.inf
-    for share in np.linspace(0.0, 1.0, _LOOKS):
+    for share in np.linspace(0.0, 1.0, _STIFFNESS_GRID_POINTS):
         z = start.copy()
         z[slopes] = low + share * (high - low)
         linearised = coarse.linearise(z)
@@ -204,5 +204,5 @@ def _space(
         try:
             space = with_curves(space, arm, gear_torques(records, values).tolist())
         except NumericalFailure as failure:
-            raise NotIdentifiable(_UNLIKELY) from failure
+            raise NotIdentifiable(_INFEASIBLE_START) from failure
     return space

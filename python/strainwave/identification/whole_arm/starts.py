@@ -25,12 +25,12 @@ VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
 COULOMB = "motor_coulomb_friction"
 OFFSET = "friction_offset"
 
-_LEAST_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
+_MIN_FRICTION_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
 # typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
-_ANTI_RESONANCE_HZ = 15.0
-_DAMPING = 0.03  # typical damping ratio of strain-wave gears
+_TYPICAL_ANTI_RESONANCE_HZ = 15.0
+_TYPICAL_DAMPING_RATIO = 0.03  # typical damping ratio of strain-wave gears
 # range of starting damping ratios, as search ranges are relative to them
-_RATIOS = (0.01, 0.5)
+_DAMPING_RATIO_RANGE = (0.01, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
     `NotIdentifiable` if a joint has no model, or if the rigid model lacks an estimate for which no
     typical value exists.
     """
-    models = _by_joint(joints, arm)
+    models = _models_by_joint(joints, arm)
     estimates = StageInertias(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
         link={number: joint.values["link_inertia"] for number, joint in models.items()},
@@ -64,12 +64,14 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
         link_inertia = value_of(arm.link_inertia(number), start)
         if not is_positive(stiffness):
             rejected["gear_stiffness", number] = stiffness
-            stiffness = (2.0 * np.pi * _ANTI_RESONANCE_HZ) ** 2 * link_inertia
+            stiffness = (2.0 * np.pi * _TYPICAL_ANTI_RESONANCE_HZ) ** 2 * link_inertia
         critical = 2.0 * float(np.sqrt(stiffness * link_inertia))
         if not is_positive(damping):
             rejected["gear_damping", number] = damping
-            damping = _DAMPING * critical
-        damping = min(max(damping, _RATIOS[0] * critical), _RATIOS[1] * critical)
+            damping = _TYPICAL_DAMPING_RATIO * critical
+        damping = min(
+            max(damping, _DAMPING_RATIO_RANGE[0] * critical), _DAMPING_RATIO_RANGE[1] * critical
+        )
         friction = _friction(model, models[number], arm, number)
         for name, value in friction.items():
             start[name, number] = value
@@ -91,18 +93,18 @@ def _friction(
     model: RigidModel | None, joint: JointModel, arm: Arm, number: int
 ) -> dict[str, float]:
     """Viscous friction of the joint model; Coulomb friction and offset of the rigid model."""
-    values = _mended(joint.values, arm.joints[number - 1].gear_ratio)
+    values = _split_friction(joint.values, arm.joints[number - 1].gear_ratio)
     friction = {name: values[name] for name in VISCOUS}
-    friction[OFFSET] = _known(model, OFFSET, number) or 0.0
-    coulomb = _known(model, COULOMB, number)  # some joint models have no Coulomb friction
+    friction[OFFSET] = _rigid_estimate(model, OFFSET, number) or 0.0
+    coulomb = _rigid_estimate(model, COULOMB, number)  # some joint models have no Coulomb friction
     return friction | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
 
 
-def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
+def _split_friction(values: Mapping[str, float], ratio: float) -> dict[str, float]:
     """Split the total viscous friction so that neither motor nor link has a negative share."""
     repaired = dict(values)
     motor, link = (values[name] for name in VISCOUS)
-    minimum = _LEAST_SHARE * abs(motor + ratio**2 * link)
+    minimum = _MIN_FRICTION_SHARE * abs(motor + ratio**2 * link)
     if motor < minimum:
         repaired[VISCOUS[0]] = minimum
         repaired[VISCOUS[1]] = max(link + (motor - minimum) / ratio**2, minimum / ratio**2)
@@ -112,7 +114,7 @@ def _mended(values: Mapping[str, float], ratio: float) -> dict[str, float]:
     return repaired
 
 
-def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
+def _models_by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
     """Models by joint number; raises `NotIdentifiable` if a joint has none."""
     models = {joint.joint: joint for joint in joints}
     for number, joint in enumerate(arm.joints, start=1):
@@ -124,7 +126,7 @@ def _by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
     return models
 
 
-def _known(model: RigidModel | None, name: str, joint: int) -> float | None:
+def _rigid_estimate(model: RigidModel | None, name: str, joint: int) -> float | None:
     """Estimate of the rigid model; None if there is none."""
     for parameter in model.parameters if model is not None else ():
         if (parameter.name, parameter.joint) == (name, joint):

@@ -26,10 +26,16 @@ from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = ["models_from_catalogue", "models_from_motors"]
 
-_LINES, _COARSE = 160, 40  # spectral lines of a piece for least squares and for the grid search
-_IDENTIFIED = 0.3  # relative standard deviation up to which a value is reported
-_SPLIT = ("motor_viscous_friction", "link_viscous_friction")  # only their sum is determined
-_DIFFERENCE = 1e-4  # step of a coordinate for central differences
+_FIT_LINES, _GRID_LINES = (
+    160,
+    40,
+)  # spectral lines of a piece for least squares and for the grid search
+_MAX_RELATIVE_STD = 0.3  # relative standard deviation up to which a value is reported
+_VISCOUS_FRICTIONS = (
+    "motor_viscous_friction",
+    "link_viscous_friction",
+)  # only their sum is determined
+_DIFFERENCE_STEP = 1e-4  # step of a coordinate for central differences
 
 
 def models_from_motors(
@@ -48,7 +54,7 @@ def models_from_motors(
     """
     ratio = arm.gear_ratios
     spectra_pieces = [
-        piece for r in records for piece in pieces(r, ratio, most_lines=_LINES) if piece.rows
+        piece for r in records for piece in pieces(r, ratio, most_lines=_FIT_LINES) if piece.rows
     ]
     for i in range(arm.n_joints):
         if not any(i in piece.rows for piece in spectra_pieces):
@@ -58,7 +64,9 @@ def models_from_motors(
             )
     family = family_of(model, arm)
     with one_blas_thread():
-        fits = minima(family, spectra_pieces, [thinned(piece, _COARSE) for piece in spectra_pieces])
+        fits = minima(
+            family, spectra_pieces, [thinned(piece, _GRID_LINES) for piece in spectra_pieces]
+        )
         names = [
             tuple(dict.fromkeys(p.experiment for p in spectra_pieces if i in p.rows))
             for i in range(arm.n_joints)
@@ -85,7 +93,7 @@ def _models(
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         standard_deviations = np.sqrt(np.diag(covariance))
         identified = [
-            bool(std <= _IDENTIFIED * value)
+            bool(std <= _MAX_RELATIVE_STD * value)
             for std, value in zip(standard_deviations, values.values(), strict=True)
         ]
         estimate = values, covariance, identified, arm.joints[i], i + 1
@@ -117,14 +125,16 @@ def _covariance(found: Found, family: Family, i: int) -> FloatArray:
     size.
     """
     columns = []
-    for step in _DIFFERENCE * np.eye(len(found.point)):
+    for step in _DIFFERENCE_STEP * np.eye(len(found.point)):
         above, below = (family.parts(found.point + sign * step) for sign in (1.0, -1.0))
-        columns.append([(above[name][i] - below[name][i]) / (2.0 * _DIFFERENCE) for name in NAMES])
+        columns.append(
+            [(above[name][i] - below[name][i]) / (2.0 * _DIFFERENCE_STEP) for name in NAMES]
+        )
     J = np.array(columns).T
     covariance = J @ found.covariance @ J.T
-    motor, link = (NAMES.index(name) for name in _SPLIT)
+    motor, link = (NAMES.index(name) for name in _VISCOUS_FRICTIONS)
     parts = family.parts(found.point)
     split = np.zeros(len(NAMES))
-    split[motor] = parts[_SPLIT[0]][i]
+    split[motor] = parts[_VISCOUS_FRICTIONS[0]][i]
     split[link] = -split[motor] / family.ratio[i] ** 2
     return np.asarray(covariance + np.outer(split, split))

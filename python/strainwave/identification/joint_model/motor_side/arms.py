@@ -23,11 +23,13 @@ from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 PER_JOINT = 3
 """Number of coordinates of each joint: log k, log d_G, log odds of the motor's share of c_1."""
 
-_STEP = 1e-4  # [rad] step for central differences
+_DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
 # minimum relative standard deviation of a motor inertia from the rigid model
-_LEAST_DEVIATION = 0.02
-_START_VISCOUS = 0.5  # [1/s] starting value of c_0 / c_1
-_SPLIT = 0.5  # motor's share of the viscous friction, which motor signals do not determine
+_MIN_RELATIVE_STD = 0.02
+_START_DECAY_RATE = 0.5  # [1/s] starting value of c_0 / c_1
+_MOTOR_VISCOUS_SHARE = (
+    0.5  # motor's share of the viscous friction, which motor signals do not determine
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +85,7 @@ class Family:
         blocks = np.column_stack([*gears, np.log(share / (1.0 - share))]).ravel()
         if self.total_inertia is not None:
             return blocks
-        return np.concatenate([blocks, np.log(c1), np.log(_START_VISCOUS * c1)])
+        return np.concatenate([blocks, np.log(c1), np.log(_START_DECAY_RATE * c1)])
 
     def parts(self, points: FloatArray) -> dict[str, FloatArray]:
         """Physical parameters at points, (..., n_joints) per name of `TwoInertia`."""
@@ -96,9 +98,9 @@ class Family:
         viscous = np.broadcast_to(viscous, share.shape)
         return {
             "motor_inertia": share * total,
-            "motor_viscous_friction": _SPLIT * viscous,
+            "motor_viscous_friction": _MOTOR_VISCOUS_SHARE * viscous,
             "link_inertia": (1.0 - share) * total / self.ratio**2,
-            "link_viscous_friction": (1.0 - _SPLIT) * viscous / self.ratio**2,
+            "link_viscous_friction": (1.0 - _MOTOR_VISCOUS_SHARE) * viscous / self.ratio**2,
             "gear_stiffness": np.exp(gears[..., 0]),
             "gear_damping": np.exp(gears[..., 1]),
         }
@@ -162,12 +164,17 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
             i = (parameter.joint or 1) - 1
             share[i] = min(0.95, parameter.value / total[i])
             relative_std = (parameter.std or 0.0) / parameter.value
-            share_std[i] = max(relative_std, _LEAST_DEVIATION)
+            share_std[i] = max(relative_std, _MIN_RELATIVE_STD)
     return Family(
         arm,
         ratio,
         total,
-        np.array([_least(model, "total_viscous_friction", i, total[i - 1]) for i in _numbers(n)]),
+        np.array(
+            [
+                _viscous_friction(model, "total_viscous_friction", i, total[i - 1])
+                for i in _numbers(n)
+            ]
+        ),
         np.array([max(0.0, _value(model, "motor_coulomb_friction", i)) for i in _numbers(n)]),
         base_parameters(model, arm),
         share,
@@ -183,7 +190,7 @@ def _value(model: RigidModel, name: str, joint: int) -> float:
     return model.value(name, joint) or 0.0
 
 
-def _least(model: RigidModel, name: str, joint: int, inertia: float) -> float:
+def _viscous_friction(model: RigidModel, name: str, joint: int, inertia: float) -> float:
     """Viscous friction of the rigid model, at least 1 % of the inertia per second."""
     return max(_value(model, name, joint), 0.01 * float(inertia))
 
@@ -191,8 +198,12 @@ def _least(model: RigidModel, name: str, joint: int, inertia: float) -> float:
 def _gravity_slopes(arm: Arm, angle: FloatArray) -> FloatArray:
     """Derivative of gravity torques by link angle, per base parameter: (n_base, n, n)."""
     n = arm.n_joints
-    shifted = np.concatenate([angle + _STEP * np.eye(n), angle - _STEP * np.eye(n)])
+    shifted = np.concatenate(
+        [angle + _DIFFERENCE_STEP * np.eye(n), angle - _DIFFERENCE_STEP * np.eye(n)]
+    )
     zero = np.zeros_like(shifted)
     regressor = arm.base_regressor(shifted, zero, zero)  # (2n, n, n_base)
-    slope = (regressor[:n] - regressor[n:]) / (2.0 * _STEP)  # by angle, torque, parameter
+    slope = (regressor[:n] - regressor[n:]) / (
+        2.0 * _DIFFERENCE_STEP
+    )  # by angle, torque, parameter
     return np.asarray(np.transpose(slope, (2, 1, 0)))

@@ -16,9 +16,9 @@ from strainwave.dynamics.two_inertia import NAMES
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
 
-_RINGS_HZ = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)  # anti-resonances
-_SHARES = (0.25, 0.55)  # motor's share of the joint's inertia
-_DAMPING = 0.05  # damping ratio of the anti-resonance
+_ANTI_RESONANCES_HZ = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)  # anti-resonances
+_MOTOR_SHARES = (0.25, 0.55)  # motor's share of the joint's inertia
+_DAMPING_RATIO = 0.05  # damping ratio of the anti-resonance
 
 
 def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[JointModel, ...]]:
@@ -35,11 +35,13 @@ def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[Join
             ' start: add an experiment with use = "motion", or one with use = "frequency"'
         )
     family, candidates = family_of(model, arm), []
-    shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
-    for combination in product(*([_RINGS_HZ] * family.n_joints), *shares):
+    shares = [
+        _MOTOR_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()
+    ]
+    for combination in product(*([_ANTI_RESONANCES_HZ] * family.n_joints), *shares):
         n = family.n_joints
         point = family.point(
-            2.0 * np.pi * np.array(combination[:n]), np.array(combination[n:]), _DAMPING
+            2.0 * np.pi * np.array(combination[:n]), np.array(combination[n:]), _DAMPING_RATIO
         )
         if family.proper(point):
             candidates.append(_models(family, point))

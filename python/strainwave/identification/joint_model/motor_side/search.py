@@ -19,22 +19,29 @@ from strainwave.identification.joint_model.motor_side.arms import (
 from strainwave.identification.joint_model.motor_side.impedance import velocities
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 
-_RINGS = 14  # number of anti-resonances per joint on the grid, within the band of the records
-_SHARES = (0.15, 0.35, 0.55, 0.75)  # motor's share of a joint's inertia on the grid
-_DAMPING = 0.05  # damping ratio of the anti-resonances on the grid
-_INERTIAS = 10  # number of total inertias on the grid for a joint without a rigid model
-_STARTS = 6  # number of grid points from which least squares start
-_APART = 0.35  # difference of a coordinate above which two minima are distinct
-_HIGHEST = 2.0 * np.pi * 80.0  # [rad/s] highest anti-resonance of a typical gear with its load
-_OPEN = 4.0  # ratio to the least sum of squares up to which a point is an alternative
-_ROBUST = 0.02  # scale of the robust loss, as a share of the motor velocity
+_N_ANTI_RESONANCES = (
+    14  # number of anti-resonances per joint on the grid, within the band of the records
+)
+_MOTOR_SHARES = (0.15, 0.35, 0.55, 0.75)  # motor's share of a joint's inertia on the grid
+_DAMPING_RATIO = 0.05  # damping ratio of the anti-resonances on the grid
+_N_INERTIAS = 10  # number of total inertias on the grid for a joint without a rigid model
+_MAX_STARTS = 6  # number of grid points from which least squares start
+_MIN_DISTANCE = 0.35  # difference of a coordinate above which two minima are distinct
+_MAX_ANTI_RESONANCE = (
+    2.0 * np.pi * 80.0
+)  # [rad/s] highest anti-resonance of a typical gear with its load
+_MAX_COST_RATIO = 4.0  # ratio to the least sum of squares up to which a point is an alternative
+_ROBUST_SCALE = 0.02  # scale of the robust loss, as a share of the motor velocity
 # bounds of least squares around the starting value: log k, log d_G, log odds of the share
-_REACH = np.array([np.log(10.0), np.log(100.0), 4.0])
-_BLOCKS = 10  # frequency bands of a piece with independent errors
-_TILTS = (-0.5, 0.5)  # powers of frequency that change the weights, to measure the model error
-_DIFFERENCE = 1e-5  # step of a coordinate for central differences
+_COORDINATE_BOUNDS = np.array([np.log(10.0), np.log(100.0), 4.0])
+_N_BANDS = 10  # frequency bands of a piece with independent errors
+_WEIGHT_POWERS = (
+    -0.5,
+    0.5,
+)  # powers of frequency that change the weights, to measure the model error
+_DIFFERENCE_STEP = 1e-5  # step of a coordinate for central differences
 # tolerance and maximum evaluations of least squares; a later fit refines the result
-_SETTLED, _EVALUATIONS = 1e-4, 30
+_TOLERANCE, _MAX_EVALUATIONS = 1e-4, 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +54,7 @@ class Found:
     fit_percent: FloatArray  # (n_joints,) of motor velocities; NaN: not compared
 
 
-_Seen = tuple[Piece, Posture]
+_PieceInPosture = tuple[Piece, Posture]
 """A piece of a record with the posture of the arm."""
 
 
@@ -70,27 +77,31 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     cost = np.full(len(grid), np.inf)
     cost[proper] = sum((_costs(family, grid[proper], each) for each in coarse), 0.0)
     distinct_minima: list[tuple[float, FloatArray]] = []
-    for start in _valleys(grid, cost, family.n_joints):
-        point, least_cost = _polished(family, start, records)
-        if all(np.max(np.abs(point - other)) > _APART for _, other in distinct_minima):
+    for start in _grid_minima(grid, cost, family.n_joints):
+        point, least_cost = _minimize(family, start, records)
+        if all(np.max(np.abs(point - other)) > _MIN_DISTANCE for _, other in distinct_minima):
             distinct_minima.append((least_cost, point))
     distinct_minima.sort(key=lambda each: each[0])
     (least_cost, best), *others = distinct_minima
-    points = np.array([best, *(point for _, point in others), *_beside(family, best, few_lines)])
+    points = np.array(
+        [best, *(point for _, point in others), *_alternatives(family, best, few_lines)]
+    )
     cost = sum((_costs(family, points, each) for each in records), np.zeros(len(points)))
     unknown = np.full((len(best), len(best)), np.nan)
     alternatives = [
         Found(point, float(point_cost), unknown, _fits(family, point, records))
         for point_cost, point in zip(cost[1:], points[1:], strict=True)
-        if point_cost < _OPEN * cost[0]
+        if point_cost < _MAX_COST_RATIO * cost[0]
     ]
     return [
-        _judged(family, best, least_cost, records),
+        _with_covariance(family, best, least_cost, records),
         *sorted(alternatives, key=lambda each: each.cost),
     ]
 
 
-def _beside(family: Family, best: FloatArray, records: Sequence[Piece]) -> Iterator[FloatArray]:
+def _alternatives(
+    family: Family, best: FloatArray, records: Sequence[Piece]
+) -> Iterator[FloatArray]:
     """The best point with other stiffnesses of one joint, over the whole band.
 
     If the motor contributes most of its joint's inertia, its velocity depends only weakly on the
@@ -100,12 +111,14 @@ def _beside(family: Family, best: FloatArray, records: Sequence[Piece]) -> Itera
     link_inertia = family.parts(best)["link_inertia"]
     for i in range(family.n_joints):
         for ring in np.geomspace(
-            1.2 * line_frequencies.min(), min(0.7 * line_frequencies.max(), _HIGHEST), _RINGS
+            1.2 * line_frequencies.min(),
+            min(0.7 * line_frequencies.max(), _MAX_ANTI_RESONANCE),
+            _N_ANTI_RESONANCES,
         ):
             point = best.copy()
             point[PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
-            point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING * ring * link_inertia[i])
-            if abs(point[PER_JOINT * i] - best[PER_JOINT * i]) > _APART:
+            point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING_RATIO * ring * link_inertia[i])
+            if abs(point[PER_JOINT * i] - best[PER_JOINT * i]) > _MIN_DISTANCE:
                 yield point
 
 
@@ -113,9 +126,11 @@ def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
     """Grid (n_points, n_coordinates) over gears, motor shares and, if unknown, total inertias."""
     line_frequencies = np.concatenate([piece.s.imag for piece in records])
     anti_resonances = np.geomspace(
-        1.2 * line_frequencies.min(), 0.7 * line_frequencies.max(), _RINGS
+        1.2 * line_frequencies.min(), 0.7 * line_frequencies.max(), _N_ANTI_RESONANCES
     )
-    shares = [_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()]
+    shares = [
+        _MOTOR_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()
+    ]
     n, rigid = family.n_joints, family.total_inertia
     if rigid is None:
         totals = [_inertias(records, i) for i in range(n)]
@@ -124,7 +139,9 @@ def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
     points = []
     for values in product(*([anti_resonances] * n), *shares, *totals):
         ring, share, total = (np.array(values[k * n : (k + 1) * n]) for k in range(3))
-        points.append(family.point(ring, share, _DAMPING, None if rigid is not None else total))
+        points.append(
+            family.point(ring, share, _DAMPING_RATIO, None if rigid is not None else total)
+        )
     return np.array(points)
 
 
@@ -132,11 +149,11 @@ def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
     """Candidate inertias of a joint, from the ratio of torque to acceleration."""
     ratio = np.concatenate([np.abs(p.torque[:, i] / (p.s * p.velocity[:, i])) for p in records])
     low, high = np.quantile(ratio, (0.1, 0.9)).tolist()
-    return np.geomspace(0.5 * low, 2.0 * high, _INERTIAS)
+    return np.geomspace(0.5 * low, 2.0 * high, _N_INERTIAS)
 
 
 def _errors(
-    family: Family, points: FloatArray, seen: _Seen
+    family: Family, points: FloatArray, seen: _PieceInPosture
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield the velocity error and the velocity of each motor in a piece, relative to its RMS.
 
@@ -158,34 +175,34 @@ def _errors(
         yield error / norm, np.abs(piece.velocity[:, i]) / norm
 
 
-def _costs(family: Family, points: FloatArray, seen: _Seen) -> FloatArray:
+def _costs(family: Family, points: FloatArray, seen: _PieceInPosture) -> FloatArray:
     """Sums of squared errors, (n_points,)."""
     costs = [np.sum(np.abs(error) ** 2, axis=-1) for error, _ in _errors(family, points, seen)]
     return np.asarray(sum(costs, np.zeros(len(points))))
 
 
-def _valleys(grid: FloatArray, cost: FloatArray, n_joints: int) -> list[FloatArray]:
+def _grid_minima(grid: FloatArray, cost: FloatArray, n_joints: int) -> list[FloatArray]:
     """Grid points with the least objective among neighbouring anti-resonances, best first.
 
     The other coordinates are at their best for each set of anti-resonances. Neighbouring points are
     excluded because they lead to the same minimum.
     """
-    shape = (_RINGS,) * n_joints
-    by_ring = cost.reshape(_RINGS**n_joints, -1)
+    shape = (_N_ANTI_RESONANCES,) * n_joints
+    by_ring = cost.reshape(_N_ANTI_RESONANCES**n_joints, -1)
     best_index = np.argmin(by_ring, axis=1)
     least_cost = np.min(by_ring, axis=1).reshape(shape)
     padded = np.pad(least_cost, 1, constant_values=np.inf)
     is_minimum = np.isfinite(least_cost)
     for step in product((0, 1, 2), repeat=n_joints):
-        is_minimum &= least_cost <= padded[tuple(slice(k, k + _RINGS) for k in step)]
-    points = grid.reshape(_RINGS**n_joints, by_ring.shape[1], -1)
+        is_minimum &= least_cost <= padded[tuple(slice(k, k + _N_ANTI_RESONANCES) for k in step)]
+    points = grid.reshape(_N_ANTI_RESONANCES**n_joints, by_ring.shape[1], -1)
     chosen = np.flatnonzero(is_minimum)
-    chosen = chosen[np.argsort(least_cost.ravel()[chosen], kind="stable")][:_STARTS]
+    chosen = chosen[np.argsort(least_cost.ravel()[chosen], kind="stable")][:_MAX_STARTS]
     return [points[k, best_index[k]] for k in chosen]
 
 
 def _residual(
-    family: Family, point: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
+    family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
     """Real and imaginary errors of all pieces, then the residuals of known motor inertias."""
     parts = []
@@ -195,87 +212,93 @@ def _residual(
         weight = weight / np.sqrt(np.mean(weight**2))
         for error, _ in _errors(family, point, record):
             parts += [(error * weight).real, (error * weight).imag]
-    return np.concatenate([*parts, _known(family, point)])
+    return np.concatenate([*parts, _prior_residuals(family, point)])
 
 
-def _known(family: Family, point: FloatArray) -> FloatArray:
+def _prior_residuals(family: Family, point: FloatArray) -> FloatArray:
     """Residuals of motor inertias that the rigid model gives, scaled like the velocity errors."""
     identified = np.flatnonzero(~np.isnan(family.known_share))
     if not identified.size or family.total_inertia is None:
         return np.zeros(0)
     motor = family.parts(point)["motor_inertia"][identified]
     known_inertia = family.known_share[identified] * family.total_inertia[identified]
-    return np.asarray(_ROBUST * np.log(motor / known_inertia) / family.known_deviation[identified])
+    return np.asarray(
+        _ROBUST_SCALE * np.log(motor / known_inertia) / family.known_deviation[identified]
+    )
 
 
-def _polished(
-    family: Family, start: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
+def _minimize(
+    family: Family, start: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> tuple[FloatArray, float]:
     """Minimum near a point, and its objective."""
     from scipy.optimize import least_squares
 
     bound = np.full(len(start), np.log(10.0))
-    bound[: PER_JOINT * family.n_joints] = np.tile(_REACH, family.n_joints)
+    bound[: PER_JOINT * family.n_joints] = np.tile(_COORDINATE_BOUNDS, family.n_joints)
     solution = least_squares(
         lambda point: _residual(family, point, records, tilt),
         start,
-        jac=lambda point: _slopes(family, point, records, tilt),
+        jac=lambda point: _jacobian(family, point, records, tilt),
         bounds=(start - bound, start + bound),
         loss="soft_l1",
-        f_scale=_ROBUST,
-        ftol=_SETTLED,
-        xtol=_SETTLED,
-        max_nfev=_EVALUATIONS,
+        f_scale=_ROBUST_SCALE,
+        ftol=_TOLERANCE,
+        xtol=_TOLERANCE,
+        max_nfev=_MAX_EVALUATIONS,
     )
     return np.asarray(solution.x), float(solution.cost)
 
 
-def _slopes(
-    family: Family, point: FloatArray, records: Sequence[_Seen], tilt: float = 0.0
+def _jacobian(
+    family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
     """Jacobian (n_rows, n_coordinates) of the residuals by central differences."""
-    steps = _DIFFERENCE * np.eye(len(point))
+    steps = _DIFFERENCE_STEP * np.eye(len(point))
     return np.column_stack(
         [
             _residual(family, point + step, records, tilt)
             - _residual(family, point - step, records, tilt)
             for step in steps
         ]
-    ) / (2.0 * _DIFFERENCE)
+    ) / (2.0 * _DIFFERENCE_STEP)
 
 
-def _judged(family: Family, point: FloatArray, cost: float, records: Sequence[_Seen]) -> Found:
+def _with_covariance(
+    family: Family, point: FloatArray, cost: float, records: Sequence[_PieceInPosture]
+) -> Found:
     """Add the covariance: scatter of the gradient over frequency bands, and the model error.
 
     The model error is the change of the estimates with other frequency weights.
     """
-    residual, J = _residual(family, point, records), _slopes(family, point, records)
-    weight = 1.0 / np.sqrt(1.0 + (residual / _ROBUST) ** 2)
+    residual, J = _residual(family, point, records), _jacobian(family, point, records)
+    weight = 1.0 / np.sqrt(1.0 + (residual / _ROBUST_SCALE) ** 2)
     bread = np.linalg.pinv((J * weight[:, None]).T @ J, hermitian=True)
     gradient = J * (weight * residual)[:, None]
-    labels = np.concatenate([*_bands(records), -1 - np.arange(len(_known(family, point)))])
+    labels = np.concatenate(
+        [*_bands(records), -1 - np.arange(len(_prior_residuals(family, point)))]
+    )
     meat = np.zeros_like(bread)
     for label in np.unique(labels):
         block_gradient = gradient[labels == label].sum(axis=0)
         meat += np.outer(block_gradient, block_gradient)
     covariance = bread @ meat @ bread
-    changes = [_polished(family, point, records, tilt)[0] - point for tilt in _TILTS]
+    changes = [_minimize(family, point, records, tilt)[0] - point for tilt in _WEIGHT_POWERS]
     covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
     return Found(point, cost, covariance, _fits(family, point, records))
 
 
-def _bands(records: Sequence[_Seen]) -> Iterator[FloatArray]:
+def _bands(records: Sequence[_PieceInPosture]) -> Iterator[FloatArray]:
     """Number of the frequency band of each row of the residual, counted over all pieces."""
     count = 0
     for piece, _ in records:
         n = len(piece.s)
         for _ in piece.rows:
-            band = count + np.arange(n) * _BLOCKS // n
+            band = count + np.arange(n) * _N_BANDS // n
             yield np.concatenate([band, band]).astype(float)
-            count += _BLOCKS
+            count += _N_BANDS
 
 
-def _fits(family: Family, point: FloatArray, records: Sequence[_Seen]) -> FloatArray:
+def _fits(family: Family, point: FloatArray, records: Sequence[_PieceInPosture]) -> FloatArray:
     """Fit of each motor velocity over all pieces, 100 (1 - |error| / |velocity|), (n_joints,)."""
     error_sum, total = np.zeros(family.n_joints), np.zeros(family.n_joints)
     for record in records:

@@ -13,10 +13,12 @@ from strainwave.numerics.spectra import window_spectra
 LONGEST_PIECE = 4.1
 """Maximum duration [s] of a piece: line spacing is below the width of the anti-resonance."""
 
-_MOST_PIECES = 8  # maximum number of pieces of a record
-_LOWEST = 3.0  # first line; the window spreads a constant and slow drift over the lines below
-_SHARE = 0.2  # share of the sampling rate up to which differences approximate velocities
-_SLIDES = 0.5  # minimum share of a piece in which a motor slides, so that its friction is known
+_MAX_PIECES = 8  # maximum number of pieces of a record
+_FIRST_LINE = 3.0  # first line; the window spreads a constant and slow drift over the lines below
+_MAX_RATE_SHARE = 0.2  # share of the sampling rate up to which differences approximate velocities
+_MIN_SLIDING_SHARE = (
+    0.5  # minimum share of a piece in which a motor slides, so that its friction is known
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,17 +43,17 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Itera
     """
     T, n = signals.sample_time, len(signals.time)
     length = min(n, round(LONGEST_PIECE / T))
-    count = min(_MOST_PIECES, max(1, n // length))
+    count = min(_MAX_PIECES, max(1, n // length))
     named_joint = signals.experiment.joint
     excited = range(len(ratio)) if named_joint is None else (named_joint - 1,)
     frequency = np.fft.rfftfreq(length, T)
-    highest = min(_SHARE / T, signals.bandwidth_hz or np.inf)
-    inside = np.flatnonzero((frequency >= _LOWEST * frequency[1]) & (frequency <= highest))
+    highest = min(_MAX_RATE_SHARE / T, signals.bandwidth_hz or np.inf)
+    inside = np.flatnonzero((frequency >= _FIRST_LINE * frequency[1]) & (frequency <= highest))
     for start in np.linspace(0, n - length, count).astype(int):
         chunk = slice(start, start + length)
         sliding_share = np.mean(np.abs(signals.direction[chunk]) > 0.5, axis=0)
         torque, direction, velocity = (
-            _lines(x[chunk])[inside]
+            _spectrum(x[chunk])[inside]
             for x in (signals.motor_torque, signals.direction, signals.motor_velocity)
         )
         piece = Piece(
@@ -61,7 +63,7 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Itera
             direction,
             velocity,
             (ratio * signals.motor_angle[chunk]).mean(axis=0),
-            tuple(i for i in excited if sliding_share[i] >= _SLIDES),
+            tuple(i for i in excited if sliding_share[i] >= _MIN_SLIDING_SHARE),
         )
         yield thinned(piece, most_lines)
 
@@ -83,6 +85,6 @@ def thinned(piece: Piece, most_lines: int) -> Piece:
     )
 
 
-def _lines(columns: FloatArray) -> ComplexArray:
+def _spectrum(columns: FloatArray) -> ComplexArray:
     (spectrum,) = window_spectra(columns, np.hanning(len(columns)), len(columns))
     return np.asarray(spectrum)
