@@ -24,7 +24,7 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import TuningOptions, tune
-from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 from virtual_arms import ELASTIC_JOINT
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -120,7 +120,7 @@ def records(
     """Half a second of each joint in open loop at each amplitude with noise; see `shaken`."""
     known = truth()[1] | EVERY | dict(shapes)
     amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
-    study, logs = written_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())
+    study, logs = simulated_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())
     return study, known, logs
 
 
@@ -173,7 +173,7 @@ def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> 
     """Whole-arm fit of a single joint; parameters are known to 5 %, rigid ones to 1 %."""
     known = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
     known |= {key: value for key, value in EVERY.items() if key[1] == 1}
-    study, logs = written_logs(single_joint(has), known, noise=SensorNoise())
+    study, logs = simulated_logs(single_joint(has), known, noise=SensorNoise())
     asks = replace(study, arm=single_joint(asked).arm)
     joints = joint_models(asks, known, 0.05, FACTORS)
     return tune(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))

@@ -16,7 +16,7 @@ from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Traject
 from strainwave.identification.whole_arm import TuningOptions, tune
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.virtual import scara
-from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 
 AMPLITUDES = (8.0, 6.0, 9.0)
 """[V] of the records of each joint."""
@@ -100,7 +100,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
         if changed is not None:
             own[changed] *= 1.0 + change
         wanted = replace(study, experiments=experiments)
-        written, found = written_logs(
+        written, found = simulated_logs(
             wanted, own, seed=k, noise=SensorNoise(), simulator=From(posture)
         )
         logs += found

@@ -58,7 +58,9 @@ def rig_logs(spring: str = "linear", seed: int = 0) -> tuple[Study, tuple[Log, .
     """Steps of each joint to fit and for validation, and a motion for validation."""
     study, values = truth(spring)
     wanted = tuple(e for e in study.experiments if e.use in ("tuning", "check"))
-    return written_logs(replace(study, experiments=wanted), values, seed=seed, noise=SensorNoise())
+    return simulated_logs(
+        replace(study, experiments=wanted), values, seed=seed, noise=SensorNoise()
+    )
 
 
 def shaken_study(
@@ -74,7 +76,7 @@ def shaken_study(
     return replace(study, experiments=experiments)
 
 
-def written_logs(
+def simulated_logs(
     study: Study,
     values: Values,
     *,
@@ -114,7 +116,7 @@ def shaken(
         joints = tuple(replace(joint, encoder_counts=None) for joint in study.arm.joints)
         study = replace(study, arm=replace(study.arm, joints=joints))
     wanted = shaken_study(study, amplitude, order=order)
-    written, logs = written_logs(wanted, values, noise=SensorNoise() if noisy else None)
+    written, logs = simulated_logs(wanted, values, noise=SensorNoise() if noisy else None)
     return written, values, logs
 
 
@@ -272,7 +274,7 @@ def linear_record(
         noise=np.full(n_channels, noise),
         counts=(0.0,) * n_channels,
         moving=False,
-        longest_step=1e-3,
+        max_time_step=1e-3,
         lacking=np.zeros(measured.shape),
         table=table,
     )

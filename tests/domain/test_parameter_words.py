@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from strainwave.domain.effects import all_effects
-from strainwave.domain.parameter_words import all_words
+from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.domain.parameters import SENSOR_PARAMETERS
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
@@ -37,7 +37,7 @@ def complete_names(names: list[str]) -> list[str]:
 
 @pytest.mark.parametrize(("symbols", "names"), rows(), ids=str)
 def test_symbols_match_the_notation(symbols: list[str], names: list[str]) -> None:
-    given = [all_words()[name].symbol for name in names if "..." not in name]
+    given = [parameter_descriptions()[name].symbol for name in names if "..." not in name]
     if len(symbols) == len(given):
         assert given == symbols
     else:
@@ -46,15 +46,15 @@ def test_symbols_match_the_notation(symbols: list[str], names: list[str]) -> Non
 
 def test_the_notation_lists_every_parameter() -> None:
     page = {name for _, names in rows() for name in names}
-    assert {name for name in all_words() if not name.startswith("imu_")} <= page
+    assert {name for name in parameter_descriptions() if not name.startswith("imu_")} <= page
 
 
 def test_every_parameter_has_a_description() -> None:
     listed = {*SENSOR_PARAMETERS, *(name for effect in all_effects() for name in effect.names)}
-    assert listed <= set(all_words())
+    assert listed <= set(parameter_descriptions())
 
 
 def test_descriptions_are_unique_single_lines() -> None:
-    texts = [words.description for words in all_words().values()]
+    texts = [words.description for words in parameter_descriptions().values()]
     assert all(text and "\n" not in text and not text.endswith(".") for text in texts)
     assert len(set(texts)) == len(texts)

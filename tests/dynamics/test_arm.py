@@ -62,7 +62,10 @@ def test_rigid_torque_does_not_depend_on_the_motor_share(name: str) -> None:
     n, solution = arm.gear_ratios, rigid_values(arm)
     expected = arm.rigid_regressor(angle, velocity, acceleration) @ solution
     for share in (0.0, 0.3, 1.0):
-        base, motors = arm.base_of_rigid(share) @ solution, arm.motors_of_rigid(share) @ solution
+        base, motors = (
+            arm.base_of_rigid(share) @ solution,
+            arm.motor_inertias_of_rigid(share) @ solution,
+        )
         links = arm.link_torques(base, angle, velocity, acceleration)
         np.testing.assert_allclose(n * links + motors * acceleration / n, expected, rtol=1e-10)
 

@@ -8,10 +8,11 @@ import pytest
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import SENSOR_PARAMETERS, Values
 from strainwave.dynamics.link_sensors import (
-    as_read,
+    apply_sensor_model,
     bandwidth_of,
     constants_of,
     delay_of,
+    differentiate_rows,
     drift_of,
     is_drift,
     is_optional,
@@ -20,7 +21,6 @@ from strainwave.dynamics.link_sensors import (
     moved,
     nominal,
     scale_of,
-    slope_of_rows,
 )
 from strainwave.dynamics.mounting import DISTANCE, TILT
 
@@ -50,7 +50,7 @@ def test_the_derivative_of_rows_at_four_samples_per_period() -> None:
     t = row_time * np.arange(500)
     for hz, limit in ((10.0, 1e-6), (62.5, 1e-3), (125.0, 0.05)):
         w = 2.0 * np.pi * hz
-        slope = slope_of_rows(np.sin(w * t), row_time)
+        slope = differentiate_rows(np.sin(w * t), row_time)
         assert np.max(np.abs(slope - w * np.cos(w * t))[8:-8]) < limit * w
 
 
@@ -58,8 +58,8 @@ def test_delay_and_scale_change_the_reading() -> None:
     x = np.sin(2.0 * np.pi * 20.0 * TIME)
     values: Values = {("accelerometer_delay", 2): 1.5e-3, ("accelerometer_scale", 2): 1.04}
     expected = 1.04 * np.sin(2.0 * np.pi * 20.0 * (TIME - 1.5e-3))
-    assert as_read(x, T, 2, values)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
-    assert np.array_equal(as_read(x, T, 1, values), x)  # constants of another joint
+    assert apply_sensor_model(x, T, 2, values)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
+    assert np.array_equal(apply_sensor_model(x, T, 1, values), x)  # constants of another joint
 
 
 def test_names_of_sensor_constants() -> None:

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import lsim
 
 from strainwave.domain import FloatArray
-from strainwave.dynamics.link_sensors import as_read, mount_of, mount_resonance
+from strainwave.dynamics.link_sensors import apply_sensor_model, mount_of, mount_resonance
 from strainwave.dynamics.mount_resonance import MountResonance
 
 T = 1e-3
@@ -68,8 +68,8 @@ def test_the_sensor_model_applies_the_mount() -> None:
     assert mount == MountResonance(55.0, 0.04)
     assert mount_resonance("accelerometer", 1, values) is None
     x = motion(TIME)
-    np.testing.assert_array_equal(as_read(x, T, 2, values), mount.read(x, T))
-    np.testing.assert_array_equal(as_read(x, T, 1, values), x)
+    np.testing.assert_array_equal(apply_sensor_model(x, T, 2, values), mount.read(x, T))
+    np.testing.assert_array_equal(apply_sensor_model(x, T, 1, values), x)
 
 
 def test_encoders_have_no_mount() -> None:

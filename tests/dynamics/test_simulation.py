@@ -9,7 +9,7 @@ import pytest
 
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.arm import LONGEST_STEP, Arm
+from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import (
     Drive,
     Quantity,
@@ -164,11 +164,11 @@ def test_the_time_step_resolves_the_fastest_resonance() -> None:
     """Ten times the stiffness; the error against much shorter steps is below the sensor resolution."""
     study, values = scara.study(Path(), "linear"), scara.parameters(0, "linear")
     arm = Arm.of(study.arm)
-    assert arm.longest_step(values) == LONGEST_STEP
+    assert arm.max_time_step(values) == MAX_TIME_STEP
     stiff = dict(values)
     for joint in (1, 2):
         stiff["gear_stiffness", joint] *= 10.0
-    step = arm.longest_step(stiff)
+    step = arm.max_time_step(stiff)
     assert step == pytest.approx(1.0 / (120.0 * arm.fastest_resonance(stiff)))
     record: tuple[Quantity, ...] = ("motor_angle", "accelerometer")
     pushed = drive(200)
@@ -181,7 +181,7 @@ def test_the_time_step_resolves_the_fastest_resonance() -> None:
             sample_time=1e-3,
             samples=200,
             record=record,
-            longest_step=longest,
+            max_time_step=longest,
         )
         return {name: recorded[name][0] for name in record}
 
@@ -206,10 +206,10 @@ def test_the_time_step_resolves_the_fastest_resonance() -> None:
                 longest=longest,
             )
         )
-        for longest in (LONGEST_STEP, 1e-5)
+        for longest in (MAX_TIME_STEP, 1e-5)
     )
     assert default < 5e-4
-    assert default < 0.2 * error(run(LONGEST_STEP))
+    assert default < 0.2 * error(run(MAX_TIME_STEP))
     assert shorter < 0.2 * default
     # the second-order sensor filters have a quarter of the error at half the step
     assert 1.7 < np.log2(error(run(4e-5)) / error(run(2e-5))) < 2.3
@@ -256,7 +256,7 @@ def test_sensors_add_bias_noise_and_rounding() -> None:
     # white noise up to half the sampling rate, and quantisation noise
     expected = np.hypot(noise.accelerometer_density * np.sqrt(500.0), count / np.sqrt(12.0))
     assert read["accelerometer"].std(axis=0) == pytest.approx(expected, rel=0.05)
-    assert read["gyro"].std(axis=0) == pytest.approx(noise.gyro_deviation, rel=0.05)
+    assert read["gyro"].std(axis=0) == pytest.approx(noise.gyro_std, rel=0.05)
     assert np.abs(read["accelerometer"].mean(axis=0)).max() > 0.0
     np.testing.assert_array_equal(read["encoder"], run["encoder"])
 

@@ -17,8 +17,8 @@ from strainwave.domain import (
     Study,
     TuningOptions,
 )
-from strainwave.domain.options import chosen_options
-from strainwave.domain.parameters import whole_arm_parameters
+from strainwave.domain.options import changed_options
+from strainwave.domain.parameters import whole_arm_parameter_names
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, with_options, write_study
@@ -57,7 +57,7 @@ def test_tables_of_options_are_read(tmp_path: Path) -> None:
 def test_options_have_defaults(tmp_path: Path) -> None:
     options = read_study(studies.write(tmp_path)).options
     assert options == Options()
-    assert chosen_options(options) == []
+    assert changed_options(options) == []
 
 
 def test_options_read_back_as_written(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_options_accept_all_parameters_of_the_fit(spring: str) -> None:
     if spring == "three-slope":
         search = with_curves(search, Arm.of(study.arm), [60.0, 20.0])
     fitted = {name if joint is None else f"{name} {joint}" for name, joint in search.keys}
-    known_to_options = set(whole_arm_parameters(study.arm))
+    known_to_options = set(whole_arm_parameter_names(study.arm))
     assert fitted <= known_to_options
     everywhere = {name for name, _ in search.keys}
     if spring == "three-slope":  # one name for all slopes

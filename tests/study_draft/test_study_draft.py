@@ -378,7 +378,9 @@ def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
     for column, factor in (("u1_mV", 1e3), ("u1_V", 1.0)):
         folder = tmp_path / column
         folder.mkdir()
-        columns = {"t": time, column: factor * voltage, "theta_m1": angle, "theta_l1": 0.01 * angle}
+        signals = {"t": time, column: factor * voltage}
+        signals |= {"theta_m1": angle, "theta_l1": 0.01 * angle}
+        columns = {name: np.asarray(values, np.float64) for name, values in signals.items()}
         write_log(folder / "prbs.csv", columns)
         start_study([folder / "prbs.csv"], folder / "study.toml")
         (experiment,) = read_study(filled_in(folder / "study.toml")).experiments

@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.domain.effects import names
 from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.causes import Cause, causes_of_the_plant, joint_of, sizes_of
+from strainwave.virtual.families.causes import Cause, cause_names, joint_of, sizes_of
 from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.families.short_records import with_short_records
 
@@ -35,7 +35,7 @@ def causes(engine: str) -> tuple[str, ...]:
         from benchmarks.studies.causes.in_mujoco import CAUSES
 
         return CAUSES
-    return causes_of_the_plant()
+    return cause_names()
 
 
 def draw_run(name: str, number: int, series: int = 0) -> Run:

@@ -82,7 +82,7 @@ from strainwave.domain.options import (
     TuningOptions,
 )
 from strainwave.domain.parameter_table import ParameterDescription, parameter_table
-from strainwave.domain.parameter_words import ParameterWords, all_words
+from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
 from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.domain.ranges import (
     ImplausibleJoint,
@@ -179,7 +179,7 @@ __all__ = [
     "Parameter",
     "ParameterDescription",
     "ParameterShift",
-    "ParameterWords",
+    "ParameterText",
     "PhysicalOptions",
     "PlausibleRange",
     "Positive",
@@ -215,7 +215,7 @@ __all__ = [
     "Use",
     "Validated",
     "Verdict",
-    "all_words",
+    "parameter_descriptions",
     "channel_names",
     "channel_parts",
     "half_width",

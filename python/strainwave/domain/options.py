@@ -136,7 +136,7 @@ class Options(_Checked):
                 object.__setattr__(self, stage.name, record(**value))
 
 
-def chosen_options(options: Options) -> list[str]:
+def changed_options(options: Options) -> list[str]:
     """Options that differ from the defaults, in the command line's notation: "links.order=1"."""
     defaults = asdict(Options())
     return [

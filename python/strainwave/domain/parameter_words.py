@@ -12,7 +12,7 @@ from strainwave.domain.parameter_table import parameter_table
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterWords:
+class ParameterText:
     """Symbol and one-line description of a parameter."""
 
     symbol: str  # empty: no symbol
@@ -78,7 +78,7 @@ _SENSOR_PARAMETERS = (
 )
 
 
-def all_words() -> Mapping[str, ParameterWords]:
+def parameter_descriptions() -> Mapping[str, ParameterText]:
     """Symbols and descriptions of all parameters in results, by name."""
     words = {p.name: (p.symbol, p.description) for p in parameter_table().values()}
-    return {name: ParameterWords(*texts) for name, texts in (words | _SENSOR_PARAMETERS).items()}
+    return {name: ParameterText(*texts) for name, texts in (words | _SENSOR_PARAMETERS).items()}

@@ -12,7 +12,7 @@ __all__ = [
     "Values",
     "completed",
     "unit_of",
-    "whole_arm_parameters",
+    "whole_arm_parameter_names",
 ]
 
 SENSOR_PARAMETERS = (
@@ -51,7 +51,7 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
     ]
 
 
-def whole_arm_parameters(arm: ArmDescription) -> tuple[str, ...]:
+def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
     """Parameter names that the options of the whole-arm fit accept.
 
     They are names of the arm and of all joints, "gear_stiffness", or of one joint, "gear_stiffness

@@ -23,7 +23,7 @@ from strainwave.domain.kinds import Key, RigidColumn, Row, Values, kind_of
 from strainwave.domain.parameters import completed
 from strainwave.errors import InvalidInput, NumericalFailure
 
-LONGEST_STEP = 1.25e-4
+MAX_TIME_STEP = 1.25e-4
 """Upper limit [s] of the integrator's time step. Fast gear resonances need shorter steps."""
 
 # Time steps per period of the fastest gear resonance, so that w h = 0.05. The relative error of the
@@ -204,7 +204,7 @@ class Arm(ArmDescription):
                     rows[self.base_names.index(key), k] = (1.0 - share) / weight
         return rows
 
-    def motors_of_rigid(self, motor_share: float) -> FloatArray:
+    def motor_inertias_of_rigid(self, motor_share: float) -> FloatArray:
         """Motor inertias from the rigid model's unknowns: (n_joints, n_body).
 
         `motor_share` is the same as in `base_of_rigid`. It does not apply to unknowns that are a
@@ -282,13 +282,13 @@ class Arm(ArmDescription):
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.inverse_dynamics(vector, *motion)
 
-    def longest_step(self, values: Values) -> float:
+    def max_time_step(self, values: Values) -> float:
         """Longest time step [s] of the integrator that resolves the fastest gear resonance.
 
-        `LONGEST_STEP` if no resonance needs a shorter step.
+        `MAX_TIME_STEP` if no resonance needs a shorter step.
         """
         fastest = self.fastest_resonance(values)
-        return min(LONGEST_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else LONGEST_STEP
+        return min(MAX_TIME_STEP, 1.0 / (_STEPS_PER_PERIOD * fastest)) if fastest else MAX_TIME_STEP
 
     def fastest_resonance(self, values: Values) -> float:
         """Highest undamped natural frequency [Hz] of motors and links with the stiffest slopes.

@@ -23,7 +23,7 @@ Key = tuple[str, int | None]
 LONGEST_DELAY = 5e-3
 """Largest delay [s] of a sensor: logger, bus and internal filter."""
 
-LARGEST_SCALE_ERROR = 0.1
+MAX_SCALE_ERROR = 0.1
 """Largest relative scale error: data sheets state 1 to 3 %, a distance adds a few per cent."""
 
 _SENSORS: Mapping[str, str] = {
@@ -143,7 +143,7 @@ def constants_of(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
     yield from keys
 
 
-def slope_of_rows(rows: FloatArray, row_time: float) -> FloatArray:
+def differentiate_rows(rows: FloatArray, row_time: float) -> FloatArray:
     """Time derivative of oversampled rows (n_rows,) by central differences of eighth order.
 
     At the low-pass's cut-off, four rows per period, the derivative is 4 % too small. `row_time`
@@ -177,7 +177,7 @@ def moved(samples: FloatArray, ahead: float) -> FloatArray:
     return np.asarray(np.convolve(section, weights[::-1], mode="valid"))
 
 
-def as_read(
+def apply_sensor_model(
     samples: FloatArray, sample_time: float, joint: int, values: Mapping[Key, float]
 ) -> FloatArray:
     """Reading of an accelerometer with its mount resonance, delay and scale.

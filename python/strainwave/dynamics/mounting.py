@@ -123,7 +123,7 @@ def is_polar(arm: Arm, joint: int) -> bool:
     return joint == 1 and imu.xyz is None and imu.rpy is None
 
 
-def scale_is_apart(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
+def is_scale_identifiable(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
     """Whether the scale of an axis is identifiable in addition to its mounting.
 
     `axes` are all axes of the sensor.
@@ -198,7 +198,7 @@ def slopes(axis: Axis, arm: Arm, values: Mapping[Key, float], keys: Sequence[Key
     return derivatives
 
 
-def with_places(arm: Arm, values: Mapping[Key, float]) -> Arm:
+def with_sensor_positions(arm: Arm, values: Mapping[Key, float]) -> Arm:
     """The arm with the estimated distances and bandwidths of accelerometers."""
     joints = []
     for i, joint in enumerate(arm.joints, start=1):

@@ -80,7 +80,7 @@ class RecordInputs:
         return np.concatenate([tangent[..., :n] @ chain, tangent[..., n:]], axis=-1)
 
 
-def inputs_in(arm: Arm, values: Values, record: str, *, hanging: bool) -> RecordInputs:
+def record_inputs(arm: Arm, values: Values, record: str, *, hanging: bool) -> RecordInputs:
     """Inputs of the core for a record of an arm with record effects.
 
     An effect whose size is missing in `values` is absent. `hanging` states that the links start in

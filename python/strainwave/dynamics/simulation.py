@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.arm import LONGEST_STEP, Arm, core_errors
+from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import stop_if_asked
 
@@ -83,7 +83,7 @@ class SensorNoise:
     accelerometer_bias: float = 25e-3 * 9.81  # [m/s^2] standard deviation
     accelerometer_range: float = 5.0 * 9.81  # [m/s^2]
     accelerometer_bits: int = 16
-    gyro_deviation: float = 2e-3  # [rad/s] standard deviation per sample
+    gyro_std: float = 2e-3  # [rad/s] standard deviation per sample
 
 
 def simulate(
@@ -94,7 +94,7 @@ def simulate(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
-    longest: float = LONGEST_STEP,
+    longest: float = MAX_TIME_STEP,
 ) -> Trajectory:
     """Simulate one experiment with a time step that resolves the fastest gear resonance.
 
@@ -110,7 +110,7 @@ def simulate(
         sample_time=sample_time,
         samples=samples,
         record=record,
-        longest_step=min(longest, arm.longest_step(values)),
+        max_time_step=min(longest, arm.max_time_step(values)),
     )
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: recorded[name][0] for name in record})
@@ -124,15 +124,15 @@ def simulate_arms(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
-    longest_step: float = LONGEST_STEP,
+    max_time_step: float = MAX_TIME_STEP,
 ) -> dict[Quantity, FloatArray]:
     """Simulate one experiment on many arms, in parallel vector lanes and threads.
 
-    Arguments and errors are those of `simulate`; `longest_step` [s] is the upper limit of the time
+    Arguments and errors are those of `simulate`; `max_time_step` [s] is the upper limit of the time
     step. Arrays of the result have shape (n_arms, n_samples, n_joints).
     """
     vectors = np.array([arm.parameter_vector(values) for values in arms])
-    experiment = _experiment(arm, drive, sample_time, samples, longest_step)
+    experiment = _experiment(arm, drive, sample_time, samples, max_time_step)
     with core_errors():
         stop_if_asked()
         recorded = arm.core.simulate(vectors, record=record, **experiment)
@@ -148,7 +148,7 @@ def sensitivities(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
-    longest_step: float = LONGEST_STEP,
+    max_time_step: float = MAX_TIME_STEP,
     low_pass: LowPass | None = None,
 ) -> dict[Quantity, tuple[FloatArray, FloatArray]]:
     """Simulate one experiment on one arm with exact derivatives of all recorded quantities.
@@ -160,7 +160,7 @@ def sensitivities(
     `simulate_arms`.
     """
     vector = arm.parameter_vector(values)
-    experiment = _experiment(arm, drive, sample_time, samples, longest_step)
+    experiment = _experiment(arm, drive, sample_time, samples, max_time_step)
     if low_pass is not None:
         experiment["taps"] = [low_pass.taps[name] for name in record]
         experiment["samples_per_row"] = low_pass.samples_per_row
@@ -173,7 +173,7 @@ def sensitivities(
 
 
 def _experiment(
-    arm: Arm, drive: Drive, sample_time: float, samples: int, longest_step: float
+    arm: Arm, drive: Drive, sample_time: float, samples: int, max_time_step: float
 ) -> dict[str, Any]:
     """Arguments of the core for an experiment."""
     servo = arm.servo if any(drive.servo) else None
@@ -184,7 +184,7 @@ def _experiment(
             remedy="add a [servo] table",
         )
     clocks = [drive.tick, sample_time] + ([servo.period] if servo else [])
-    step = common_step(clocks, longest_step)
+    step = common_step(clocks, max_time_step)
     counts = [round(clock / step) for clock in clocks]
     return {
         "voltage": np.ascontiguousarray(drive.voltage, dtype=float),
@@ -203,7 +203,7 @@ def _experiment(
     }
 
 
-def common_step(clocks: Sequence[float], longest: float = LONGEST_STEP) -> float:
+def common_step(clocks: Sequence[float], longest: float = MAX_TIME_STEP) -> float:
     """Longest time step [s], up to a limit, that divides every clock [s].
 
     Raises InvalidInput if there is no such step down to 1/100 of the shortest clock.
@@ -244,5 +244,5 @@ def measure(
         measured["accelerometer"] = count * np.round(limited / count)
     if "gyro" in measured:
         clean = measured["gyro"]
-        measured["gyro"] = clean + rng.normal(0.0, noise.gyro_deviation, clean.shape)
+        measured["gyro"] = clean + rng.normal(0.0, noise.gyro_std, clean.shape)
     return measured

@@ -13,12 +13,12 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
 from strainwave.domain.effects import effect_named
-from strainwave.domain.gear_laws import known_instead
+from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import as_read
-from strainwave.dynamics.record_effects import inputs_in
+from strainwave.dynamics.link_sensors import apply_sensor_model
+from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
@@ -51,7 +51,7 @@ def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
     `values` maps (name, joint) to a value.
     """
     joints = tuple(
-        replace(joint, spring=known_instead(joint.law, joint.law.of_joint(values, number)).name)
+        replace(joint, spring=determined_law(joint.law, joint.law.of_joint(values, number)).name)
         for number, joint in enumerate(arm.joints, start=1)
     )
     return with_known_effects(arm.with_joints(joints), values.keys())
@@ -91,7 +91,7 @@ class Observed:
         if len(self.channels) > arm.n_joints:
             record.append("accelerometer")
         is_hanging = self.drive.link_angle is None
-        inputs = inputs_in(arm, dict(values), self.log.name, hanging=is_hanging)
+        inputs = record_inputs(arm, dict(values), self.log.name, hanging=is_hanging)
         runs = simulate_arms(
             arm,
             [inputs.values],
@@ -103,7 +103,7 @@ class Observed:
         columns = [runs["encoder"][0]]
         for name in self.channels[arm.n_joints :]:
             joint, T = int(name[1:]), self.log.sample_time
-            reading = as_read(runs["accelerometer"][0, :, joint - 1], T, joint, values)
+            reading = apply_sensor_model(runs["accelerometer"][0, :, joint - 1], T, joint, values)
             columns.append(reading[:, None])
         filtered = _filtered(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - filtered.mean(axis=0)

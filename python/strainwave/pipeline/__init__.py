@@ -38,7 +38,7 @@ from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.diagnostics import published_warnings
 from strainwave.domain.progress import Progress, ProgressEvent, ignored
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import with_places
+from strainwave.dynamics.mounting import with_sensor_positions
 from strainwave.errors import InvalidInput, NotIdentifiable, nearest
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import rigid, validation
@@ -341,7 +341,7 @@ def _add_elastic_predictions(
             for log in _logs_of_use(all_logs, "check")
             if missing_recorded_input(run.arm, log) is None
         ]
-        arm = with_places(run.arm, tuned.values)
+        arm = with_sensor_positions(run.arm, tuned.values)
         predictions = side_by_side(
             [partial(validation.predict_elastic, tuned, log, arm) for log in simulated]
         )

@@ -12,7 +12,7 @@ from strainwave.domain import FloatArray, Joint, Study
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of, factors
-from strainwave.dynamics.record_effects import inputs_in
+from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, measure
 from strainwave.errors import InvalidInput
 from strainwave.virtual.plans import Plan
@@ -59,7 +59,7 @@ def record_experiment(
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     imu_axes = [axis for i in range(1, arm.n_joints + 1) for axis in _imu_axes(study.path, arm, i)]
     record += dict.fromkeys(name for axis in imu_axes for name in axis.quantities)
-    inputs = inputs_in(arm, values, name, hanging=plan.drive.link_angle is None)
+    inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
         arm,
         inputs.values,

@@ -27,7 +27,7 @@ from strainwave.domain.effects.interface import Values
 from strainwave.domain.effects.stribeck import Stribeck
 from strainwave.domain.gear_laws import RIGID
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.record_effects import inputs_in
+from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.causes import cause_warnings
@@ -249,7 +249,7 @@ def test_auto_effects_are_not_simulated() -> None:
     np.testing.assert_array_equal(
         auto.parameter_vector(ELASTIC_JOINT), arm().parameter_vector(ELASTIC_JOINT)
     )
-    inputs = inputs_in(auto, ELASTIC_JOINT, "prbs", hanging=True)
+    inputs = record_inputs(auto, ELASTIC_JOINT, "prbs", hanging=True)
     assert (inputs.values, inputs.offsets, inputs.slopes) == (ELASTIC_JOINT, {}, {})
 
 

@@ -15,8 +15,8 @@ from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint, gear_laws, is_physical
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
 from strainwave.domain.gear_laws.linear import Linear
-from strainwave.domain.parameter_words import all_words
-from strainwave.domain.parameters import unit_of, whole_arm_parameters
+from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.parameters import unit_of, whole_arm_parameter_names
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.errors import InvalidInput
@@ -181,12 +181,12 @@ def test_the_simulated_gear_follows_the_law(law: GearLaw) -> None:
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 def test_parameters_have_units_and_descriptions_and_are_options(law: GearLaw) -> None:
     arm = ArmDescription("single-joint", (joint_of(law),))
-    listed = whole_arm_parameters(arm)
+    listed = whole_arm_parameter_names(arm)
     assert len(set(listed)) == len(listed)
     for p in law.parameters:
         assert unit_of(p.name, joint_of(law)) == p.described.units[0]
         assert unit_of(p.name, Joint(law.name, 0.01, motion="prismatic")) == p.described.units[1]
-        assert all_words()[p.name].symbol == p.described.symbol
+        assert parameter_descriptions()[p.name].symbol == p.described.symbol
         assert {p.name, f"{p.name} 1"} <= set(listed)
         assert p.above is None or p.above in law.names
 
@@ -209,8 +209,8 @@ def test_straight_gives_a_linear_law(law: GearLaw) -> None:
     np.testing.assert_allclose(law.torque(values, at), 2e4 * at, rtol=1e-12)
     assert tuple(values) == law.names
     assert law.is_curved == (law.simpler is not None)
-    assert gear_laws.known_instead(law, {STIFFNESS: 2e4}).name == (law.simpler or law.name)
-    assert gear_laws.known_instead(law, values) is law
+    assert gear_laws.determined_law(law, {STIFFNESS: 2e4}).name == (law.simpler or law.name)
+    assert gear_laws.determined_law(law, values) is law
 
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
@@ -261,7 +261,7 @@ def test_a_registered_law_is_simulated(registered: GearLaw, tmp_path: Path) -> N
     assert arm.joints[0].law is registered
     assert arm.joints[0].elastic
     assert (STIFFNESS, 1) in Arm.of(arm).parameter_names
-    assert f"{STIFFNESS} 1" in whole_arm_parameters(arm)
+    assert f"{STIFFNESS} 1" in whole_arm_parameter_names(arm)
     curve = StiffnessCurve(1, registered, {STIFFNESS: 2e4}, np.array([[1e4]]), 50.0, None)
     assert "Slope 20000 ± 100 N m/rad" in describe(curve)
     assert torsion_figure(curve).panels

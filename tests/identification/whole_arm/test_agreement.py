@@ -32,7 +32,7 @@ from strainwave.io.logs import write_log
 from strainwave.io.study import write_study
 from strainwave.pipeline import identify
 from strainwave.virtual import scara
-from tuning_runs import written_logs
+from tuning_runs import simulated_logs
 
 N_RUNS = 4000
 
@@ -120,7 +120,7 @@ def records() -> tuple[Study, tuple[Log, ...]]:
     fast = [e for e in study.experiments if e.use == "frequency"]
     fast = [replace(e, prbs=Prbs(10, 1e-3, 1, 10.0)) for e in fast]
     short_study = replace(study, experiments=(motion, *fast))
-    return written_logs(short_study, scara.parameters(5, "linear"), noise=SensorNoise())
+    return simulated_logs(short_study, scara.parameters(5, "linear"), noise=SensorNoise())
 
 
 Change = Callable[[str, FloatArray], FloatArray]

@@ -20,7 +20,7 @@ from strainwave.identification.whole_arm import tune
 from strainwave.presentation.report import gears
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
-from tuning_runs import joint_models, rigid_model, shaken_study, written_logs
+from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs
 
 STIFFENING = {1: 6e8, 2: 2e8}
 """k_3 [N m/rad^3]: at least a sixth of the linear torque at the largest torsion of the records."""
@@ -41,7 +41,7 @@ def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
     study = scara.study(Path("nowhere"), spring)
     values = scara.parameters(5, spring)
     values |= {(CUBIC, joint): k if cubic else 0.0 for joint, k in STIFFENING.items()}
-    written, logs = written_logs(shaken_study(study, 10.0), values, noise=SensorNoise())
+    written, logs = simulated_logs(shaken_study(study, 10.0), values, noise=SensorNoise())
     return written, derived(values, study.arm), logs
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from strainwave.domain import FloatArray, Log, Study
 from strainwave.domain.parameters import Values
-from strainwave.dynamics.arm import LONGEST_STEP, Arm
+from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.dataset import INITIAL
@@ -102,7 +102,7 @@ def off_by(motor: float, link: float) -> FloatArray:
 # a function of the package hides the module of the same name
 MODULE = import_module("strainwave.identification.whole_arm.preparation")
 # step of the records, and longer step of fits, which affects accelerations most
-STEPS = [(LONGEST_STEP, off_by(1e-8, 1e-8)), (MODULE._STEP, off_by(3e-5, 2e-3))]
+STEPS = [(MAX_TIME_STEP, off_by(1e-8, 1e-8)), (MODULE._STEP, off_by(3e-5, 2e-3))]
 
 
 @pytest.mark.parametrize(("step", "off"), STEPS)

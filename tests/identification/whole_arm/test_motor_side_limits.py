@@ -12,7 +12,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from strainwave.virtual.experiments import derived
-from tuning_runs import joint_models, rigid_model, shaken_study, truth, written_logs
+from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 CODE = "motor-side-limit"
@@ -28,7 +28,7 @@ def said(
     short_study = shaken_study(
         replace(study, arm=replace(study.arm, joints=joints)), amplitude, order=8
     )
-    study, logs = written_logs(short_study, values, noise=SensorNoise())
+    study, logs = simulated_logs(short_study, values, noise=SensorNoise())
     if not sensors:
         motor = ("u1", "u2", "theta_m1", "theta_m2")
         logs = tuple(replace(log, channels={c: log.channels[c] for c in motor}) for log in logs)

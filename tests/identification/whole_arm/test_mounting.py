@@ -15,7 +15,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
-from tuning_runs import joint_models, rigid_model, shaken, shaken_study, truth, written_logs
+from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 PLACES = {("accelerometer_distance", 1): 0.33, ("accelerometer_distance", 2): 0.27}
@@ -122,7 +122,7 @@ def test_a_tilted_accelerometer_on_a_link_whose_axis_moves() -> None:
     imu_study = replace(
         study, arm=replace(study.arm, joints=(first, replace(second, imu=rotated_imu)))
     )
-    written, logs = written_logs(shaken_study(imu_study, 10.0), true_values, noise=SensorNoise())
+    written, logs = simulated_logs(shaken_study(imu_study, 10.0), true_values, noise=SensorNoise())
     channels = ("u1", "u2", "theta_m1", "theta_m2", "a1")
     records = [
         replace(log, channels={k: log.channels[k] for k in channels} | {"a2": log.channels["ay2"]})
@@ -169,7 +169,7 @@ def glued(
 
     true = carrying(Imu(PLACE, rpy, accelerometer_hz=300.0, gyro_hz=100.0))
     short_study = shaken_study(true, 10.0, order=10)
-    written, logs = written_logs(short_study, true_values, noise=SensorNoise())
+    written, logs = simulated_logs(short_study, true_values, noise=SensorNoise())
     kept_channels = (*MOTORS, *(f"{axis}{joint}" for axis in axes))
     records = [
         late(replace(log, channels={name: log.channels[name] for name in kept_channels}), delay)

@@ -400,7 +400,7 @@ def test_the_error_of_the_integrators_step_is_made_good() -> None:
     two_records, z = near_truth("three-slope")
     objective = with_records(two_records, two_records.records[0])
     record = objective.records[0]
-    short = replace(record, longest_step=0.25 * record.longest_step)
+    short = replace(record, max_time_step=0.25 * record.max_time_step)
 
     def left(of: Objective, at: FloatArray) -> FloatArray:
         exact = simulated(short, objective.space.values(at), np.zeros(0)) - record.measured

@@ -30,7 +30,7 @@ from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
 from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.virtual.records import Simulator
-from tuning_runs import shaken_study, truth, written_logs
+from tuning_runs import shaken_study, simulated_logs, truth
 
 PRIMARY = (COULOMB, "motor_inertia", STIFFNESS, "gear_damping")
 GAINS = (0.04, -0.01, -0.03)
@@ -276,7 +276,7 @@ def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:
 
 
 def written(study: Study, values: Values, simulator: Simulator = simulate) -> list[Log]:
-    return list(written_logs(study, values, simulator=simulator)[1])
+    return list(simulated_logs(study, values, simulator=simulator)[1])
 
 
 def test_virtual_arms_change_from_record_to_record() -> None:

@@ -19,7 +19,7 @@ from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.preparation import dataset_of
-from tuning_runs import joint_models, rigid_model, shaken, shaken_study, truth, written_logs
+from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 CUTOFF = 80.0
@@ -35,7 +35,7 @@ def mounted(joint: int, frequency: float, damping: float) -> tuple[Study, Values
     study, values = truth()
     simulator = OnMount(joint, frequency, damping)
     short_study = shaken_study(study, 10.0)
-    written, logs = written_logs(short_study, values, noise=SensorNoise(), simulator=simulator)
+    written, logs = simulated_logs(short_study, values, noise=SensorNoise(), simulator=simulator)
     return written, values, logs
 
 

@@ -42,8 +42,8 @@ from tuning_runs import (
     rig_logs,
     rigid_model,
     shaken,
+    simulated_logs,
     truth,
-    written_logs,
 )
 from virtual_arms import ELASTIC_JOINT
 
@@ -318,7 +318,7 @@ def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
         experiments=(Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),),
     )
     values: Values = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
-    written, records = written_logs(study, values)
+    written, records = simulated_logs(study, values)
     return written, values, records
 
 

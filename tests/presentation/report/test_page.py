@@ -16,7 +16,7 @@ import pytest
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
 from strainwave.domain import Diagnostic, Identification, Parameter
-from strainwave.domain.parameter_words import all_words
+from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.presentation.html import read_template
 from strainwave.presentation.report import figures_of, remedies, render
 from strainwave.presentation.terminal import print_summary
@@ -262,7 +262,7 @@ def test_every_parameter_has_its_symbol_and_description() -> None:
         if attributes.get("title")
     }
     for name in {p.name for p in elastic_identification().parameters}:
-        description = all_words()[name].description
+        description = parameter_descriptions()[name].description
         assert tips[f"#parameter-{name}"] == description
         assert f"parameter-{name}" in outline.ids
         assert escape(description) in page

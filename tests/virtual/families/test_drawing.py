@@ -10,7 +10,7 @@ import pytest
 
 from strainwave.virtual.families import Family, Recorded, draw, record
 from strainwave.virtual.families.catalogue import GEARS
-from strainwave.virtual.families.causes import causes_of_the_plant
+from strainwave.virtual.families.causes import cause_names
 from strainwave.virtual.families.description import FAULTS, Friction, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
 
@@ -154,7 +154,7 @@ def test_all_kinds_are_drawn_by_default() -> None:
     assert {arm.fault for arm in drawn} == set(FAULTS)
 
 
-@pytest.mark.parametrize("name", causes_of_the_plant())
+@pytest.mark.parametrize("name", cause_names())
 def test_effects_change_the_logs_but_not_the_study(name: str) -> None:
     plain, with_effect = draw(BASE, 1), draw(replace(BASE, effects=(name,)), 1)
     recorded = record(with_effect)

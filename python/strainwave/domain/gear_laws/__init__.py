@@ -28,7 +28,7 @@ __all__ = [
     "gear_parameters",
     "is_by_load",
     "is_slope",
-    "known_instead",
+    "determined_law",
     "lists",
     "names",
     "register",
@@ -114,7 +114,7 @@ def lists() -> Mapping[str, Mapping[int, tuple[str, ...]]]:
     return keys
 
 
-def known_instead(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
+def determined_law(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
     """The law that the known values (by name) determine.
 
     This is the simpler law if no parameter of the law itself is known.
@@ -123,4 +123,4 @@ def known_instead(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
         return law
     simpler = gear_law(law.simpler)
     own = set(law.names) - set(simpler.names)
-    return known_instead(simpler, known) if own.isdisjoint(known) else law
+    return determined_law(simpler, known) if own.isdisjoint(known) else law

@@ -18,6 +18,7 @@ from strainwave.dynamics.link_sensors import (
     bandwidth_of,
     constants_of,
     delay_of,
+    differentiate_rows,
     drift_of,
     is_bandwidth,
     is_of_mount,
@@ -25,7 +26,6 @@ from strainwave.dynamics.link_sensors import (
     mount_of,
     mount_resonance,
     scale_of,
-    slope_of_rows,
 )
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.mounting import (
@@ -33,10 +33,10 @@ from strainwave.dynamics.mounting import (
     Axis,
     factors,
     is_mounting,
-    scale_is_apart,
+    is_scale_identifiable,
     slopes,
 )
-from strainwave.dynamics.record_effects import RecordInputs, inputs_in
+from strainwave.dynamics.record_effects import RecordInputs, record_inputs
 from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
@@ -98,7 +98,7 @@ class Dataset:
     noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
     counts: tuple[float, ...]  # resolution of each channel; zero if unknown
     moving: bool  # whether it begins in motion
-    longest_step: float  # [s] of the integrator
+    max_time_step: float  # [s] of the integrator
     lacking: FloatArray  # (n_rows, n_channels) correction of the integrator step error
     # (n_rows, n_channels) False where a row contains masked samples; None if none does
     counted: BoolArray | None = field(default=None, kw_only=True)
@@ -138,7 +138,7 @@ class Dataset:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
-            longest_step=self.longest_step,
+            max_time_step=self.max_time_step,
         )
         return {name: run[0] for name, run in runs.items()}
 
@@ -165,7 +165,7 @@ class Dataset:
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
-            longest_step=self.longest_step,
+            max_time_step=self.max_time_step,
             low_pass=None if resonates else self.low_pass(),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
@@ -187,7 +187,7 @@ class Dataset:
 
     def _inputs(self, values: Mapping[tuple[str, int | None], float]) -> RecordInputs:
         """Inputs of the compiled core, with the effects that are realised through inputs."""
-        return inputs_in(self.arm, dict(values), self.log.name, hanging=not self.moving)
+        return record_inputs(self.arm, dict(values), self.log.name, hanging=not self.moving)
 
     def _arm_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
@@ -259,7 +259,7 @@ class Dataset:
                 elif key == drift_of(channel.scaled, channel.joint, self.log.name):
                     tangent[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
-                    tangent[:, k, at] = -scales[k] * slope_of_rows(seen[:, k], row_time)
+                    tangent[:, k, at] = -scales[k] * differentiate_rows(seen[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
             if channel.axis is not None and mounting:
@@ -310,7 +310,7 @@ class Dataset:
         for axis in axes:
             joint_axes = [one for one in axes if one.joint == axis.joint]
             scale = scale_of(axis.scaled, axis.joint)
-            is_separate = scale_is_apart(axis, joint_axes, self.arm)
+            is_separate = is_scale_identifiable(axis, joint_axes, self.arm)
             if scale is not None and is_separate and scale not in constants:
                 constants.append(scale)
             if scale in constants and not is_separate:
@@ -384,10 +384,10 @@ class Dataset:
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""
         step = min(
-            self.longest_step / _REFINEMENT_FACTOR,
+            self.max_time_step / _REFINEMENT_FACTOR,
             1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
         )
-        refined = replace(self, longest_step=step)
+        refined = replace(self, max_time_step=step)
         exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
         return exact, self.seen(exact, values) - self.seen(coarse, values)
 

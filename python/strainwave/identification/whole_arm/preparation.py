@@ -81,20 +81,20 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
         noise=noise_behind(channels, raw, kernels, counts),
         counts=counts,
         moving=_begins_in_motion(log, arm),
-        longest_step=_STEP,
+        max_time_step=_STEP,
         lacking=np.zeros((len(rows[0]), len(channels))),
         counted=_unmasked_rows(log, channels, kernels),
     )
 
 
-def coarsened(record: Dataset, longest_step: float) -> Dataset:
+def coarsened(record: Dataset, max_time_step: float) -> Dataset:
     """Lengthen the integrator step of a record for a coarse search.
 
-    `longest_step` [s] also limits the sampling rate: closer samples are decimated, and voltages are
-    averaged. The row period stays approximately the same.
+    `max_time_step` [s] also limits the sampling rate: closer samples are decimated, and voltages
+    are averaged. The row period stays approximately the same.
     """
-    coarse = _decimate(record, max(1, int(longest_step / record.log.sample_time)))
-    return replace(coarse, longest_step=max(longest_step, _STEP))
+    coarse = _decimate(record, max(1, int(max_time_step / record.log.sample_time)))
+    return replace(coarse, max_time_step=max(max_time_step, _STEP))
 
 
 def in_long_steps(record: Dataset) -> Dataset:
@@ -104,17 +104,17 @@ def in_long_steps(record: Dataset) -> Dataset:
     channels advances by the difference between the filter centres before and after decimation.
     """
     step, T = record.kernels.step, record.log.sample_time
-    longest_step = 1.0 / (STEPS_PER_PERIOD * record.cutoff_hz)
+    max_time_step = 1.0 / (STEPS_PER_PERIOD * record.cutoff_hz)
     divisors = (every for every in range(1, step + 1) if step % every == 0)
     every = max(
-        each for each in divisors if each == 1 or each * T <= longest_step * _STEP_TOLERANCE_FACTOR
+        each for each in divisors if each == 1 or each * T <= max_time_step * _STEP_TOLERANCE_FACTOR
     )
     if every == 1:
-        return replace(record, longest_step=max(longest_step, record.longest_step))
+        return replace(record, max_time_step=max(max_time_step, record.max_time_step))
     coarse = _decimate(record, every)
     ahead = 0.5 * (1.0 - 1.0 / every)
     kernels = low_pass_kernels(record.cutoff_hz, every * T, ahead)
-    return replace(coarse, kernels=kernels, longest_step=max(longest_step, record.longest_step))
+    return replace(coarse, kernels=kernels, max_time_step=max(max_time_step, record.max_time_step))
 
 
 def _decimate(record: Dataset, every: int) -> Dataset:

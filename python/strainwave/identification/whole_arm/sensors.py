@@ -18,8 +18,8 @@ from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
-    LARGEST_SCALE_ERROR,
     LONGEST_DELAY,
+    MAX_SCALE_ERROR,
     bandwidth_of,
     delay_of,
     drift_of,
@@ -105,7 +105,7 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     if is_drift(key):
         unit = "m/s^3" if name.startswith(("accelerometer", "imu_a")) else "rad/s^2"
         return Unknown(name, joint, unit, 0.0, 1.0, True, _DRIFT_RANGE)
-    unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", LARGEST_SCALE_ERROR)
+    unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", MAX_SCALE_ERROR)
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
 

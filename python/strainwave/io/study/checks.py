@@ -12,7 +12,7 @@ from typing import Any
 from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import KINDS, kind_of
-from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameters
+from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameter_names
 from strainwave.domain.study_limits import (
     ARM_LIMITS,
     IMU_LIMITS,
@@ -102,7 +102,7 @@ def check_options(study: Study, reader: Reader) -> None:
                 where=reader.place(f"options.{stage}", None, "band_hz"),
                 remedy="put the lower frequency first",
             )
-    fitted = whole_arm_parameters(study.arm)
+    fitted = whole_arm_parameter_names(study.arm)
     numbers = range(1, study.arm.n_joints + 1)
     constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
     # `ranges` are factors, which cannot bound a sensor constant whose nominal value is zero

@@ -19,7 +19,7 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.options import chosen_options
+from strainwave.domain.options import changed_options
 from strainwave.presentation.figures import MAX_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
@@ -327,7 +327,7 @@ def _recordings(result: Identification) -> Iterator[Block]:
 def _provenance(result: Identification) -> Iterator[Block]:
     study = result.study
     timing = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.timing_s.items())
-    options = chosen_options(study.options)
+    options = changed_options(study.options)
     facts = [
         ("study", str(study.path)),
         ("sha256", study.sha256),

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameter_words import ParameterWords, all_words
+from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
 from strainwave.presentation.report.blocks import (
     Cell,
     Group,
@@ -27,13 +27,13 @@ _HEADS: tuple[str | Cell, ...] = (
     *map(number, ("95 % interval", "half-width [%]")),
     "stage",
 )
-_NO_WORDS = ParameterWords("", "")
+_NO_WORDS = ParameterText("", "")
 
 
 def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
     """Symbol and description of every parameter in the table, once."""
     names = dict.fromkeys(base_name(decision.parameter.name) for decision in decisions)
-    words_of = all_words()
+    words_of = parameter_descriptions()
     pairs = ((name, words_of[name]) for name in names if name in words_of)
     rows = [
         (Cell(name, "name", key=_key(name)), Cell(words.symbol, "symbol"), prose(words.description))
@@ -68,7 +68,7 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _relative(0.5 * (high - low), p.value)
-    words = all_words().get(base_name(p.name), _NO_WORDS)
+    words = parameter_descriptions().get(base_name(p.name), _NO_WORDS)
     link = f"#{_key(base_name(p.name))}" if words.description else ""
     return (
         Cell(p.name, href=link, tip=words.description),

@@ -42,7 +42,7 @@ class Cause:
     sizes: Mapping[str, float]
 
 
-def causes_of_the_plant() -> tuple[str, ...]:
+def cause_names() -> tuple[str, ...]:
     """Names of all causes: effects of the core, then the others."""
     return (
         *(e.name for e in all_effects() if e.core_name and e.name not in _OTHER_CAUSES),

@@ -13,7 +13,7 @@ from strainwave.domain.arm import NonNegative, Positive
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.study.reader import Reader
 from strainwave.virtual.families.catalogue import GEARS, RATIOS, SPRINGS
-from strainwave.virtual.families.causes import causes_of_the_plant
+from strainwave.virtual.families.causes import cause_names
 from strainwave.virtual.families.input_faults import INPUT_FAULTS
 from strainwave.virtual.families.sensor_defects import SIZES
 
@@ -76,7 +76,7 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
         "sizes": tuple(GEARS),
         "springs": SPRINGS,
         "faults": FAULTS,
-        "effects": causes_of_the_plant(),
+        "effects": cause_names(),
     }
     for key, names in known.items():
         chosen = getattr(family, key)

@@ -21,7 +21,7 @@ from strainwave.virtual.families.causes import (
     NOTHING,
     Cause,
     OwnPlant,
-    causes_of_the_plant,
+    cause_names,
     joint_of,
     sizes_of,
 )
@@ -152,7 +152,7 @@ def _draw_kind(
 
 def _cause(of: float | tuple[str, ...], rig: Rig, rng: np.random.Generator) -> Cause:
     """A cause with its sizes, or none."""
-    name = _draw_kind(of, causes_of_the_plant(), rng)
+    name = _draw_kind(of, cause_names(), rng)
     if name is None:
         return Cause(NOTHING, 1, {})
     joint = joint_of(name, rig.study.arm, int(rng.integers(1, rig.study.arm.n_joints + 1)))
@@ -167,7 +167,7 @@ def _with_sensors(rig: Rig, sensors: Sensors, rng: np.random.Generator) -> Rig:
         rig.noise,
         accelerometer_density=factor * rig.noise.accelerometer_density,
         accelerometer_bias=factor * rig.noise.accelerometer_bias,
-        gyro_deviation=factor * rig.noise.gyro_deviation,
+        gyro_std=factor * rig.noise.gyro_std,
     )
     kind: LinkSensors = sensors.link[int(rng.integers(len(sensors.link)))]
     bandwidth = between(rng, *_GYRO_BANDWIDTH_HZ)

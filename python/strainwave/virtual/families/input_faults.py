@@ -182,7 +182,7 @@ INPUT_FAULTS: Mapping[str, FaultInjector] = {
 """Injectors of faults by kind; their arguments are logs, study, joint from 1, and generator."""
 
 
-def drawn_faults(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
+def inject_every_fault(logs: Logs, study: Study, rng: np.random.Generator) -> Iterator[Fault]:
     """Every kind of fault once for clean logs, in random order, with random joint and size."""
     kinds = list(INPUT_FAULTS.values())
     for k in rng.permutation(len(kinds)).tolist():
