@@ -215,12 +215,12 @@ __all__ = [
     "Use",
     "Validated",
     "Verdict",
-    "parameter_descriptions",
     "channel_names",
     "channel_parts",
     "half_width",
     "is_physical",
     "outcomes_text",
+    "parameter_descriptions",
     "parameter_table",
     "physical_range",
 ]
