@@ -1,4 +1,4 @@
-"""Logs -> Activity: how hard each joint worked in the records that are fitted."""
+"""Activity of each joint (RMS torque, velocity and acceleration) in the fitted records."""
 
 from __future__ import annotations
 
@@ -11,42 +11,33 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.channels import torque_channel
 
-_WINDOW = 0.01  # [s] over which velocities are averaged: well above an encoder's count
+_WINDOW = 0.01  # [s] of each velocity difference; reduces the effect of encoder quantization
 
 
 def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
-    """Root mean squares of each joint's torque, velocity and acceleration over all fitted records.
+    """Compute the RMS torque, velocity and acceleration of each joint over all fitted records.
 
-    Velocities are differences over some hundredths of a second, so that counts of an encoder
-    weigh little; records for checking are left out, and so are those that lack the joint's signals.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-
-    Returns
-    -------
-    tuple of Activity
-        One per joint that has signals in some record.
+    Velocities are differences over 0.01 s, which reduces the effect of encoder quantization.
+    Validation records and records without the signals of the joint are excluded. Returns one entry
+    per joint with signals in at least one record.
     """
-    found = []
+    activities = []
     for number in range(1, arm.n_joints + 1):
-        parts = [
-            part
+        mean_squares = [
+            mean_square
             for log in logs
             if log.experiment.use != "check"
-            for part in [_squares(log, arm, number)]
-            if part is not None
+            for mean_square in [_squares(log, arm, number)]
+            if mean_square is not None
         ]
-        if parts:
-            torque, velocity, acceleration = np.sqrt(np.mean(parts, axis=0)).tolist()
-            found.append(Activity(number, torque, velocity, acceleration))
-    return tuple(found)
+        if mean_squares:
+            torque, velocity, acceleration = np.sqrt(np.mean(mean_squares, axis=0)).tolist()
+            activities.append(Activity(number, torque, velocity, acceleration))
+    return tuple(activities)
 
 
 def _squares(log: Log, arm: Arm, number: int) -> FloatArray | None:
-    """Mean squares of torque, velocity and acceleration of one joint in one record."""
+    """Mean squares of torque, velocity and acceleration of one joint; None without its signals."""
     angle = log.channels.get(f"theta_m{number}")
     try:
         name = torque_channel(log, number)

@@ -1,4 +1,4 @@
-"""A log's channels: which there are, where motors slide, where drives are at their limits."""
+"""Channels of a log: their names, sliding directions of the motors, saturation of the drives."""
 
 from __future__ import annotations
 
@@ -11,29 +11,16 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.standstill import runs_of, sliding_direction
 
-_STANDING = 0.02  # [s] of an unmoved encoder that count as standing still
-_STANDING_SAMPLES = 6  # and at least so many
-_FLAT = 5  # equal samples at the extreme that make a flat top
-_MUCH_SATURATION = 0.01  # share of a record worth a warning
+_STANDING = 0.02  # [s] minimum duration of a standstill of the encoder
+_STANDING_SAMPLES = 6  # minimum duration of a standstill in samples
+_FLAT = 5  # minimum number of consecutive equal samples at an extreme value that are saturation
+_MUCH_SATURATION = 0.01  # share of saturated samples in a record above which a warning is issued
 
 
 def torque_channel(log: Log, joint: int) -> str:
-    """The channel that holds a motor's torque: `torque{i}`, or else the voltage `u{i}`.
+    """Name of the channel that contains a motor torque: `torque{i}`, otherwise the voltage `u{i}`.
 
-    Parameters
-    ----------
-    log : Log
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    str
-
-    Raises
-    ------
-    InvalidInput
-        There is neither.
+    Joints count from 1. Raises InvalidInput if the log has neither channel.
     """
     for name in (f"torque{joint}", f"u{joint}"):
         if name in log.channels:
@@ -46,98 +33,55 @@ def torque_channel(log: Log, joint: int) -> str:
 
 
 def channel_of(log: Log, name: str) -> FloatArray:
-    """One channel of a log.
-
-    Parameters
-    ----------
-    log : Log
-    name : str
-
-    Returns
-    -------
-    (n_samples,)
-
-    Raises
-    ------
-    InvalidInput
-        It is not there.
-    """
+    """One channel of a log, (n_samples,). Raises InvalidInput if it is missing."""
     if name not in log.channels:
         raise InvalidInput(f"{name} is not there", where=log.name, remedy=f"log {name}")
     return log.channels[name]
 
 
 def resolution(joint: Joint, noise: float) -> float:
-    """What a motor's encoder resolves.
+    """Angle change [rad] above which the direction of a motor is significant.
 
-    One count of toggling, or five deviations of noise, say nothing of the direction.
-
-    Parameters
-    ----------
-    joint : Joint
-    noise : float [rad]
-        Standard deviation, white.
-
-    Returns
-    -------
-    float [rad]
+    1.5 encoder counts, or 5 standard deviations of the white noise `noise` [rad] if the number of
+    counts is unknown: smaller changes do not determine the direction.
     """
     count = 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
     return max(1.5 * count, 0.0 if count else 5.0 * noise)
 
 
 def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> FloatArray:
-    """Sliding direction of each motor, from the angles as measured.
+    """Sliding direction of each motor from the measured angles, (n_samples, n_joints).
 
-    Parameters
-    ----------
-    angle : (n_samples, n_joints) [rad]
-    noise : (n_joints,) [rad]
-        Standard deviation, white.
-    arm : Arm
-    T : float [s]
-        Sample time.
-
-    Returns
-    -------
-    (n_samples, n_joints)
-        +1, -1, or 0 where it is uncertain.
+    `angle` [rad] is (n_samples, n_joints); `noise` [rad] is the standard deviation of white noise
+    per joint; T is the sampling period [s]. The result is +1, -1, or 0 if the direction is
+    uncertain.
     """
     columns = []
-    standing = max(_STANDING_SAMPLES, round(_STANDING / T))
+    standstill_samples = max(_STANDING_SAMPLES, round(_STANDING / T))
     for i, joint in enumerate(arm.joints):
-        least = resolution(joint, float(noise[i]))
-        columns.append(sliding_direction(angle[:, i], least, standing))
+        resolvable = resolution(joint, float(noise[i]))
+        columns.append(sliding_direction(angle[:, i], resolvable, standstill_samples))
     return np.column_stack(columns)
 
 
 def saturation(
     log: Log, arm: Arm, channels: tuple[str, ...]
 ) -> tuple[BoolArray, tuple[Diagnostic, ...]]:
-    """Where the drive is at its limit: what is logged may then not be what the motor got.
+    """Detect samples at which the drive is at its limit, (n_samples, n_joints).
 
-    Only a servoed joint counts: an open-loop test may sit at its extremes on purpose.
-
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    channels : tuple of str
-        Of each motor's torque, from `torque_channel`.
-
-    Returns
-    -------
-    (n_samples, n_joints) bool
-    tuple of Diagnostic
+    The logged torque of these samples can differ from the motor torque. Only servoed joints are
+    examined, because an open-loop voltage can be at its extremes intentionally. `channels` are the
+    torque channels from `torque_channel`. Also returns a warning for each channel with more than 1
+    % of saturated samples.
     """
     saturated = np.zeros((len(log), arm.n_joints), dtype=bool)
     warnings: list[Diagnostic] = []
     for i, channel in enumerate(channels):
         if log.experiment.control[i] != "servo":
             continue
-        size = np.abs(log.channels[channel])
+        magnitude = np.abs(log.channels[channel])
         limit = arm.servo.limit if arm.servo and channel.startswith("u") else None
-        saturated[:, i] = size >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
+        saturated[:, i] = magnitude >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
         share = float(saturated[:, i].mean())
         if share > _MUCH_SATURATION:
             text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
@@ -147,56 +91,40 @@ def saturation(
 
 
 def unmeasured(log: Log, channels: Iterable[str], longer: int = 0) -> BoolArray:
-    """Where any of some channels was bridged and is no measurement.
+    """Samples, (n_samples,), at which any of the channels is interpolated and not measured.
 
-    Parameters
-    ----------
-    log : Log
-    channels : iterable of str
-    longer : int
-        Samples up to which a bridge is good enough.
-
-    Returns
-    -------
-    (n_samples,)
+    Interpolated stretches of up to `longer` samples are accepted as measured.
     """
-    found = np.zeros(len(log), dtype=bool)
+    interpolated = np.zeros(len(log), dtype=bool)
     for name in channels:
         mask = log.masked.get(name)
         if mask is None or name not in log.channels:
             continue
         for start, stop in runs_of(mask).tolist():
-            found[start:stop] |= stop - start > longer
-    return found
+            interpolated[start:stop] |= stop - start > longer
+    return interpolated
 
 
 def _flat_tops(signal: FloatArray) -> BoolArray:
-    """Runs of at least `_FLAT` equal samples at the largest or the smallest value.
+    """Runs of at least `_FLAT` equal samples at the maximum or minimum.
 
-    A drive's limits lie far from zero: a joint without torque is not at one, nor is a constant.
+    Extremes near zero and constant signals are not limits of a drive.
     """
-    flat = np.zeros(len(signal), dtype=bool)
+    saturated = np.zeros(len(signal), dtype=bool)
     if signal.max() == signal.min():
-        return flat
+        return saturated
     for extreme in (signal.max(), signal.min()):
         if abs(extreme) <= 0.8 * np.abs(signal).max():
             continue
         for start, stop in runs_of(signal == extreme).tolist():
-            flat[start:stop] |= stop - start >= _FLAT
-    return flat
+            saturated[start:stop] |= stop - start >= _FLAT
+    return saturated
 
 
 def check_alike(records: Sequence[Decoupled]) -> None:
-    """Check that decoupled records can be taken together: one joint, one rate.
+    """Check that decoupled records belong to one joint and have one sampling rate.
 
-    Parameters
-    ----------
-    records : sequence of Decoupled
-
-    Raises
-    ------
-    InvalidInput
-        There is none, or they are of different joints, inputs or sample times.
+    Raises InvalidInput if there is no record, or if joints, inputs or sampling periods differ.
     """
     if not records:
         raise InvalidInput("there is no record to take a model from")

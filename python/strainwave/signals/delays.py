@@ -1,4 +1,4 @@
-"""What is made of the channels' delays: one for each link sensor, and what to say of them."""
+"""Combination of channel delays into one delay per link sensor, and their warnings."""
 
 from __future__ import annotations
 
@@ -8,59 +8,38 @@ import numpy as np
 
 from strainwave.domain import Delay, Diagnostic, LinkSignals
 
-_CERTAIN = 4.0  # deviations of a delay that are not by chance
+_CERTAIN = 4.0  # standard deviations above which a delay is significant
 
 
 def late_sensors(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, ...]:
-    """How late each link's sensor surely is, all records together; zero where none is sure.
+    """Estimate the delay of each link sensor from all records; zero if it is not significant.
 
-    A weighted mean. What is wrong with each record's relation is alike in all of them, so that the
-    mean is no better known than the best of them; where they scatter by more, that counts.
-
-    Parameters
-    ----------
-    records : sequence of LinkSignals
-    n_joints : int
-
-    Returns
-    -------
-    tuple of Delay
-        One per joint.
+    The estimate is the weighted mean over the records. The errors of the regression model are
+    common to all records, so the standard deviation of the mean is at least the smallest one of the
+    records; it is larger if the records scatter more. Returns one delay per joint.
     """
-    found = []
+    combined = []
     for i in range(n_joints):
-        own = [d for record in records if (d := record.sensor_delay[i]) is not None]
-        found.append(_together(own))
-    return tuple(found)
+        estimates = [d for record in records if (d := record.sensor_delay[i]) is not None]
+        combined.append(_together(estimates))
+    return tuple(combined)
 
 
 def _together(delays: Sequence[Delay]) -> Delay:
+    """Weighted mean of the delays of one sensor; its value is zero if it is not significant."""
     if not delays:
         return Delay(0.0, 0.0)
     value, std = (np.array(x) for x in zip(*((d.value, d.std) for d in delays), strict=True))
     weight = std**-2.0 / np.sum(std**-2.0)
     mean = float(weight @ value)
     scatter = float(np.sqrt(weight @ (value - mean) ** 2 / len(value)))
-    deviation = max(float(np.min(std)), scatter)
-    sure = abs(mean) > _CERTAIN * deviation
-    return Delay(mean if sure else 0.0, deviation)
+    combined_std = max(float(np.min(std)), scatter)
+    is_significant = abs(mean) > _CERTAIN * combined_std
+    return Delay(mean if is_significant else 0.0, combined_std)
 
 
 def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Diagnostic]:
-    """That a channel lies beside the encoder, and surely so.
-
-    Parameters
-    ----------
-    delay : Delay or None
-    what : str
-        Of the channel.
-    where : str
-        The record.
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
     if delay is None or abs(delay.value) < _CERTAIN * delay.std:
         return
     side = "behind" if delay.value > 0.0 else "ahead of"
@@ -75,18 +54,7 @@ def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Diagnosti
 def constants_of(
     records: Sequence[LinkSignals], delays: Sequence[Delay]
 ) -> dict[tuple[str, int | None], float]:
-    """The delays that were taken off, as the whole-arm fit names them: (name, joint) -> [s].
-
-    Parameters
-    ----------
-    records : sequence of LinkSignals
-    delays : sequence of Delay
-        One per joint.
-
-    Returns
-    -------
-    dict
-    """
+    """Delays that were removed, keyed as in the whole-arm fit: (name, joint) -> delay [s]."""
     names = {"accelerometer": "accelerometer_delay", "encoder": "link_encoder_delay"}
     names["gyro"] = "gyro_delay"
     return {
@@ -98,17 +66,7 @@ def constants_of(
 
 
 def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
-    """That link sensors are late, and that their delays were taken off.
-
-    Parameters
-    ----------
-    delays : sequence of Delay
-        One per joint, as taken off.
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """Yield a warning for each link sensor whose delay was removed; `delays` has one per joint."""
     for joint, delay in enumerate(delays, start=1):
         if not delay.value:
             continue

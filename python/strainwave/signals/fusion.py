@@ -1,4 +1,4 @@
-"""One velocity from two sensors: high frequencies of one, low frequencies of the other, (10)."""
+"""Complementary filter (10): high frequencies of one sensor, low frequencies of another."""
 
 from __future__ import annotations
 
@@ -9,66 +9,39 @@ from strainwave.numerics.filters import lagged
 
 
 def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
-    """High-passed integral of a rate plus a low-passed slow signal, (10).
+    """Sum of the high-pass filtered integral of a rate and the low-pass filtered slow signal, (10).
 
-    y = (1 - F) (1/s) rate + F slow. With T = T_V:
-    order 1, F = 1 / (1 + T s): y = (T rate + slow) / (1 + T s);
-    order 2, F = 1 / (1 + sqrt(2) T s + T^2 s^2):
-    y = (T^2 s rate + sqrt(2) T rate + slow) / (1 + sqrt(2) T s + T^2 s^2).
-    Both sum to one: where `rate` is the slope of `slow`, y = slow.
+    y = (1 - F) (1/s) rate + F slow, with T = T_V:
 
-    Parameters
-    ----------
-    rate : (n_samples,)
-    slow : (n_samples,)
-    fusion : Fusion
-    sample_time : float [s]
+        order 1: F = 1 / (1 + T s),
+                 y = (T rate + slow) / (1 + T s);
+        order 2: F = 1 / (1 + sqrt(2) T s + T^2 s^2),
+                 y = (T^2 s rate + sqrt(2) T rate + slow) / (1 + sqrt(2) T s + T^2 s^2).
 
-    Returns
-    -------
-    (n_samples,)
+    The two filters sum to one: if `rate` is the derivative of `slow`, y = slow. All signals are
+    (n_samples,).
     """
-    # from slow itself, only what the integral knows better is added: no transient at the start
+    # Only the high-pass filtered difference is added to slow, which avoids an initial transient.
     integral = np.r_[0.0, np.cumsum(0.5 * (rate[1:] + rate[:-1]))] * sample_time
     difference = integral - (slow - slow[0])
     return np.asarray(slow + difference - complement(difference, fusion, sample_time))
 
 
 def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
-    """The low-pass F of the fusion, from standstill at the first sample.
-
-    Parameters
-    ----------
-    signal : (n_samples,)
-    fusion : Fusion
-    sample_time : float [s]
-
-    Returns
-    -------
-    (n_samples,)
-    """
+    """Low-pass F of the fusion, (n_samples,); its initial state is rest at the first sample."""
     low_pass = Lag(fusion.order, 1.0 / (2.0 * np.pi * fusion.time_constant))
     return lagged(signal, [low_pass], sample_time)
 
 
 def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, edge: int) -> float:
-    """What an acceleration differs by from an encoder's, at the lowest frequencies.
+    """Bias of an acceleration [rad/s^2] relative to an encoder velocity [rad/s].
 
     The weighted mean of (acceleration - velocity') over the record, integrated by parts,
-    sum(w a + w' v) / sum(w), with w = sin^4, which vanishes at either end with its slope: a
-    vibration of the spring between the two sensors has no share in it.
 
-    Parameters
-    ----------
-    acceleration : (n_samples,) [rad/s^2]
-    velocity : (n_samples,) [rad/s]
-    sample_time : float [s]
-    edge : int
-        Samples to leave out at either end.
+        sum(w a + w' v) / sum(w),    w = sin^4.
 
-    Returns
-    -------
-    float [rad/s^2]
+    The weight and its slope vanish at both ends, so a vibration of the spring between the two
+    sensors does not contribute. `edge` samples at each end are excluded.
     """
     a, v = acceleration[edge:-edge], velocity[edge:-edge]
     phase = np.pi * (np.arange(len(a)) + 0.5) / len(a)
