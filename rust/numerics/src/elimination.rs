@@ -1,37 +1,37 @@
-//! Least squares with many unknowns that only a stretch of the rows has.
+//! Least squares with many unknowns, each of which occurs in a few successive rows only.
 //!
-//! For [Z; I] z = [y; 0] the normal matrix G = Z'Z + I has an envelope: below it are zeros, and the
-//! Cholesky factor keeps them. Of its inverse only what lies in the envelope is ever asked for, and
-//! that follows from the factor by a recursion that stays in the envelope as well (Erisman and
-//! Tinney, Communications of the ACM 18, 1975). All are kept as bands, row by row, which the
-//! processor's caches hold where whole matrices would not fit.
+//! For [Z; I] z = [y; 0] the normal matrix G = Z'Z + I has an envelope, outside of which all
+//! entries are zero; the Cholesky factor has the same envelope. Only the entries of G^-1 within the
+//! envelope are needed. They follow from the factor by a recursion that uses no other entries
+//! (Erisman and Tinney, Communications of the ACM 18, 1975). Matrices are stored as bands, row by
+//! row: bands fit into the processor's caches, full matrices do not.
 
 use crate::products::multiply_add;
 
-/// Rows whose products are added at once.
+/// Number of rows whose products are added in one pass.
 const TOGETHER: usize = 4;
 
-/// Rows of equations that have few neighbouring unknowns each.
+/// Rows of equations with few, adjacent unknowns each.
 #[derive(Clone, Copy, Debug)]
 pub struct Windows<'a> {
-    /// Of each row, the unknown that its window begins at.
+    /// First unknown of the window of each row.
     pub first: &'a [usize],
-    /// (rows, width); behind the last unknown only zeros.
+    /// Entries (rows, width), row-major; zero after the last unknown.
     pub entries: &'a [f64],
-    /// Unknowns that a window spans.
+    /// Unknowns per window.
     pub width: usize,
-    /// Unknowns in all.
+    /// Number of unknowns.
     pub unknowns: usize,
 }
 
 impl<'a> Windows<'a> {
-    /// Each row from its first entry that is not zero to its last, and where that begins.
+    /// First unknown and entries of each row, without leading and trailing zeros.
     fn rows(self) -> Vec<Row<'a>> {
         let windows = self.entries.chunks_exact(self.width);
         self.first.iter().zip(windows).map(used).collect()
     }
 
-    /// Whether all sizes fit and no unknown lies behind the last.
+    /// Whether all sizes agree and no nonzero entry is after the last unknown.
     pub fn fit(self) -> bool {
         self.width > 0
             && self.entries.len() == self.first.len() * self.width
@@ -42,27 +42,27 @@ impl<'a> Windows<'a> {
     }
 }
 
-/// The unknown that a row begins at, and its entries.
+/// The first unknown of a row, and its entries.
 type Row<'a> = (usize, &'a [f64]);
 
-/// What is left of some right-hand sides without the unknowns.
+/// Right-hand sides after elimination of the unknowns.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Eliminated {
-    /// G^-1 Z' Y, (unknowns, sides).
+    /// Solution G^-1 Z' Y, (unknowns, sides).
     pub found: Vec<f64>,
-    /// Y - Z G^-1 Z' Y, (rows, sides).
+    /// Residuals Y - Z G^-1 Z' Y, (rows, sides).
     pub left: Vec<f64>,
-    /// Diagonal of Z G^-1 Z', (rows,); empty where it was not asked for.
+    /// Diagonal of Z G^-1 Z', (rows,); empty unless requested.
     pub leverage: Vec<f64>,
 }
 
 /// Eliminates the unknowns of `z` from `y`, (rows, sides).
 ///
-/// `None` where an entry is not finite.
+/// Returns `None` if an entry is not finite.
 pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Eliminated> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: the processor has just said that it has both.
+        // SAFETY: both features have just been detected.
         return unsafe { eliminate_avx2(z, y, sides, leverage) };
     }
     eliminated::<false>(z, y, sides, leverage)
@@ -105,17 +105,17 @@ fn eliminated<const FUSED: bool>(
     })
 }
 
-/// A square matrix of which only a band is kept, row by row.
+/// A square band matrix, stored row by row.
 struct Band {
     /// Entries of a row left of the diagonal.
     left: usize,
-    /// Entries of a row in all.
+    /// Entries of a row.
     width: usize,
     entries: Vec<f64>,
 }
 
 impl Band {
-    /// Zeros: of `n` rows, so many entries left and right of the diagonal.
+    /// A zero matrix of `n` rows with `left` and `right` entries on the two sides of the diagonal.
     fn new(n: usize, left: usize, right: usize) -> Self {
         let width = left + 1 + right;
         Self {
@@ -125,7 +125,7 @@ impl Band {
         }
     }
 
-    /// Where an entry is; it must lie within the band.
+    /// Index of an entry, which must lie within the band.
     #[inline(always)]
     fn place(&self, row: usize, column: usize) -> usize {
         row * self.width + column + self.left - row
@@ -136,7 +136,7 @@ impl Band {
         self.entries[self.place(row, column)]
     }
 
-    /// Neighbours in a row, from one column to before another.
+    /// Entries of a row, from one column up to another, which is excluded.
     #[inline(always)]
     fn row(&self, row: usize, from: usize, to: usize) -> &[f64] {
         &self.entries[self.place(row, from)..][..to - from]
@@ -185,20 +185,22 @@ fn factorised<const FUSED: bool>(rows: &[Row<'_>], first: &[usize]) -> Option<Ba
     Some(factor)
 }
 
-/// How far left of the diagonal the envelope reaches.
+/// Largest distance of the envelope from the diagonal.
 fn reach(first: &[usize]) -> usize {
     let distances = first.iter().enumerate().map(|(i, first)| i - first);
     distances.max().unwrap_or(0)
 }
 
-/// What is left of Y'Y, (sides, sides), without the unknowns, where one block of rows is missing,
-/// for each block of successive rows; `stops` are the rows behind the blocks' last ones.
+/// Leave-one-block-out products: for each block of successive rows, Y'Y (sides, sides) minus the
+/// part that the unknowns explain, computed without the rows of the block. `stops` are the ends of
+/// the blocks (excluded).
 ///
-/// A block has some unknowns, from the first of its rows to the last. Those before are eliminated
-/// from the beginning, as from all rows, and those behind from the end; only those between are
-/// anew. So all blocks together cost little more than two eliminations of all rows.
+/// The unknowns of a block reach from the first of its rows to the last. Unknowns before the block
+/// are eliminated once from the beginning, unknowns after it once from the end; only the unknowns
+/// of the block are eliminated anew. All blocks together therefore cost little more than two
+/// eliminations of all rows.
 ///
-/// `None` where an entry is not finite.
+/// Returns `None` if an entry is not finite.
 pub fn leave_out(
     z: Windows<'_>,
     y: &[f64],
@@ -207,7 +209,7 @@ pub fn leave_out(
 ) -> Option<Vec<Vec<f64>>> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: the processor has just said that it has both.
+        // SAFETY: both features have just been detected.
         return unsafe { leave_out_avx2(z, y, sides, stops) };
     }
     left_out::<false>(z, y, sides, stops)
@@ -238,7 +240,7 @@ fn left_out<const FUSED: bool>(
         .rev()
         .zip(backwards.chunks_exact(z.width))
         .map(|((start, row), window)| {
-            // empty rows have no place of their own
+            // an empty row has no first unknown
             let begin = if row.is_empty() {
                 0
             } else {
@@ -266,7 +268,7 @@ fn left_out<const FUSED: bool>(
     Some(found)
 }
 
-/// The elimination of all rows from one end: the factor, and L^-1 Z'Y.
+/// Elimination of all rows from one end: the factor, and L^-1 Z'Y.
 struct Side {
     first: Vec<usize>,
     factor: Band,
@@ -288,12 +290,12 @@ impl Side {
     }
 }
 
-/// All rows but those of one block.
+/// All rows except those of one block.
 struct Without<'a> {
     rows: &'a [Row<'a>],
     y: &'a [f64],
     sides: usize,
-    /// Its first row and the one behind its last.
+    /// Range of rows of the block; the end is excluded.
     block: (usize, usize),
 }
 
@@ -303,7 +305,7 @@ impl Without<'_> {
         let (n, sides) = (before.first.len(), self.sides);
         let (from, to) = self.between(&before.first);
         let count = to - from;
-        // the unknowns between, by the rows left
+        // equations of the remaining rows for the block's unknowns
         let mut rows: Vec<Row<'_>> = Vec::new();
         let mut right = vec![0.0; count * sides];
         let mut left = vec![0.0; sides * sides];
@@ -336,7 +338,7 @@ impl Without<'_> {
         for rows in rows.chunks(TOGETHER) {
             products.add::<FUSED>(&mut middle, rows);
         }
-        let (low, high) = (from, n - to); // unknowns before, and behind
+        let (low, high) = (from, n - to); // numbers of unknowns before and after the block
         for i in from..to {
             let begin = before.first[i];
             for j in from..=i {
@@ -354,7 +356,7 @@ impl Without<'_> {
                 let solved = &before.solved[k * sides..][..sides];
                 add_scaled::<FUSED>(own, -before.factor.at(i, k), solved);
             }
-            // the numbers of those behind count from the end
+            // unknowns after the block are numbered from the end
             let turned = n - 1 - i;
             let begin = behind.first[turned];
             for j in i..to {
@@ -380,7 +382,7 @@ impl Without<'_> {
         Some(left)
     }
 
-    /// The unknowns that the block has; all where others reach past them on both sides.
+    /// Range of the unknowns of the block; all unknowns if other rows span the whole block.
     fn between(&self, first: &[usize]) -> (usize, usize) {
         let n = first.len();
         let (start, stop) = self.block;
@@ -391,7 +393,7 @@ impl Without<'_> {
             (from.min(*begin), to.max(begin + row.len()))
         });
         if from > to {
-            (n, n) // none: all lie before
+            (n, n) // no unknowns: treat all as before the block
         } else if to < n && first[to] < from {
             (0, n)
         } else {
@@ -408,12 +410,13 @@ fn add_square<const FUSED: bool>(target: &mut [f64], y: &[f64], sign: f64) {
     }
 }
 
-/// Adds to the lower half of a matrix what some neighbouring rows add to Z'Z.
+/// Adds the products Z'Z of a few adjacent rows to the lower half of a matrix.
 ///
-/// Neighbours have nearly the same unknowns, and four at once halve the traffic with the matrix.
+/// Adjacent rows have nearly the same unknowns. Adding four rows in one pass halves the memory
+/// traffic.
 #[derive(Default)]
 struct Products {
-    /// The rows, each from the first unknown of any to the last.
+    /// The rows, padded with zeros to the same range of unknowns.
     aligned: [Vec<f64>; TOGETHER],
 }
 
@@ -428,7 +431,7 @@ impl Products {
             return;
         }
         if stop - start > matrix.left + 1 {
-            // no row has two unknowns that are further apart than the band is wide
+            // the rows together span more unknowns than the band; each row alone fits
             for row in rows {
                 add_alone::<FUSED>(matrix, *row);
             }
@@ -449,7 +452,7 @@ impl Products {
     }
 }
 
-/// The same of one row.
+/// Adds the products of one row.
 #[inline(always)]
 fn add_alone<const FUSED: bool>(matrix: &mut Band, (start, row): Row<'_>) {
     for (i, &value) in row.iter().enumerate() {
@@ -458,11 +461,12 @@ fn add_alone<const FUSED: bool>(matrix: &mut Band, (start, row): Row<'_>) {
     }
 }
 
-/// z' S z of each row, by the lower half of S.
+/// z' S z of each row, from the lower half of S.
 #[inline(always)]
 fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
     let mut found = Vec::with_capacity(rows.len());
-    // no closure: one would be compiled for any processor, and each fused product be a call
+    // loops instead of closures: a closure is compiled without the target features, so each fused
+    // product would be a call
     for &(start, row) in rows {
         let mut sum = 0.0;
         for (i, &value) in row.iter().enumerate() {
@@ -475,7 +479,7 @@ fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
     found
 }
 
-/// What of a window is not zero.
+/// A window without its leading and trailing zeros.
 fn used<'a>((&first, window): (&usize, &'a [f64])) -> Row<'a> {
     let start = window.iter().position(|&v| v != 0.0).unwrap_or(0);
     let stop = window
@@ -485,7 +489,7 @@ fn used<'a>((&first, window): (&usize, &'a [f64])) -> Row<'a> {
     (first + start, &window[start..stop])
 }
 
-/// For each unknown the first one it meets in some row; never falling.
+/// For each unknown, the first unknown that occurs in a row with it; non-decreasing.
 fn envelope(rows: &[Row<'_>], n: usize) -> Vec<usize> {
     let mut first: Vec<usize> = (0..n).collect();
     for &(start, row) in rows {
@@ -499,7 +503,7 @@ fn envelope(rows: &[Row<'_>], n: usize) -> Vec<usize> {
     first
 }
 
-/// Lower Cholesky factor of G, whose Z'Z stands in `matrix`.
+/// Lower Cholesky factor of G; `matrix` holds Z'Z.
 #[inline(always)]
 fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()> {
     for i in 0..first.len() {
@@ -555,14 +559,14 @@ fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f6
 
 /// Entries of G^-1 within the envelope and its mirror image; zeros elsewhere.
 ///
-/// S_ij = (d_ij / L_ii - sum over k > i of L_ki S_kj) / L_ii, from the last row up.
+/// S_ij = (d_ij / L_ii - sum over k > i of L_ki S_kj) / L_ii, from the last row to the first.
 #[inline(always)]
 fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
     let n = first.len();
     let mut inverse = Band::new(n, factor.left, factor.left);
     let mut weights = Vec::with_capacity(factor.left);
     let mut row = Vec::with_capacity(factor.left);
-    let mut stop = n; // of the rows that meet unknown i
+    let mut stop = n; // end of the rows of L that contain unknown i
     for i in (0..n).rev() {
         while stop > i + 1 && first[stop - 1] > i {
             stop -= 1;
@@ -597,7 +601,7 @@ fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
     inverse
 }
 
-/// Adds four weighted lists at once: a fourth of the traffic with the sum.
+/// Adds four weighted rows in one pass, which needs a quarter of the memory traffic.
 #[inline(always)]
 fn add_four<const FUSED: bool>(
     target: &mut [f64],
@@ -622,7 +626,7 @@ fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]
 #[inline(always)]
 fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
     const LANES: usize = 4;
-    const AT_ONCE: usize = 4 * LANES; // sums enough that none waits for itself
+    const AT_ONCE: usize = 4 * LANES; // enough independent sums to hide the latency of an addition
     let (l, r) = (left.chunks_exact(AT_ONCE), right.chunks_exact(AT_ONCE));
     let ends = (l.remainder(), r.remainder());
     let mut sums = [[0.0; LANES]; 4];
@@ -662,7 +666,7 @@ mod tests {
     }
 
     impl Example {
-        /// Rows that have a few unknowns each, one that has none, and unknowns that no row has.
+        /// Rows with a few unknowns each, one row without unknowns, and unknowns without rows.
         fn new() -> Self {
             let (rows, unknowns, width) = (42, 23, 9); // two rows more than whole groups of four
             let first: Vec<usize> = (0..rows).map(|row| row / 2).collect();
@@ -697,7 +701,7 @@ mod tests {
             place.map_or(0.0, |at| self.entries[row * self.width + at])
         }
 
-        /// The same without some rows.
+        /// The same equations without a range of rows.
         fn without(&self, start: usize, stop: usize) -> Self {
             let cut = |list: &[f64], width: usize| {
                 [&list[..start * width], &list[stop * width..]].concat()
@@ -720,7 +724,7 @@ mod tests {
                 |m: &[f64]| -> Vec<f64> { m.iter().skip(j).step_by(SIDES).copied().collect() };
             let (x, left) = (column(&found.found), column(&found.left));
             for (i, x) in x.iter().enumerate() {
-                // G x = Z'y is Z'(y - Z x) = x.
+                // G x = Z'y is equivalent to Z'(y - Z x) = x.
                 let seen: f64 = (0..left.len())
                     .map(|row| example.at(row, i) * left[row])
                     .sum();
@@ -741,12 +745,12 @@ mod tests {
         }
     }
 
-    /// By an elimination of the other rows alone: Y'(Y - Z G^-1 Z'Y).
+    /// Compares with an elimination of the other rows alone: Y'(Y - Z G^-1 Z'Y).
     #[test]
     fn leaving_out_rows_is_never_having_had_them() {
         let example = Example::new();
         let rows = example.first.len();
-        // long and short blocks, one of a single row without unknowns, one of no row
+        // long and short blocks, one of a single row without unknowns, one without rows
         let stops = [7, 8, 8, 10, 11, 25, rows];
         let found = leave_out(example.windows(), &example.y, SIDES, &stops).unwrap();
         let starts = std::iter::once(0).chain(stops);

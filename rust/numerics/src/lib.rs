@@ -1,7 +1,8 @@
-//! Numerics that know neither arms nor models.
+//! Numerics that are independent of arms and models.
 //!
-//! [`products`] adds products of tall matrices to small ones, in registers; [`elimination`] takes unknowns of
-//! short stretches out of a least-squares problem. Matrices are row-major slices; samples are rows.
+//! [`products`] adds products of tall matrices, tile by tile in registers. [`elimination`]
+//! eliminates local unknowns from least-squares problems. Matrices are row-major slices; samples
+//! are rows.
 
 pub mod elimination;
 pub mod products;

@@ -1,37 +1,38 @@
-//! Sums of outer products over many rows: the one place where the time goes.
+//! Sums of outer products over many rows, the most expensive operation of the state-space fits.
 
-/// Rows and columns of the sum that stay in registers together.
+/// Rows and columns of a tile of the sum that is kept in registers.
 const TILE_ROWS: usize = 4;
 const TILE_COLUMNS: usize = 12;
 
-/// Rows summed before the next tile takes its turn, so that they stay in the first cache.
+/// Rows summed per tile before the next tile, so that they stay in the first-level cache.
 const BLOCK: usize = 256;
 
-/// Rows of numbers, each `width` long and starting `stride` after the one before it.
+/// Rows of `width` numbers; each row starts `stride` numbers after the previous one.
 ///
-/// A stride below the width makes a block-Hankel matrix out of plain data.
+/// A stride below the width makes a block-Hankel matrix without copying the data.
 #[derive(Clone, Copy)]
 pub struct Rows<'a> {
-    /// Row by row.
+    /// Numbers, row by row.
     pub data: &'a [f64],
-    /// From one row's first entry to the next's.
+    /// Distance between the first entries of successive rows.
     pub stride: usize,
     /// Entries of a row.
     pub width: usize,
 }
 
-/// Which tiles of a product are wanted.
+/// Part of a product to be computed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Part {
-    /// All of it.
+    /// The whole product.
     Whole,
-    /// Those that hold an entry on or above the diagonal.
+    /// Tiles with an entry on or above the diagonal.
     Upper,
 }
 
-/// Adds sum over `count` rows of left' right to a (left.width, right.width) row-major matrix.
+/// Adds left' right, summed over `count` rows, to a (left.width, right.width) row-major matrix.
 ///
-/// The processor decides, at run time, whether vectors of four and fused multiply-add are used.
+/// Uses vectors of four numbers and fused multiply-add if the processor has them, decided at run
+/// time.
 pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: usize, part: Part) {
     assert_eq!(target.len(), left.width * right.width);
     if count == 0 {
@@ -42,7 +43,7 @@ pub fn add_products(target: &mut [f64], left: Rows<'_>, right: Rows<'_>, count: 
     }
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-        // SAFETY: the processor has just said that it has both.
+        // SAFETY: both features have just been detected.
         return unsafe { add_products_avx2(target, left, right, count, part) };
     }
     blocks::<false>(target, left, right, count, part);
@@ -126,7 +127,7 @@ fn whole_tile<const FUSED: bool>(
     }
 }
 
-/// a b + c, in one rounding where the processor does that in one instruction.
+/// a b + c, rounded once if the processor has an instruction for it.
 #[inline(always)]
 pub fn multiply_add<const FUSED: bool>(a: f64, b: f64, c: f64) -> f64 {
     if FUSED { a.mul_add(b, c) } else { a * b + c }

@@ -1,7 +1,6 @@
-//! A block of directions on its way through an experiment: its steps and its samples.
+//! A block of directions through an experiment: its steps and its samples.
 //!
-//! At the beginning, and where a servo commands, a block becomes numbers with derivatives for that
-//! moment.
+//! At the start, and where a servo commands, the block is converted to dual numbers.
 
 use crate::actuation::current_loop::{CurrentLoop, StepTorque};
 use crate::arm::Arm;
@@ -21,26 +20,27 @@ use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensitivity::tangent_block::TangentBlock;
 use crate::sensitivity::variational::Linearised;
 
-/// A stretch between events, as every block goes through it.
+/// A span between events, for all blocks.
 pub(crate) struct Through<S, const N: usize> {
-    /// Motors that stand, as those do that are held after too many events.
+    /// Motors that stick, including those held after too many events.
     pub(crate) rests: [bool; N],
-    /// Whether the motor whose event ends it comes to rest at once.
+    /// Whether the motor of the event at the end stops instantly.
     pub(crate) stops: bool,
-    /// Whether the event's instant depends on anything: not where the modes never fitted.
+    /// Whether the time of the event has derivatives; it has none if the modes did not fit from the
+    /// beginning.
     pub(crate) moves: bool,
-    /// What is left of the torques' distances to their targets.
+    /// Remaining shares of the torques' distances to their targets.
     pub(crate) decay: StepTorque<S, N>,
-    /// How long it takes [s].
+    /// Length [s].
     pub(crate) duration: f64,
-    /// The event that ends it, if it is one.
+    /// The event at the end; `None` at the end of the step.
     pub(crate) event: Option<EventSensitivity>,
-    /// How fast its end moves as it gets longer, and the torques there.
+    /// Derivatives of the state at the end with respect to the length [s].
     pub(crate) rates: Tangent<S, N>,
     pub(crate) torque_rates: [S; N],
 }
 
-/// A block of directions on its way.
+/// A block of directions with its torques and sensors.
 pub(crate) struct BlockTrajectory<
     'a,
     A: Arm<N>,
@@ -51,22 +51,23 @@ pub(crate) struct BlockTrajectory<
     const EFFECTS: bool,
 > {
     pub(crate) block: TangentBlock<V, N>,
-    /// The chain over numbers with derivatives, for what is not smooth.
+    /// The simulation over dual numbers, for operations that are not smooth.
     dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS>,
-    /// Whether the torques depend on anything: they do where a servo closes the loop, and where a
-    /// direction is by the size of what the drive does to a voltage.
+    /// Whether the torques have derivatives: with a servo, or for directions by sizes of effects of
+    /// the drive.
     pub(crate) driven: bool,
     pub(crate) torque: [V; N],
     target: [V; N],
     current: CurrentLoop<V, N>,
-    /// Its sensors, if any are recorded.
+    /// Sensors of the block, if any are recorded.
     pub(crate) sensed: Option<Sensed<V, N>>,
-    /// How what is left of a step moves, between its events.
+    /// Derivatives of the remaining length of a step, between its events.
     pub(crate) left: V,
     ratio: [f64; N],
     /// Half of a step [s].
     half: f64,
-    /// The joint whose parameter a direction is by, and the parameter's place among its own.
+    /// Joint of each direction's parameter, and the index of the parameter among those of the
+    /// joint.
     own: Vec<Option<(usize, usize)>>,
 }
 
@@ -118,7 +119,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         own
     }
 
-    /// The motion with this block's derivatives.
+    /// The motion with the derivatives of this block.
     #[inline(always)]
     fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
         lifted(
@@ -129,16 +130,16 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         )
     }
 
-    /// What the servo and the drive make of the motion's derivatives.
+    /// Applies servo and drive to the derivatives.
     pub(crate) fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
         self.dual.motion = self.lifted(nominal);
         self.dual.command(step, servo_reads);
         self.take_torques();
     }
 
-    /// What a drive that lags makes of them in the step after a command.
+    /// Applies a lagging drive in the step after a command.
     ///
-    /// A lag of no size has caught up by then: in later steps nothing changes.
+    /// A lag of zero has settled by then, so later steps change nothing.
     pub(crate) fn hold(&mut self, nominal: &Motion<S, N>) {
         if EFFECTS && self.driven && self.dual.lags {
             self.dual.motion = self.lifted(nominal);
@@ -152,7 +153,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         self.torque = self.dual.motion.torque.map(|number| number.tangent);
     }
 
-    /// A smooth step.
+    /// Advances by a smooth step.
     #[inline(always)]
     pub(crate) fn advance<L: Lanes>(
         &mut self,
@@ -168,10 +169,10 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         }
     }
 
-    /// A stretch between two events.
+    /// Advances by a span between two events.
     ///
-    /// With its length fixed it is a step like any other. The event's instant moves by what holds
-    /// its margin at zero; what was left of the step, by the opposite.
+    /// With fixed length the span is a step like any other. The time of the event moves so that its
+    /// margin stays zero; the remaining length of the step changes by the opposite amount.
     #[inline(always)]
     pub(crate) fn pass<L: Lanes>(
         &mut self,
@@ -211,14 +212,15 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         }
     }
 
-    /// The motor does not move.
+    /// Sets the velocity derivatives of a resting motor to zero.
     #[inline(always)]
     fn rest(&mut self, joint: usize) {
         self.block.tangent.motor[joint] = V::splat(0.0);
     }
 
-    /// The torques' derivatives over a stretch, of which `decay` of each distance to the target is
-    /// left. Even open-loop torques have some between events: an event's instant moves along them.
+    /// Derivatives of the torques over a span. `decay` is the remaining share of each distance to
+    /// the target. Open-loop torques have derivatives between events too, because the times of
+    /// events have derivatives.
     #[inline(always)]
     fn torques(&self, decay: &StepTorque<S, N>) -> StepTorque<V, N> {
         let mut torque = StepTorque {
@@ -254,7 +256,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         }
     }
 
-    /// Puts this block's lanes into a sample: for each quantity and joint, all blocks' numbers.
+    /// Stores the lanes of this block in a sample, for each quantity and joint.
     #[inline(always)]
     pub(crate) fn record(
         &self,
@@ -293,7 +295,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     }
 }
 
-/// Whether a direction is by the size of an effect that changes what the drive makes of a voltage.
+/// Whether a direction is the size of an effect of the drive.
 fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source]) -> bool {
     let roles = config.roles();
     directions.iter().any(|&direction| {
@@ -308,7 +310,7 @@ fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source
     })
 }
 
-/// The joint of each direction's parameter, and its place among that joint's.
+/// Joint of each direction's parameter, and the index of the parameter among those of the joint.
 fn own_parameters<A: Arm<N>, const N: usize>(
     config: &Config<A, N>,
     directions: &[Source],
@@ -326,7 +328,7 @@ fn own_parameters<A: Arm<N>, const N: usize>(
     directions.iter().map(place).collect()
 }
 
-/// At the motors what is given at the links' side of their gears.
+/// Converts link-side values to motor-side values.
 #[inline(always)]
 fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
     let mut motor = *link_side;
@@ -337,7 +339,7 @@ fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N]
 }
 
 impl<V: Real, const N: usize> Tangent<V, N> {
-    /// Of the motors' angles [rad].
+    /// Derivatives of the motor angles [rad].
     #[inline(always)]
     fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
         let mut link_side = self.twist;
@@ -347,20 +349,20 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         over(ratio, &link_side)
     }
 
-    /// Of the motors' velocities [rad/s], `half` [s] being half a step.
+    /// Derivatives of the motor velocities [rad/s]; `half` [s] is half a step.
     #[inline(always)]
     fn motor_velocities(&self, ratio: &[f64; N], half: f64) -> [V; N] {
         over(ratio, &self.motor).map(|one| V::splat(1.0 / half) * one)
     }
 
-    /// Of the links' velocities [rad/s].
+    /// Derivatives of the link velocities [rad/s].
     #[inline(always)]
     fn link_velocities(&self, half: f64) -> [V; N] {
         self.link.map(|one| V::splat(1.0 / half) * one)
     }
 }
 
-/// A motion with derivatives.
+/// A motion with derivatives, over dual numbers.
 #[inline(always)]
 fn lifted<S: Real, V: Real, const N: usize>(
     nominal: &Motion<S, N>,
@@ -397,7 +399,7 @@ fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) ->
     })
 }
 
-/// A motion's derivatives in the coordinates of the variational equations.
+/// Derivatives of a motion in the coordinates of the variational equations.
 fn tangent_of<S: Real, V: Real, const N: usize>(
     motion: &Motion<Dual<S, V>, N>,
     ratio: &[f64; N],

@@ -1,4 +1,4 @@
-//! The chain of [`crate::experiment::simulate`] run over numbers with derivatives.
+//! The simulation of [`crate::experiment::simulate`] over dual numbers.
 
 use crate::arm::Arm;
 use crate::experiment::simulate::Simulate;
@@ -8,8 +8,7 @@ use crate::program::Request;
 use crate::scalar::{Dual, Real};
 use crate::sensitivity::Sensitivities;
 
-/// The whole chain over numbers with derivatives: `V::LANES` directions at a time, each with its own
-/// simulation.
+/// Simulates over dual numbers: `V::LANES` directions at a time, with one simulation each.
 ///
 /// # Errors
 /// The motion diverged.
@@ -41,7 +40,7 @@ pub(crate) fn by_duals<
     Ok(all.decimated(decimation, directions.len()))
 }
 
-/// A number that moves with the directions that are its own.
+/// A value with derivative one in the directions of its source, and zero in the others.
 pub(crate) fn seeded<S: Real, V: Real>(
     source: Source,
     value: f64,

@@ -137,7 +137,7 @@ impl<L: Real> OneSize<L> {
         let moment = Moment {
             motor_angle: held.motor_angle,
             motor_velocity: held.speed,
-            link_angle: 0.0, // what the link bears does not hold the motor
+            link_angle: 0.0, // the load on the link does not hold the motor
             angle_in_space: 0.0,
             twist: held.twist.lane(0),
             z,

@@ -1,4 +1,4 @@
-//! How the margin of an event of friction moves with the motion and with its joint's parameters.
+//! Derivatives of the margin of a friction event with respect to the motion and to parameters.
 
 use crate::arm::Arm;
 use crate::joint::effects::MOST_OF_EFFECTS;
@@ -12,30 +12,29 @@ use crate::sensitivity::effect::EffectSensitivity;
 use crate::sensitivity::holding::Holding;
 use crate::sensitivity::tangent::Tangent;
 
-/// Most parameters that a joint has: those of its drive, its gear's law with damping and settling
-/// time, and its effects.
+/// Largest number of parameters of a joint: drive, gear law, damping, settling time and effects.
 const MOST_OF_A_JOINT: usize = DRIVE.len() + MOST_OF_A_LAW + 2 + MOST_OF_EFFECTS;
 
-/// The linear form that [`Plant::margins`] is where an event ends a stretch.
+/// Linear form of the derivatives of [`Plant::margins`] at the event at the end of a span.
 pub(crate) struct EventSensitivity {
     pub(crate) joint: usize,
-    /// By the joint's twist, and by n dtheta_M and dtheta_L times half a step.
+    /// Derivatives with respect to the joint's torsion, and to n dtheta_M and dtheta_L times half a
+    /// step.
     twist: f64,
     motor: f64,
     link: f64,
-    /// By its motor torque.
+    /// Derivative with respect to the joint's motor torque.
     torque: f64,
-    /// By each of its parameters, in the order of their names.
+    /// Derivatives with respect to each of the joint's parameters, in the order of their names.
     by_parameter: [f64; MOST_OF_A_JOINT],
 }
 
 impl EventSensitivity {
-    /// Of the event of a joint at the end of a stretch, `half` [s] being half a step; `asked` is the
-    /// joint with the effects that may be asked about.
+    /// At the event of a joint at the end of a span. `half` [s] is half a step; `asked` is the
+    /// joint with the effects of size zero.
     ///
-    /// A motor that stops at once has its speed for a margin. Else it is what friction has left
-    /// beside the torque that holds the motor; of a sliding motor that will settle, times
-    /// -tau/m_M.
+    /// The margin of a motor that stops instantly is its speed. Otherwise it is the friction limit
+    /// minus the holding torque; for a sliding motor that will settle, times -tau/m_M.
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
         plant: &Plant<A, S, G, N>,
@@ -77,7 +76,7 @@ impl EventSensitivity {
         slopes
     }
 
-    /// Along given derivatives of the motion and the torques.
+    /// Derivative along given derivatives of the motion and the torques.
     #[inline(always)]
     pub(crate) fn along<V: Real, const N: usize>(&self, x: &Tangent<V, N>, torque: &[V; N]) -> V {
         let (c, i) = (V::splat, self.joint);
@@ -86,7 +85,8 @@ impl EventSensitivity {
         c(self.torque).mul_add(torque[i], moved)
     }
 
-    /// By the parameters of some directions, each a joint and a place among its parameters.
+    /// Derivatives with respect to the parameters of directions, each a joint and an index among
+    /// its parameters.
     #[inline(always)]
     pub(crate) fn by_parameters<V: Real>(&self, own: &[Option<(usize, usize)>]) -> V {
         let mut all = V::splat(0.0);
@@ -101,8 +101,8 @@ impl EventSensitivity {
     }
 }
 
-/// How a margin moves with the parameters of its joint, which is held in some way, if it moves with
-/// the holding torque by `by_torque` and against what friction can take up by `scale`.
+/// Derivatives of a margin with respect to the parameters of its joint. `by_torque` is the
+/// derivative with respect to the holding torque, `-scale` that with respect to the friction limit.
 #[inline(always)]
 fn by_parameters<S: Real, L: Real, const N: usize>(
     spring: &impl Spring<S>,

@@ -1,7 +1,7 @@
-//! One plain simulation, and the sensitivities that go along with it in blocks of directions.
+//! One plain simulation with its sensitivities in blocks of directions.
 //!
-//! Smooth steps go through [`crate::sensitivity::variational`]; so do the stretches of a step between events of
-//! friction, with what the events' instants do.
+//! Smooth steps use [`crate::sensitivity::variational`]. So do the spans of a step between friction
+//! events, with the derivatives of the events' times.
 
 use std::marker::PhantomData;
 
@@ -25,17 +25,17 @@ use crate::sensitivity::variational::Linearised;
 use crate::sensitivity::{Sensitivities, decimated};
 use crate::sensors::decimation::Decimation;
 
-/// One arm with elastic gears, derivatives in some directions: scalars `S`, `V::LANES` directions
-/// a block, and lanes `L` for the stages of a step side by side.
+/// One arm with elastic gears, and derivatives in several directions: scalars `S`, `V::LANES`
+/// directions per block, and lanes `L` for the stages of a step.
 ///
-/// With `EFFECTS` the directions may be by the sizes of effects that the arm does not have:
-/// `asked` is the arm with them at nothing, and is the arm itself otherwise.
+/// With `EFFECTS`, directions may be sizes of effects that the arm does not have: `asked` is the
+/// arm with these effects at size zero. Otherwise `asked` is the arm itself.
 pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
     pub(crate) asked: (&'a Task<A, N>, &'a Member<'a, N>),
     pub(crate) directions: &'a [Source],
-    /// What becomes of the samples.
+    /// Low-pass of the samples, if there is one.
     pub(crate) decimation: Option<&'a Decimation>,
     pub(crate) scalars: PhantomData<(S, V, L, G)>,
 }
@@ -76,9 +76,9 @@ struct Chain<
     nominal: Simulation<'a, A, S, G, N>,
     /// Whether voltages were commanded at the last step.
     commanded: bool,
-    /// What no parameter forces.
+    /// Response without forcing by parameters.
     unforced: TangentBlock<S, N>,
-    /// Current loops over times that get longer.
+    /// Current loops over a variable time.
     longer: CurrentLoop<Dual<S, S>, N>,
     trace: Trace<N>,
     linear: Linearised<A, L, G, N>,
@@ -166,7 +166,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         self.nominal.command(step, event.servo_reads);
     }
 
-    /// The derivatives' part of an instant and of the step that follows it.
+    /// Propagates the derivatives through an instant and the step that follows it.
     #[inline(always)]
     fn propagate(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
         if let Some(sensing) = &mut self.sensing {
@@ -203,7 +203,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         }
     }
 
-    /// A step in which friction changed its mode: from stretch to stretch.
+    /// Repeats a step with friction events, span by span.
     #[inline(always)]
     fn redo(&mut self) {
         for trajectory in &mut self.blocks {
@@ -223,7 +223,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         }
     }
 
-    /// Goes through a stretch, for the blocks to follow.
+    /// Linearises a span for all blocks.
     #[inline(always)]
     fn through(&mut self, stretch: &Stretch<S, N>) -> Through<S, N> {
         let Stretch {
@@ -270,7 +270,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     }
 }
 
-/// [`Chain::redo`] in a scope of its own: it is rare, and long.
+/// [`Chain::redo`] in a scope of its own, because it is rare and long.
 struct Redo<
     'c,
     'a,
@@ -293,12 +293,12 @@ impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EF
     }
 }
 
-/// [`BlockTrajectory::record`] in a scope of its own: where few steps are sampled, it is not in their way.
+/// [`BlockTrajectory::record`] in a scope of its own, so that steps without a sample stay short.
 struct Put<'c, 'a, A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> {
     trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
     quantities: &'c [Quantity],
     buffer: &'c mut SampleBuffer<N>,
-    /// Of the block's directions.
+    /// Index of the block's first direction.
     first: usize,
     response: &'c Response<V, N>,
 }

@@ -1,4 +1,4 @@
-//! A joint at an event of friction.
+//! State of a joint at a friction event.
 
 use crate::arm::Arm;
 use crate::joint::gear::{Gears, Spring};
@@ -6,7 +6,7 @@ use crate::plant::Plant;
 use crate::plant::friction::Motion;
 use crate::scalar::Real;
 
-/// A joint's motor and gear as friction holds it, or is about to.
+/// Motor and gear of a joint that friction holds, or is about to hold.
 pub(crate) struct Holding<S> {
     pub(crate) joint: usize,
     pub(crate) ratio: f64,
@@ -16,15 +16,15 @@ pub(crate) struct Holding<S> {
     pub(crate) motor_angle: f64,
     /// dtheta_M [rad/s].
     pub(crate) speed: f64,
-    /// 1/tau, zero where it stops at once.
+    /// 1/tau; zero for an instant stop.
     pub(crate) settling: f64,
-    /// Torque [N m] through the gear.
+    /// Torque [N m] of the gear.
     pub(crate) transmitted: f64,
     /// Torque [N m] that holds the motor.
     pub(crate) torque: f64,
     pub(crate) stiffness: f64,
     pub(crate) damping: f64,
-    /// The holding torque's slopes by the twist, n dtheta_M and dtheta_L.
+    /// Derivatives of the holding torque with respect to the torsion, n dtheta_M and dtheta_L.
     pub(crate) by_twist: f64,
     pub(crate) by_motor: f64,
     pub(crate) by_link: f64,

@@ -67,7 +67,7 @@ impl<const N: usize> Sensitivities<N> {
         }
     }
 
-    /// Stores the directions from the `first`, of `width` in all.
+    /// Stores the directions that begin at index `first`, of `width` in all.
     fn take<S: Real, V: Real>(
         &mut self,
         record: &RecordOf<Dual<S, V>, N>,

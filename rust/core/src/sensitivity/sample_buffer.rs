@@ -16,7 +16,7 @@ pub(crate) struct SampleBuffer<const N: usize> {
 }
 
 impl<const N: usize> SampleBuffer<N> {
-    /// For numbers of quantities, samples, directions and lanes of a block.
+    /// Buffer for given numbers of quantities, samples, directions and lanes of a block.
     pub(crate) fn new(
         [quantities, samples, directions, lanes]: [usize; 4],
         decimation: Option<&Decimation>,

@@ -171,7 +171,7 @@ impl<const N: usize> ReadingSlopes<N> {
                     sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
-            // computed last
+            // the diagonal is computed last
             for j in 0..=i {
                 sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
             }

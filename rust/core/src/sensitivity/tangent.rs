@@ -72,8 +72,8 @@ impl<V: Real, const N: usize> Tangent<V, N> {
         }
     }
 
-    /// A later stage, advanced by `on` with the velocities of the stage `at` and its accelerations.
-    /// Only link angles that the equations depend on are advanced.
+    /// A later stage, after a time `on` at the velocities of the stage `at` and the accelerations.
+    /// Advances only link angles on which the equations depend.
     #[inline(always)]
     pub(crate) fn moved<A: Arm<N>>(
         &self,

@@ -15,7 +15,7 @@ use crate::sensitivity::variational::Linearised;
 pub(crate) struct TangentBlock<V: Lanes, const N: usize> {
     pub(crate) tangent: Tangent<V, N>,
     forcing: Forcing<V, N>,
-    /// One for directions that are the joint's settling time.
+    /// 1 in directions of the joint's settling time, else 0.
     settling: [V; N],
 }
 
@@ -191,8 +191,9 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         to
     }
 
-    /// Applies settling motors to a later stage, half a step on (`end` = 0) or a whole one (`end` =
-    /// 1). The stage has moved with the velocities of the stage `before` over `moved` half steps.
+    /// Applies settling motors to a later stage, after half a step (`end` = 0) or a whole one
+    /// (`end` = 1). The stage was advanced with the velocities of the stage `before` over `moved`
+    /// half steps.
     #[inline(always)]
     fn held<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
@@ -208,7 +209,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             };
             let motor = self.tangent.motor[i];
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
-            // a motor at constant velocity would have moved by this
+            // displacement of a motor at constant velocity
             let behind = motor - before.motor[i];
             stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
             stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);

@@ -17,7 +17,7 @@ pub(crate) struct Trace<const N: usize> {
     pub(crate) stages: [Stage<N>; 4],
 }
 
-/// One stage of a step.
+/// State and accelerations at one stage of a step.
 #[derive(Clone, Copy)]
 pub(crate) struct Stage<const N: usize> {
     pub(crate) angle: [f64; N],

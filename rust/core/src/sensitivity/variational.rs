@@ -1,13 +1,13 @@
 //! Variational equations of the Runge-Kutta step, for arms with elastic gears.
 //!
 //! Within a step with fixed friction modes, the derivatives of the motion obey linear equations
-//! whose coefficients are the same in every direction. The simulated step leaves a [`Trace`] of its
-//! four stages; [`Linearised`] computes the coefficients of all four in lanes; and each
+//! whose coefficients are the same in every direction. The simulated step records a [`Trace`] of
+//! its four stages; [`Linearised`] computes the coefficients of all four in lanes; each
 //! [`crate::sensitivity::tangent_block::TangentBlock`] of directions advances through the stages
 //! with a few multiply-adds.
 //!
-//! Torsions replace motor angles, because nothing depends on the latter alone. With gear torques s,
-//! primes for derivatives, and without the terms of parameters:
+//! Torsions replace motor angles, because no equation depends on motor angles alone. With gear
+//! torques s, primes for derivatives, and without the terms of parameters:
 //!
 //! - s' = K delta' + d_G (n dtheta_M' - dtheta_L')
 //! - n ddtheta_M' = -(n^2/m_M) s' - (d_M/m_M) n dtheta_M'
