@@ -1,4 +1,4 @@
-"""Identification -> the warnings to publish: still true, one for each cause."""
+"""Warnings of a run: select those that apply to the final table, and group them by cause."""
 
 from __future__ import annotations
 
@@ -14,75 +14,51 @@ from strainwave.domain.ranges import implausible_joints
 _NUMBER = re.compile(
     r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 )
-"""A number of the case; not the joint's in "joint 2", nor a part of a name as in "u1"."""
+"""A number in a message, except joint numbers ("joint 2") and digits in names ("u1")."""
 _IN_JOINT = re.compile(r", joint (\d+)$")
 _OF_ONE_STAGE = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
-"""Codes that speak of one parameter as one stage sees it."""
+"""Codes of warnings about one parameter in one stage."""
 
 
 def published_warnings(found: Identification) -> tuple[Diagnostic, ...]:
-    """The warnings of a run, without those a later stage has overtaken, one per cause.
+    """Collect the warnings of a run, one for each cause.
 
-    What a stage says of a parameter that another one decides is left out; it still stands in the
-    stage's own list. A value that was rejected has a warning with its reason.
-
-    Parameters
-    ----------
-    found : Identification
-
-    Returns
-    -------
-    tuple of Diagnostic
+    A warning about a parameter is omitted if a later stage decides that parameter. It remains in
+    the warnings of its stage. Each reason for rejection has one warning.
     """
     decisions = found.decisions
-    kept = [*_still_true(found, decisions), *rejections(decisions)]
-    kept += model_defects(found)
+    warnings = [*_still_true(found, decisions), *rejections(decisions)]
+    warnings += model_defects(found)
     for size in implausible_joints(found.study.arm, found.parameters):
-        kept.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
-    unpredicted = any(check.unexplained for check in found.checks)
-    if found.tuned is not None and not found.verdict.validated.elastic and not unpredicted:
+        warnings.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
+    has_unpredicted = any(check.unexplained for check in found.checks)
+    if found.tuned is not None and not found.verdict.validated.elastic and not has_unpredicted:
         where = str(found.study.path)
-        kept.append(Diagnostic("elastic-not-validated", where, not_exercised(found)))
+        warnings.append(Diagnostic("elastic-not-validated", where, not_exercised(found)))
     experiments = [e.name for e in found.study.experiments]
-    return grouped(dict.fromkeys(kept), experiments)
+    return grouped(dict.fromkeys(warnings), experiments)
 
 
 def rejections(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
-    """A warning for each reason to reject values, with the values.
-
-    Parameters
-    ----------
-    decisions : iterable of Decision
-
-    Yields
-    ------
-    Diagnostic
-    """
+    """Yield one warning for each reason for rejection, with the rejected values."""
     by_reason: dict[str, list[Decision]] = {}
-    for one in decisions:
-        if one.rejected:
-            by_reason.setdefault(one.rejected, []).append(one)
-    for why, rows in by_reason.items():
+    for decision in decisions:
+        if decision.rejected:
+            by_reason.setdefault(decision.rejected, []).append(decision)
+    for reason, rows in by_reason.items():
         values = ", ".join(f"{d.parameter.label} = {d.raw:.4g}" for d in rows if d.raw is not None)
-        numbers = {d.parameter.joint for d in rows}
-        joints = ", ".join(str(n) for n in sorted(n for n in numbers if n is not None))
-        where = f"joint {joints}" if joints and None not in numbers else "arm"
+        joint_numbers = {d.parameter.joint for d in rows}
+        joints = ", ".join(str(n) for n in sorted(n for n in joint_numbers if n is not None))
+        where = f"joint {joints}" if joints and None not in joint_numbers else "arm"
         if len(rows) == 1:
             where = _place(rows[0].parameter)
-        yield Diagnostic("rejected", where, f"{why}; what it gave does not count: {values}")
+        yield Diagnostic("rejected", where, f"{reason}; what it gave does not count: {values}")
 
 
 def not_exercised(found: Identification) -> str:
-    """Why validation says nothing of the elastic model, and what to record.
+    """Explain why the elastic model is not validated, and what to record.
 
-    Parameters
-    ----------
-    found : Identification
-
-    Returns
-    -------
-    str
-        A clause without a full stop.
+    Returns a clause without a full stop.
     """
     moving = [check for check in found.checks if not check.of_drive]
     record = (
@@ -101,21 +77,12 @@ def not_exercised(found: Identification) -> str:
 
 
 def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple[Diagnostic, ...]:
-    """Warnings of one cause in several records as one that lists them.
+    """Merge warnings about several records with the same cause into one.
 
-    Causes are one where code and message are, but for numbers; where those differ the message has
-    their range. A place is a record, or a joint in one as in "prbs-j1, joint 1".
-
-    Parameters
-    ----------
-    warnings : iterable of Diagnostic
-    experiments : sequence of str
-        The records' names: only warnings about records are grouped.
-
-    Returns
-    -------
-    tuple of Diagnostic
-        Each where the first of its kind stood.
+    Two warnings have the same cause if their codes and messages are equal except for numbers. The
+    merged message gives the range of each number. Only warnings about a record in `experiments`, or
+    about one of its joints ("prbs-j1, joint 1"), are merged. The order is that of the first warning
+    of each cause.
     """
     alike: dict[tuple[str, ...], list[Diagnostic]] = {}
     for each in warnings:
@@ -148,30 +115,32 @@ def _one(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
     pieces = _NUMBER.split(_without_place(first))
     numbers = zip(*(_NUMBER.findall(_without_place(each)) for each in group), strict=True)
     message = pieces[0]
-    for found, piece in zip(numbers, pieces[1:], strict=True):
-        least, most = min(found, key=float), max(found, key=float)
-        message += (least if least == most else f"{least} to {most}") + piece
+    for values, piece in zip(numbers, pieces[1:], strict=True):
+        smallest, largest = min(values, key=float), max(values, key=float)
+        message += (smallest if smallest == largest else f"{smallest} to {largest}") + piece
     return replace(first, where=where, message=message, experiments=names)
 
 
 def _still_true(found: Identification, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
-    """Without what an earlier stage says of a parameter that a later one decides."""
+    """Yield all warnings except those about parameters that a later stage decides."""
     final = {_place(d.parameter): d for d in decisions}
-    own = set(found.tuned.warnings) if found.tuned is not None else set()
+    tuned_warnings = set(found.tuned.warnings) if found.tuned is not None else set()
     for warning in found.warnings:
         decision = final.get(warning.where)
-        if warning.code in _OF_ONE_STAGE and warning not in own:
-            if decision is None:  # one stiffness, where the whole-arm fit has a curve
-                overtaken = found.tuned is not None and warning.where.startswith("gear_stiffness ")
+        if warning.code in _OF_ONE_STAGE and warning not in tuned_warnings:
+            if decision is None:  # the whole-arm fit has a stiffness curve instead
+                is_superseded = found.tuned is not None and warning.where.startswith(
+                    "gear_stiffness "
+                )
             else:
-                known = decision.parameter.value is not None
-                overtaken = decision.parameter.stage == "tuned"
-                overtaken = overtaken or (warning.code == "not-identifiable" and known)
-            if overtaken:
+                has_value = decision.parameter.value is not None
+                is_superseded = decision.parameter.stage == "tuned"
+                is_superseded = is_superseded or (warning.code == "not-identifiable" and has_value)
+            if is_superseded:
                 continue
         yield warning
 
 
 def _place(p: Parameter) -> str:
-    """As warnings name a parameter."""
+    """Name of a parameter in warnings."""
     return p.name if p.joint is None else f"{p.name} of joint {p.joint}"

@@ -1,8 +1,9 @@
-"""Which stage decides each parameter, and what it decides: the final table of a run.
+"""Final table of a run: the value and the verdict of each parameter.
 
-A later stage's value, and its refusal, win over an earlier stage's. A fit that holds an impossible
-value decides nothing: its values are rejected, and what an earlier stage gave stands. A value that
-rests on channels at fault, or on stages that contradict each other, is rejected as well.
+The latest stage that estimates a parameter decides it, whether or not it identifies a value. If a
+fit contains a physically impossible value, its values are rejected and the estimates of the earlier
+stage are used. Estimates that depend on faulty channels, or on stages that contradict each other,
+are also rejected.
 """
 
 from __future__ import annotations
@@ -25,8 +26,10 @@ from strainwave.domain.signals import Activity
 from strainwave.domain.study import Study
 
 MAX_EFFECT_SHIFT = 0.05
-"""Share of a value by which an effect that the model lacks may move it: beyond it, and beyond the
-interval, the value is rejected."""
+"""Largest relative shift of a value due to an effect that the model omits.
+
+A value is rejected if the shift exceeds this limit and its 95 % confidence interval.
+"""
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
@@ -35,9 +38,11 @@ _LINK_SIDE = re.compile(
     r"link_length|link_encoder_counts|imu"
 )
 _MOTOR_SIDE = re.compile(r"(?:u|torque|theta_m|omega_m|ref)\d+")
-_SURELY = 2.0  # standard deviations beyond which a value of the wrong sign is no chance
-_NOTHING = 0.02  # share of a joint's torque below which an interval counts as nearly nothing
-_REACH = 1.96  # of a 95 % interval, in standard deviations
+# standard deviations below zero from which a negative value is significant
+_SURELY = 2.0
+# share of a joint's rms torque below which the half-width of a confidence interval is negligible
+_NOTHING = 0.02
+_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _FAULT = "it rests on channels that contradict one another or the study"
 _CONTRADICTED = "the rigid and the whole-arm fit contradict each other"
 _WRONG_MODEL = "the decoupled fit of the joint holds an impossible value"
@@ -54,17 +59,17 @@ _FIRST_OF_A_JOINT = (
     "friction_offset",
     "friction_settling_time",
 )
-"""The order of a table's rows; all others follow as the core has them."""
+"""First rows of each joint in the table; the other parameters follow in the order of the core."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
     """One row of the final table."""
 
-    parameter: Parameter  # value None where it is not identified or rejected
+    parameter: Parameter  # value None if not identified or rejected
     identified: bool
-    rejected: str = ""  # why a value that a stage gave does not count; empty: none was
-    raw: float | None = None  # the value that was rejected
+    rejected: str = ""  # reason for the rejection; empty if no value was rejected
+    raw: float | None = None  # rejected value
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,24 +89,14 @@ def decide(
     suspected: Sequence[Suspicion] = (),
     activity: Sequence[Activity] = (),
 ) -> tuple[Decision, ...]:
-    """The final table: the arm's own parameters first, then joint by joint.
+    """Combine the estimates of all stages into the final table.
 
-    Parameters
-    ----------
-    study : Study
-    rigid : RigidModel or None
-    joints : sequence of JointModel
-        Of the decoupled stage.
-    tuned : ArmModel or None
-    suspected : sequence of Suspicion
-        Faults of the input; values that rest on them are rejected.
-    activity : sequence of Activity
-        Of each joint in the fitted records; without it no interval counts as nearly nothing.
+    `joints` are the models of the decoupled step. `suspected` lists faults of the input; estimates
+    that depend on them are rejected. `activity` gives the rms motion of each joint in the fitted
+    records; without it, no confidence interval is considered negligible.
 
-    Returns
-    -------
-    tuple of Decision
-        Every name and joint once.
+    Returns one decision for each parameter and joint: parameters of the whole arm first, then joint
+    by joint.
     """
     faulty = min((first_faulty(one, study) for one in suspected), default=_NONE)
     table: _Table = {}
@@ -124,26 +119,18 @@ def decide(
     order = {name: place for place, name in enumerate(names)}
 
     def place(row: Decision) -> tuple[int, int]:
-        """The arm's own first, then joint by joint."""
+        """Sort key: parameters of the whole arm first, then joint by joint."""
         return row.parameter.joint or 0, order.get(base_name(row.parameter.name), len(order))
 
     return tuple(sorted(rows, key=place))
 
 
 def first_faulty(suspicion: Suspicion, study: Study) -> int:
-    """The first stage that rests on what is suspected: 0 rigid, 1 decoupled, 2 tuned, 3 none.
+    """First stage that a suspected fault affects: 0 rigid, 1 decoupled, 2 tuned, 3 none.
 
-    The rigid step uses motor signals of `motion` records only, the decoupled step link signals too
-    and the fast records; a fault of motor signals or of no named place touches everything.
-
-    Parameters
-    ----------
-    suspicion : Suspicion
-    study : Study
-
-    Returns
-    -------
-    int
+    The rigid step uses only motor signals of `motion` records. The decoupled step also uses link
+    signals and the fast records. A fault of motor signals, or without a known channel, affects all
+    stages.
     """
     words = re.findall(r"[A-Za-z0-9_]+", suspicion.where)
     links = any(_LINK_SIDE.fullmatch(word) for word in words) or suspicion.code == "wrong-geometry"
@@ -160,7 +147,7 @@ def _key(parameter: Parameter) -> Key:
 
 
 def _impossible(parameters: Iterable[Parameter]) -> list[Parameter]:
-    """Values of the wrong sign beyond their uncertainty."""
+    """Parameters whose value is significantly negative although it cannot be."""
     return [
         p
         for p in parameters
@@ -171,15 +158,20 @@ def _impossible(parameters: Iterable[Parameter]) -> list[Parameter]:
 
 
 def _plausible(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bool) -> _Table:
-    """A stage's values; with an impossible one those of its joint, and the arm's, are rejected."""
-    wrong = _impossible(parameters)
-    if not wrong:
+    """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
+    impossible = _impossible(parameters)
+    if not impossible:
         return {_key(p): _Entry(p) for p in parameters}
-    first = wrong[0]
-    why = f"the {stage} fit gives {first.label} = {first.value:.3g} {first.unit}, which no arm has"
-    touched = {p.joint for p in wrong} | {None}
-    everything = spread_to_all or None in {p.joint for p in wrong}
-    return {_key(p): _Entry(p, why if everything or p.joint in touched else "") for p in parameters}
+    first = impossible[0]
+    reason = (
+        f"the {stage} fit gives {first.label} = {first.value:.3g} {first.unit}, which no arm has"
+    )
+    joints = {p.joint for p in impossible} | {None}
+    is_all_rejected = spread_to_all or None in {p.joint for p in impossible}
+    return {
+        _key(p): _Entry(p, reason if is_all_rejected or p.joint in joints else "")
+        for p in parameters
+    }
 
 
 def _all_rejected(entries: Iterable[_Entry], why: str) -> _Table:
@@ -187,26 +179,27 @@ def _all_rejected(entries: Iterable[_Entry], why: str) -> _Table:
 
 
 def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
-    """Whether a joint's decoupled fit decides nothing; its own parameters are then rejected."""
-    own = _plausible(joint.parameters, "decoupled", spread_to_all=True)
+    """Return whether the decoupled fit of a joint is rejected, and if so add it to the table."""
+    entries = _plausible(joint.parameters, "decoupled", spread_to_all=True)
     if faulty <= _DECOUPLED:
-        own = _all_rejected(own.values(), _FAULT)
+        entries = _all_rejected(entries.values(), _FAULT)
     elif joint.status == "implausible":
-        whys = {e.rejected for e in own.values()} - {""}
-        own = _all_rejected(own.values(), next(iter(whys), _WRONG_MODEL))
-    if not any(entry.rejected for entry in own.values()):
+        whys = {e.rejected for e in entries.values()} - {""}
+        entries = _all_rejected(entries.values(), next(iter(whys), _WRONG_MODEL))
+    if not any(entry.rejected for entry in entries.values()):
         return False
-    for key, entry in own.items():
+    for key, entry in entries.items():
         table.setdefault(key, entry)
     return True
 
 
 def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
-    """What the whole-arm fit says of all it estimates, values and refusals.
+    """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
-    Where the stages contradict each other in inertias or gravity torques, some joint's torque is
-    not what it is taken for, and all joints share the arm's inertias: nothing counts. Where only
-    frictions differ, another law of friction is the likeliest, which leaves the rest alone.
+    If the stages contradict each other in inertias or gravity torques, the torque of a joint is
+    wrong. All values are then rejected, because all joints share the inertias of the arm. If only
+    frictions differ, the probable cause is a different friction law. Only the frictions of that
+    joint are then rejected.
     """
     if faulty <= _TUNED:
         for p in tuned.parameters:
@@ -214,22 +207,24 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
         return
     bounded = set(tuned.at_bounds)
     for p in tuned.parameters:
-        at_end = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
-        table[_key(p)] = _Entry(p, at_end if _key(p) in bounded else "")
+        at_bound_reason = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
+        table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
     for key, why in _moved_by_effects(tuned).items():
         if key in table and not table[key].rejected:
             table[key] = replace(table[key], rejected=why)
-    far = contradictions(tuned.agreement)
-    rubbing = {test.joint for test in far if test.scope == "friction"}
-    torques = any(test.scope == "inertias" for test in far)
+    failed_tests = contradictions(tuned.agreement)
+    friction_joints = {test.joint for test in failed_tests if test.scope == "friction"}
+    is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
     for key, entry in table.items():
-        friction = "friction" in entry.parameter.name and entry.parameter.joint in rubbing
-        if (torques or friction) and not entry.rejected:
+        is_wrong_friction = (
+            "friction" in entry.parameter.name and entry.parameter.joint in friction_joints
+        )
+        if (is_torque_wrong or is_wrong_friction) and not entry.rejected:
             table[key] = replace(entry, rejected=_CONTRADICTED)
 
 
 def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
-    """Values that an effect which the residuals show would move by more than their errors."""
+    """Values that a likely effect would shift significantly, each with the reason for rejection."""
     moved: dict[Key, str] = {}
     for cause in tuned.criticism.causes if tuned.criticism else ():
         why = (
@@ -244,11 +239,11 @@ def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
 
 
 def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[JointModel]) -> None:
-    """Inertias of the links, and those that have motors' in them, follow from the joints' models.
+    """Compute base parameters and rigid inertias from the inertias of the joint models.
 
-    Of two links beta = m_L2, alpha = m_L1 - beta - 2 gamma and the rigid inertia, alpha +
-    m_M1 / n_1^2: (3) and (16). Errors of the stages are correlated in ways that nobody knows:
-    standard deviations are added, an upper bound.
+    For two links, beta = m_L2, alpha = m_L1 - beta - 2 gamma, and the rigid inertia is alpha +
+    m_M1 / n_1^2, see (3) and (16). The correlation between the errors of the stages is unknown.
+    Standard deviations are therefore added, which is an upper bound.
     """
     of_joints: dict[Key, Parameter] = {
         (p.name, one.joint): p for one in decided for p in one.parameters
@@ -258,26 +253,28 @@ def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[Joint
         known = ((w, of_joints.get(k) if k[1] else _published(table, k)) for k, w in row.items())
         return list(known)
 
-    follows: dict[Key, Row] = {}
+    derived_rows: dict[Key, Row] = {}
     for key, row in kind_of(arm).from_link_inertias:
-        found = _renamed(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
-        if found is not None and key not in row:
-            table[key], follows[key] = _Entry(found), row
+        parameter = _renamed(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
+        if parameter is not None and key not in row:
+            table[key], derived_rows[key] = _Entry(parameter), row
     for key, row in lumped_inertias(arm).items():
-        if follows.keys().isdisjoint(row):
+        if derived_rows.keys().isdisjoint(row):
             continue
-        spelt = {
-            k: w * v for part, w in row.items() for k, v in follows.get(part, {part: 1.0}).items()
+        expanded_row = {
+            k: w * v
+            for part, w in row.items()
+            for k, v in derived_rows.get(part, {part: 1.0}).items()
         }
-        total = _sum(*key, parts(spelt))
+        total = _sum(*key, parts(expanded_row))
         if total is not None:
             table[key] = _Entry(total)
 
 
 def _renamed(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
-    """A parameter under the name that it has of the arm."""
-    (_, own), *_ = parts
-    return None if own is None else replace(own, name=key[0], joint=key[1])
+    """Return a joint parameter under its name in the whole arm."""
+    (_, parameter), *_ = parts
+    return None if parameter is None else replace(parameter, name=key[0], joint=key[1])
 
 
 def _published(table: _Table, key: Key) -> Parameter | None:
@@ -288,7 +285,7 @@ def _published(table: _Table, key: Key) -> Parameter | None:
 def _sum(
     name: str, joint: int | None, parts: Sequence[tuple[float, Parameter | None]]
 ) -> Parameter | None:
-    """A weighted sum, its standard deviation the sum of theirs; None where one is not there."""
+    """Weighted sum with added standard deviations; None if a part is missing."""
     value = std = 0.0
     for weight, p in parts:
         if p is None or p.value is None or p.std is None:
@@ -300,19 +297,26 @@ def _sum(
 
 
 def _one_spring(table: _Table, study: Study, reached: bool) -> None:
-    """One equivalent stiffness does not stand beside the parameters of a curve that was fitted."""
+    """Remove the equivalent stiffness of joints whose stiffness curve was fitted."""
     for number, joint in enumerate(study.arm.joints, start=1):
-        own = joint.law.names
-        if reached and STIFFNESS not in own and any((name, number) in table for name in own):
+        law_names = joint.law.names
+        if (
+            reached
+            and STIFFNESS not in law_names
+            and any((name, number) in table for name in law_names)
+        ):
             table.pop((STIFFNESS, number), None)
 
 
 def _check_body(table: _Table) -> None:
-    """Reject gamma unless alpha beta > gamma^2: else some posture's inertia is not positive."""
-    body = [_published(table, (name, None)) for name in ("alpha", "beta", "gamma")]
-    if any(p is None or p.value is None for p in body):
+    """Reject gamma unless alpha beta > gamma^2.
+
+    Otherwise the inertia matrix is not positive definite in every posture.
+    """
+    parameters = [_published(table, (name, None)) for name in ("alpha", "beta", "gamma")]
+    if any(p is None or p.value is None for p in parameters):
         return
-    alpha, beta, gamma = (p.value for p in body if p is not None and p.value is not None)
+    alpha, beta, gamma = (p.value for p in parameters if p is not None and p.value is not None)
     if alpha > 0.0 and beta > 0.0 and gamma**2 >= alpha * beta:
         entry = table["gamma", None]
         table["gamma", None] = replace(
@@ -321,7 +325,7 @@ def _check_body(table: _Table) -> None:
 
 
 def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
-    """One row, with its value if that counts."""
+    """Decide one row: accept its value, set it to zero, or reject it."""
     p, why = entry.parameter, entry.rejected
     if p.value is not None and not why and not is_physical(p.name, p.value):
         nearest = _at_zero(p, study, levels)
@@ -330,7 +334,7 @@ def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> De
         why = f"{p.value:.3g} {p.unit} is no value that an arm has"
     if p.value is None or why:
         empty = replace(p, value=None, std=None, ci95=None)
-        # a refusal is no value that could be rejected
+        # without a value, there is nothing to reject
         return Decision(
             empty, identified=False, rejected=why if p.value is not None else "", raw=p.value
         )
@@ -338,9 +342,9 @@ def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> De
 
 
 def _at_zero(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Parameter | None:
-    """Zero, for a friction or damping that is zero within its uncertainty and nearly nothing."""
+    """Set an insignificant, negligible friction or damping to zero; None if not applicable."""
     if physical_range(p.name) != "non-negative" or p.name in _SPLIT:
-        return None  # the parts of a sum stay as they are, or are not there
+        return None  # parts of the total viscous friction are not changed
     if p.value is None or p.ci95 is None or p.ci95[1] < 0.0:
         return None
     if not _is_nothing(p, study, levels):
@@ -349,7 +353,7 @@ def _at_zero(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Para
 
 
 def half_width(p: Parameter) -> float | None:
-    """Half of the 95 % interval; None where there is none."""
+    """Half-width of the 95 % confidence interval; None without an interval."""
     return None if p.ci95 is None else 0.5 * (p.ci95[1] - p.ci95[0])
 
 
@@ -361,14 +365,14 @@ def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
 
 
 def _is_nothing(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:
-    """Whether the interval's half-width makes less than 2 % of every torque that it is in."""
+    """Whether the interval's half-width contributes less than 2 % to the torque of every joint."""
     half = half_width(p)
     shares = list(_torque_shares(p, study, levels))
     return half is not None and bool(shares) and max(shares) * half < _NOTHING
 
 
 def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Iterator[float]:
-    """Of each joint that a parameter acts on, its torque at the motor per unit, over the rms."""
+    """Motor torque per unit of a parameter, over the rms torque, for each joint it acts on."""
     gravity = re.fullmatch(r"gravity_torque_(\d+)", p.name)
     for number in [p.joint] if p.joint else sorted(levels):
         level = levels.get(number)
@@ -381,7 +385,7 @@ def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
             "motor_viscous_friction": level.velocity,
             "total_viscous_friction": level.velocity,
             "link_viscous_friction": n2 * level.velocity,
-            "gear_damping": n2 * level.velocity,  # as if the link stood still: no less
+            "gear_damping": n2 * level.velocity,  # upper bound: link at rest
             "gamma": 2.0 * n2 * level.acceleration,
         }.get(p.name)
         if gravity and number <= int(gravity[1]):

@@ -1,4 +1,4 @@
-"""The verdict on a run: what exit code, result.json, terminal and report all say."""
+"""Verdict on a run, shared by exit code, result.json, terminal output and report."""
 
 from __future__ import annotations
 
@@ -12,28 +12,29 @@ Status = Literal["determined", "partly-determined", "not-determined", "inconsist
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Validated:
-    """Whether check records exercised each model."""
+    """Whether validation records excite each model and the model predicts them."""
 
     rigid: bool
-    elastic: bool  # every joint with an elastic gear
+    elastic: bool  # for every joint with an elastic gear
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What a run answered, by docs/result.md.
+    """Verdict on a run, as defined in docs/result.md.
 
-    Parameters stand by name and joint: "gear_stiffness 1"; those of the arm without a number.
+    Parameters are listed by name and joint, as in "gear_stiffness 1". Parameters of the whole arm
+    have no number.
     """
 
     status: Status
     identified: tuple[str, ...]
-    not_identified: tuple[str, ...]  # null, or too uncertain to count
-    rejected: tuple[str, ...]  # null because a value was found that cannot be right
+    not_identified: tuple[str, ...]  # null, or with too wide an interval
+    rejected: tuple[str, ...]  # null because the estimate is invalid
     validated: Validated
     suspected: tuple[Suspicion, ...] = ()
-    reasons: tuple[str, ...] = ()  # why not "determined", the first the most important
+    reasons: tuple[str, ...] = ()  # why the status is not "determined", most important first
 
     @property
     def exit_code(self) -> int:
-        """0 for a determined arm, else 3."""
+        """0 if the status is "determined", otherwise 3."""
         return 0 if self.status == "determined" else 3
