@@ -1,4 +1,4 @@
-"""Log -> LinkSignals: what both sides of every gear do, through the same filters: (8)-(10)."""
+"""Log -> LinkSignals: motor-side and link-side motion through the same filters, (8)-(10)."""
 
 from __future__ import annotations
 
@@ -46,56 +46,46 @@ from strainwave.signals.fusion import bias_of, complement, fuse
 
 __all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"]
 
-_EDGE = 2.0  # periods of the slowest low-pass until its start is forgotten
-_SPREAD = 5e-4  # [s] of uncertainty above which a delay says nothing
+_EDGE = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
+_SPREAD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
-_UNSURE = 4.0  # deviations of a velocity up to which its sign is in doubt
-_BRIDGED = 0.005  # [s] that a straight line may stand in for a channel in linear models
-_BRIDGED_SAMPLES = 3  # and at least so many
-_PASSES = 4  # over late sensors: a delay is linear in the relations only where it is short
+_UNSURE = 4.0  # standard deviations of a velocity below which its sign is uncertain
+_BRIDGED = 0.005  # [s] maximum duration of an interpolated stretch that linear models use
+_BRIDGED_SAMPLES = 3  # samples of an interpolated stretch that linear models always use
+# Maximum number of iterations of the delay estimate: the regression is linear only in short delays.
+_PASSES = 4
 
 
 def both_sides(
     logs: Sequence[Log], arm: Arm, options: LinkOptions | None = None
 ) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
-    """Both sides of every gear in several records, late link sensors moved back.
+    """Motor-side and link-side motion of several records, corrected for the delays of link sensors.
 
-    A delay is a sensor's, alike in all records. It is estimated from all of them, see
-    `strainwave.signals.alignment`, and taken off where it is beyond four standard deviations and no
-    longer than a sensor's can be.
+    A delay belongs to a sensor and is the same in all records. It is estimated from all of them,
+    see `strainwave.signals.alignment`. The channel is shifted by the delay if it exceeds four
+    standard deviations and if no delay exceeds `LONGEST_DELAY`.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-    options : LinkOptions, optional
-
-    Returns
-    -------
-    list of LinkSignals
-    tuple of Delay
-        One per joint, as taken off; of the value zero where nothing was.
-
-    Raises
-    ------
-    InvalidInput
-        As `link_side`.
+    Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
+    InvalidInput as `link_side`.
     """
     total = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_PASSES):
         delays = tuple(late.value for late in total)
-        found = side_by_side([partial(link_side, log, arm, options, delays) for log in logs])
-        left = late_sensors(found, arm.n_joints)
-        total = tuple(Delay(a.value + b.value, b.std) for a, b in zip(total, left, strict=True))
-        if not any(late.value for late in left) or _beyond(total):
+        records = side_by_side([partial(link_side, log, arm, options, delays) for log in logs])
+        remaining = late_sensors(records, arm.n_joints)
+        total = tuple(
+            Delay(removed.value + remainder.value, remainder.std)
+            for removed, remainder in zip(total, remaining, strict=True)
+        )
+        if not any(late.value for late in remaining) or _beyond(total):
             break
     if _beyond(total):
         return [link_side(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
-    return [replace(own, removed_delay=total) for own in found], total
+    return [replace(record, removed_delay=total) for record in records], total
 
 
 def _beyond(delays: Sequence[Delay]) -> bool:
-    """Whether a delay is longer than a link sensor's is: then it is not corrected but reported."""
+    """Whether any delay exceeds `LONGEST_DELAY`. Such a delay is reported but not corrected."""
     return any(abs(delay.value) > LONGEST_DELAY for delay in delays)
 
 
@@ -105,35 +95,22 @@ def link_side(
     options: LinkOptions | None = None,
     delays: Sequence[float] | None = None,
 ) -> LinkSignals:
-    """Link angles, velocities and accelerations of one record, with the motors' beside them.
+    """Compute link and motor angles, velocities and accelerations of one record.
 
-    A tangential accelerometer anywhere on the link gives (8), (9), with gravity's share g taken off
-    because it reads specific force:
+    A tangential accelerometer at any position on the link gives (8), (9). The gravity component is
+    subtracted because the sensor measures specific force:
 
         ddtheta_L1 = (a1 - g cos q1) / l_a1
         ddtheta_L2 = (a2 - g cos(q1 + q2)) / l_a2 - ddtheta_L1
                      - (l_1 / l_a2) (ddtheta_L1 cos q2 + dtheta_L1^2 sin q2)
 
-    Its bias is what its low frequencies differ by from the encoder's. Without one, a link encoder,
-    the deflection, a gyro or, at last, the motor alone gives the acceleration. Low-pass filters
-    that one sensor has are applied to all other signals.
+    Its bias is the low-frequency difference from the acceleration of the encoder. Without an
+    accelerometer, the acceleration is from a link encoder, the deflection, a gyro or the motor, in
+    this order. The low-pass filter of each sensor is applied to all other signals.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    options : LinkOptions, optional
-    delays : sequence of float [s], optional
-        One per joint, by which its link sensor is known to be late: its channel is moved back.
-
-    Returns
-    -------
-    LinkSignals
-
-    Raises
-    ------
-    InvalidInput
-        A channel or the accelerometer's place is missing, or the record is too short.
+    `delays` [s], one per joint, are known delays of the link sensors; their channels are shifted
+    back. Raises InvalidInput if a channel or the position of an accelerometer is missing, or if the
+    record is too short.
     """
     chosen = options or LinkOptions()
     view = _View(_moved_back(log, arm, delays or ()), arm, chosen)
@@ -142,7 +119,7 @@ def link_side(
     links = _links(view, motor_velocity)
     sliding, direction = view.directions()
     valid, warnings = _valid(view)
-    found = LinkSignals(
+    signals = LinkSignals(
         experiment=log.experiment,
         time=log.time,
         sample_time=log.sample_time,
@@ -165,11 +142,11 @@ def link_side(
         sensor_delay=(None,) * arm.n_joints,
         drive_delay=(None,) * arm.n_joints,
     )
-    return _aligned(found, arm, view, warnings, alone=delays is None)
+    return _aligned(signals, arm, view, warnings, alone=delays is None)
 
 
 def _moved_back(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
-    """The log with the channels that the links' motion comes from so much earlier."""
+    """Log whose link sensor channels are advanced by their delays [s]."""
     channels = dict(log.channels)
     for i, delay in enumerate(delays, start=1):
         name = _CHANNEL.get(_source(log, arm, i))
@@ -179,7 +156,7 @@ def _moved_back(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
 
 
 class _View:
-    """A log seen through the filters that all its channels are to share."""
+    """Channels of a log through the filters that all channels share."""
 
     def __init__(self, log: Log, arm: Arm, options: LinkOptions) -> None:
         self.log, self.arm, self.options = log, arm, options
@@ -188,7 +165,7 @@ class _View:
         self.channels = tuple(torque_channel(log, i) for i in numbers)
         self.sources = tuple(_source(log, arm, i) for i in numbers)
         self.shared = _shared(arm.joints, self.sources)
-        # a joint that hardly moves has no band of its own
+        # The largest band of all joints: a joint with little motion does not determine a band.
         self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
         differenced = any(s != "accelerometer" for s in self.sources)
         self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
@@ -209,26 +186,26 @@ class _View:
     def through(
         self, signal: FloatArray, own: Sequence[Lag] = (), between: Between = "smooth"
     ) -> FloatArray:
-        """A channel behind the shared low-passes that its own sensor has not applied yet."""
+        """Apply the shared low-pass filters, except those of the sensor itself (`own`)."""
         rest = list(self.shared)
         for lag in own:
             rest.remove(lag)
         return self.smooth(unaliased(signal, rest, self.log.sample_time, between))
 
     def smooth(self, signal: FloatArray) -> FloatArray:
-        """A signal through the zero-phase filter, where there is one."""
+        """Apply the zero-phase low-pass filter, if there is one."""
         if self.bandwidth_hz is None:
             return signal
         return low_pass(signal, self.bandwidth_hz, self.log.sample_time)
 
     def held(self, i: int) -> bool:
-        """Whether a torque is constant between the samples."""
+        """Whether the torque of joint i (from 0) is constant between samples."""
         loop = self.arm.joints[i].current_loop_hz
         voltage = self.channels[i].startswith("u")
         return voltage and loop is None and not self.shared and self.bandwidth_hz is None
 
     def torque(self, i: int) -> FloatArray:
-        """A motor's torque: voltages are held by the drive and pass its current loop."""
+        """Motor torque of joint i (from 0); a voltage passes the hold and the current loop."""
         joint, channel = self.arm.joints[i], self.channels[i]
         values = self.log.channels[channel]
         if channel.startswith("torque"):
@@ -247,22 +224,26 @@ class _View:
         return self.smooth(torque)
 
     def _velocity_noise(self, noise: FloatArray) -> FloatArray:
-        """Standard deviation of what the low-passed velocities are wrong by.
+        """Standard deviation of the noise of the low-pass filtered velocities.
 
-        White noise of the deviation s on an angle, up to the frequency f of samples at T:
-        s 2 pi f sqrt(2 f T / 3). A count of an encoder is 1/sqrt(12) of noise at least.
+        White noise with standard deviation s of an angle, sampled with period T and filtered at f,
+        gives s 2 pi f sqrt(2 f T / 3). The standard deviation of an encoder angle is at least
+        1/sqrt(12) counts.
         """
         counts = [
             2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.arm.joints
         ]
-        least = np.array(counts) / np.sqrt(12.0)
+        quantization_noise = np.array(counts) / np.sqrt(12.0)
         f, T = self.band, self.log.sample_time
-        return np.asarray(np.maximum(noise, least) * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0))
+        return np.asarray(
+            np.maximum(noise, quantization_noise) * 2.0 * np.pi * f * np.sqrt(2.0 * f * T / 3.0)
+        )
 
     def directions(self) -> tuple[FloatArray, FloatArray]:
-        """Where each motor surely slides and which way; and its direction as the signals show it.
+        """Certain sliding direction of each motor, and the filtered direction used as a signal.
 
-        Where it may stand, the latter is the velocity over four times its noise.
+        At samples without a certain direction, the latter is the velocity over four standard
+        deviations of its noise.
         """
         T = self.log.sample_time
         noise = np.array([noise_deviation(angle) for angle in self.raw_angle.T])
@@ -277,7 +258,7 @@ class _View:
 
 
 def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
-    """The best of what the log has of a link."""
+    """Select the best available sensor of a link (joints count from 1)."""
     if f"a{joint}" in log.channels:
         drive = arm.joints[joint - 1]
         if drive.motion == "revolute" and drive.accelerometer_distance is None:
@@ -295,7 +276,7 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
 
 
 def _own(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
-    """The low-pass of a joint's link sensor."""
+    """Low-pass filter of the link sensor of a joint."""
     if source == "accelerometer" and joint.accelerometer_hz:
         return (Lag(2, joint.accelerometer_hz),)
     if source == "gyro" and joint.gyro_hz:
@@ -304,14 +285,14 @@ def _own(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
 
 
 def _shared(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
-    """Every low-pass that some sensor has, once."""
+    """Low-pass filters of all sensors, without duplicates."""
     owned = [lag for j, s in zip(joints, sources, strict=True) for lag in _own(j, s)]
     return tuple(dict.fromkeys(owned))
 
 
 @dataclass
 class _Links:
-    """The links' motion as it is put together, from the base outward."""
+    """Motion of the links, computed from the base outward."""
 
     angle: FloatArray
     velocity: FloatArray
@@ -322,10 +303,11 @@ class _Links:
 
 
 def _links(view: _View, motor_velocity: FloatArray) -> _Links:
+    """Compute the motion of the links in order, from the base outward."""
     n = view.arm.gear_ratios
     T = view.log.sample_time
     motor_side = n * motor_velocity
-    # the motors' side stands in for joints further out until their turn comes
+    # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
     links = _Links(n * view.motor_angle, motor_side.copy(), np.zeros_like(motor_side), [], [], [])
     links.acceleration[:] = differentiate(motor_side, T)
     for i, source in enumerate(view.sources):
@@ -349,18 +331,20 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
         links.velocity[:, i] = fuse(acceleration, slow, fusion, T)
         links.angle[:, i] = fuse(links.velocity[:, i], angle, Fusion(fusion.time_constant, 1), T)
         links.acceleration[:, i] = acceleration
-        own_rate = f"theta_l{i + 1}" in view.log.channels
-        own_rate = own_rate or f"deflection{i + 1}" in view.log.channels
-        lost = complement(slow - links.velocity[:, i], fusion, T)[view.edge : -view.edge]
+        has_link_angle = f"theta_l{i + 1}" in view.log.channels
+        has_link_angle = has_link_angle or f"deflection{i + 1}" in view.log.channels
+        fusion_error = complement(slow - links.velocity[:, i], fusion, T)[view.edge : -view.edge]
         links.bias.append(bias)
-        # a link sensor's own velocity makes (10) exact
-        links.fusion.append(None if own_rate else fusion)
-        links.fusion_error.append(0.0 if own_rate else float(np.sqrt(np.mean(lost**2))))
+        # With a measured link angle, (10) has no fusion error.
+        links.fusion.append(None if has_link_angle else fusion)
+        links.fusion_error.append(
+            0.0 if has_link_angle else float(np.sqrt(np.mean(fusion_error**2)))
+        )
     return links
 
 
 def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A link's angle and velocity as some encoder gives them."""
+    """Link angle and velocity at low frequencies, from the link encoder, deflection or motor."""
     channels = view.log.channels
     if f"theta_l{i + 1}" in channels:
         motor_side = view.through(channels[f"theta_l{i + 1}"])
@@ -370,30 +354,30 @@ def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, Floa
 
 
 def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArray:
-    """(8), (9), for an accelerometer anywhere on its link, with gravity."""
+    """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
     joint = arm.joints[i]
     if joint.motion == "prismatic":
         return read
     q, dq, ddq = links.angle, links.velocity, links.acceleration
     gravity = arm.gravity or 0.0
     distance = joint.accelerometer_distance or 1.0
-    own = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
+    absolute = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
     if i == 0:
-        return np.asarray(own)
-    elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-    return np.asarray(own - ddq[:, 0] - (arm.link_length or 0.0) / distance * elbow)
+        return np.asarray(absolute)
+    base_motion = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
+    return np.asarray(absolute - ddq[:, 0] - (arm.link_length or 0.0) / distance * base_motion)
 
 
 def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
-    """Samples that edges and limits of the drive do not touch, and what to say of the sensors."""
-    saturated, found = saturation(view.log, view.arm, view.channels)
-    used = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
+    """Samples outside record edges, saturation and interpolation, and warnings about sensors."""
+    saturated, saturation_warnings = saturation(view.log, view.arm, view.channels)
+    link_channels = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
     motors = [f"theta_m{i}" for i in range(1, view.arm.n_joints + 1)]
-    longer = max(_BRIDGED_SAMPLES, round(_BRIDGED / view.log.sample_time))
-    bridged = unmeasured(view.log, (*view.channels, *motors, *used), longer)
-    valid = ~(saturated | bridged[:, None])
+    max_samples = max(_BRIDGED_SAMPLES, round(_BRIDGED / view.log.sample_time))
+    interpolated = unmeasured(view.log, (*view.channels, *motors, *link_channels), max_samples)
+    valid = ~(saturated | interpolated[:, None])
     valid[: view.edge] = valid[-view.edge :] = False
-    warnings = list(found)
+    warnings = list(saturation_warnings)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
             text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"
@@ -410,20 +394,22 @@ def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
 def _aligned(
     found: LinkSignals, arm: Arm, view: _View, warnings: list[Diagnostic], *, alone: bool
 ) -> LinkSignals:
-    """With the delays that are left between the channels; a link sensor's is judged by all records.
+    """Signals with the remaining channel delays and their warnings.
 
-    A record alone has to do with its own.
+    For a single record (`alone`) this includes the delays of link sensors; otherwise they are
+    estimated from all records.
     """
-    numbers, name = range(arm.n_joints), found.experiment.name
-    sensor = tuple(_worth(sensor_delay(found, arm, i)) for i in numbers)
-    drive = tuple(_worth(drive_delay(found, arm, i, view.band)) for i in numbers)
-    for i in numbers:
+    joints, name = range(arm.n_joints), found.experiment.name
+    sensor = tuple(_worth(sensor_delay(found, arm, i)) for i in joints)
+    drive = tuple(_worth(drive_delay(found, arm, i, view.band)) for i in joints)
+    for i in joints:
         if alone:
             warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))
-        what = f"motor {i + 1}'s response to the channel {view.channels[i]}"
-        warnings.extend(misaligned(drive[i], what, name))
+        description = f"motor {i + 1}'s response to the channel {view.channels[i]}"
+        warnings.extend(misaligned(drive[i], description, name))
     return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 
 def _worth(delay: Delay | None) -> Delay | None:
+    """The delay, or None if its standard deviation exceeds `_SPREAD`."""
     return delay if delay is not None and delay.std < _SPREAD else None

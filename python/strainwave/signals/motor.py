@@ -1,4 +1,4 @@
-"""Log -> motor-side Signals: torque, angle and its derivatives through one zero-phase filter."""
+"""Log -> Signals: motor torque, angle and its derivatives through one zero-phase filter."""
 
 from __future__ import annotations
 
@@ -27,31 +27,19 @@ from strainwave.signals.channels import (
 
 @dataclass(frozen=True, slots=True)
 class SignalOptions:
-    """What may be set by hand."""
+    """Options of the motor-side signals."""
 
-    bandwidth_hz: float | None = None  # of the filter; None: as far as the encoder's noise allows
+    bandwidth_hz: float | None = None  # of the filter; None: determined from the encoder noise
 
 
 def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
-    """Motor torque, angle, velocity and acceleration of one record.
+    """Compute motor torque, angle, velocity and acceleration of one record.
 
-    The bandwidth is that of the joint whose angle drowns first in its own noise; it is wider than
-    a rigid model holds, and `rigid.fit` narrows it.
+    The default bandwidth is the smallest signal band of all joints, above which encoder noise
+    dominates. It exceeds the range of a rigid model, and `rigid.fit` reduces it.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    options : SignalOptions, optional
-
-    Returns
-    -------
-    Signals
-
-    Raises
-    ------
-    InvalidInput
-        A motor angle or torque is missing, or the record is shorter than its filter.
+    Raises InvalidInput if a motor angle or torque is missing, or if the record is too short for the
+    filter.
     """
     chosen = options or SignalOptions()
     T = log.sample_time
@@ -69,20 +57,20 @@ def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Sign
             where=log.name,
             remedy="record for longer",
         )
-    smooth = low_pass(angle, bandwidth, T)
-    velocity = differentiate(smooth, T)
+    smooth_angle = low_pass(angle, bandwidth, T)
+    velocity = differentiate(smooth_angle, T)
     noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
     saturated, warnings = saturation(log, arm, sources)
-    moving = unmeasured(log, (f"theta_m{i}" for i in numbers))
-    driven = np.column_stack([unmeasured(log, (source,)) for source in sources])
-    valid = ~(saturated | driven | moving[:, None])
+    angle_invalid = unmeasured(log, (f"theta_m{i}" for i in numbers))
+    torque_invalid = np.column_stack([unmeasured(log, (source,)) for source in sources])
+    valid = ~(saturated | torque_invalid | angle_invalid[:, None])
     valid[:edge] = valid[-edge:] = False
     return Signals(
         experiment=log.experiment,
         time=log.time,
         sample_time=T,
         motor_torque=low_pass(torque, bandwidth, T),
-        motor_angle=smooth,
+        motor_angle=smooth_angle,
         motor_velocity=velocity,
         motor_acceleration=differentiate(velocity, T),
         direction=directions(angle, noise, arm, T),
@@ -96,43 +84,31 @@ def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Sign
 
 
 def drive_torque(voltage: FloatArray, joint: Joint, sample_time: float) -> FloatArray:
-    """Motor torque at the stamps from the voltages that the drive was given.
+    """Motor torque [N m] at the time stamps, (n_samples,), from the voltage commands [V].
 
-    Each voltage is held until the next stamp, so the mean over one sample about a stamp is that of
-    the voltages before and after it: half a sample late. The current loop is a first-order lag,
+    The drive holds each voltage until the next time stamp. The mean over one sampling period
+    centred on a time stamp is the mean of the voltages before and after it, which is a delay of
+    half a sample. The current loop is a first-order lag,
 
         tau_c dx/dt = e u - x,    tau_c = 1 / (2 pi current_loop_hz),
 
-    solved exactly for an input that runs straight between the stamps.
-
-    Parameters
-    ----------
-    voltage : (n_samples,) [V]
-    joint : Joint
-        With `torque_per_volt` e [N m/V] and, optionally, `current_loop_hz`.
-    sample_time : float [s]
-
-    Returns
-    -------
-    (n_samples,) [N m]
-
-    Raises
-    ------
-    InvalidInput
-        The joint has no `torque_per_volt`.
+    solved exactly for an input that is linear between time stamps. e is `torque_per_volt` [N m/V];
+    without `current_loop_hz` the lag is omitted. Raises InvalidInput if the joint has no
+    `torque_per_volt`.
     """
     if joint.torque_per_volt is None:
         raise InvalidInput(
             "a voltage is logged but torque_per_volt is not given",
             remedy="add torque_per_volt to the joint, or log the torque",
         )
-    wanted = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
+    commanded = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
     if joint.current_loop_hz is None:
-        return np.asarray(wanted)
-    return lagged(wanted, [Lag(1, joint.current_loop_hz)], sample_time)
+        return np.asarray(commanded)
+    return lagged(commanded, [Lag(1, joint.current_loop_hz)], sample_time)
 
 
 def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:
+    """Motor torque from a torque channel, or from a voltage channel through the drive."""
     if channel.startswith("torque"):
         return log.channels[channel]
     return drive_torque(log.channels[channel], joint, log.sample_time)

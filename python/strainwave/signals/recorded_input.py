@@ -1,4 +1,4 @@
-"""Log -> Drive: what an experiment applied, so that a model can go through it again."""
+"""Log -> Drive: the recorded input of an experiment, for its simulation."""
 
 from __future__ import annotations
 
@@ -14,109 +14,70 @@ from strainwave.errors import InvalidInput
 
 
 def recorded_drive(arm: Arm, log: Log) -> Drive:
-    """The log's own references and open-loop voltages; a servoed joint's PRBS from its numbers.
+    """Drive from logged references and open-loop voltages, and the PRBS of a servoed joint.
 
-    The arm starts at standstill where the log does, under the voltages of its first sample. A
-    reference that was not logged is zero.
-
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Returns
-    -------
-    Drive
-        One tick a sample.
+    The simulation starts at rest at the first sample, under the voltages of that sample. References
+    that are not logged are zero. The tick is one sampling period.
     """
     experiment = log.experiment
     voltage = np.zeros((len(log), arm.n_joints))
     reference = np.zeros_like(voltage)
-    applied = driving_voltages(arm, log)
+    recorded_voltage = driving_voltages(arm, log)
     for i in range(arm.n_joints):
         if experiment.control[i] == "open":
-            voltage[:, i] = applied[:, i]
+            voltage[:, i] = recorded_voltage[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
     numbers = range(1, arm.n_joints + 1)
-    before = applied[0] - voltage[0]
+    servo_voltage = recorded_voltage[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
         voltage=voltage,
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
         motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
-        initial_voltage=tuple(float(v) for v in before),
+        initial_voltage=tuple(float(v) for v in servo_voltage),
     )
 
 
 def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
-    """An arm under the recorded voltages, held from sample to sample, in place of any servo.
+    """Arm without encoder quantization and servo, driven by the recorded voltages.
 
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Returns
-    -------
-    arm : Arm
-        Its encoders without counts.
-    drive : Drive
+    The voltages are held between samples.
     """
     joints = tuple(replace(joint, encoder_counts=None) for joint in arm.joints)
     voltage, recorded = driving_voltages(arm, log), recorded_drive(arm, log)
-    before = list(recorded.initial_voltage)
+    initial_voltage = list(recorded.initial_voltage)
     for i, joint in enumerate(arm.joints):
-        if input_channel(log, i + 1) == f"torque{i + 1}":  # which the current loop begins with
+        if input_channel(log, i + 1) == f"torque{i + 1}":  # the initial current-loop state
             torque = float(log.channels[f"torque{i + 1}"][0])
-            before[i] = torque / (joint.torque_per_volt or 1.0)
-    free = (False,) * arm.n_joints
-    drive = replace(recorded, voltage=voltage, servo=free, initial_voltage=tuple(before))
+            initial_voltage[i] = torque / (joint.torque_per_volt or 1.0)
+    open_loop = (False,) * arm.n_joints
+    drive = replace(
+        recorded, voltage=voltage, servo=open_loop, initial_voltage=tuple(initial_voltage)
+    )
     return arm.with_joints(joints), drive
 
 
 def missing_recorded_input(arm: Arm, log: Log) -> str | None:
-    """What a log lacks to be gone through again, if anything.
-
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Returns
-    -------
-    str or None
-        A clause that says what is missing.
-    """
+    """Describe what a log lacks for a simulation with its servo; None if complete."""
     experiment = log.experiment
     if arm.servo is None and "servo" in experiment.control:
         return "the study describes no servo"
-    silent = missing_motor_signal(arm, log)
-    if silent:
-        return silent
+    missing_signal = missing_motor_signal(arm, log)
+    if missing_signal:
+        return missing_signal
     for i, control in enumerate(experiment.control, start=1):
-        moved = experiment.joint in (None, i) and experiment.prbs is None
-        if control == "servo" and moved and f"ref{i}" not in log.channels:
+        follows_reference = experiment.joint in (None, i) and experiment.prbs is None
+        if control == "servo" and follows_reference and f"ref{i}" not in log.channels:
             return f"the servo's reference ref{i} is not there"
     return None
 
 
 def missing_motor_signal(arm: Arm, log: Log) -> str | None:
-    """Which motor's angle or input a log lacks, if any.
-
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Returns
-    -------
-    str or None
-        A clause that says what is missing.
-    """
+    """Describe the first motor angle or motor input that a log lacks; None if complete."""
     for i in range(1, arm.n_joints + 1):
         if input_channel(log, i) is None:
             return f"neither torque{i} nor u{i} is there"
@@ -126,18 +87,7 @@ def missing_motor_signal(arm: Arm, log: Log) -> str | None:
 
 
 def check_recorded_input(arm: Arm, log: Log) -> None:
-    """Refuse a log that cannot be gone through again.
-
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Raises
-    ------
-    InvalidInput
-        A channel or the servo is missing.
-    """
+    """Raise InvalidInput if a channel or the servo for a simulation of this log is missing."""
     missing = missing_recorded_input(arm, log)
     if missing:
         raise InvalidInput(
@@ -148,17 +98,9 @@ def check_recorded_input(arm: Arm, log: Log) -> None:
 
 
 def check_servo_clock(arm: Arm, log: Log) -> None:
-    """Refuse a log that its servo cannot be simulated for: its stamps share no step with the servo.
+    """Check that the sampling period and the servo period have a common time step.
 
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-
-    Raises
-    ------
-    InvalidInput
-        The stamps are off, or the servo's period.
+    Raises InvalidInput otherwise, because the servo cannot be simulated for this log.
     """
     if arm.servo is None or missing_recorded_input(arm, log):
         return
@@ -177,37 +119,20 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
 
 
 def input_channel(log: Log, joint: int) -> str | None:
-    """The channel that drives a joint: its voltage, or its torque where no voltage was logged.
+    """Name of the input channel of a joint (from 1): its voltage, otherwise its torque.
 
-    Parameters
-    ----------
-    log : Log
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    str or None
+    Returns None if the log has neither.
     """
     return next((name for name in (f"u{joint}", f"torque{joint}") if name in log.channels), None)
 
 
 def driving_voltages(arm: Arm, log: Log) -> FloatArray:
-    """The voltages that drove the joints; of a logged torque the one that commands it.
+    """Voltages that drove the joints, (n_samples, n_joints) [V].
 
-    A logged torque is what the motor has at the stamps. Where the current loop is known, with a =
-    exp(-2 pi f T), u_k = (tau_(k+1) - a tau_k) / (1 - a) makes it that again; without, what is held
-    from stamp to stamp is the mean of both.
-
-    Parameters
-    ----------
-    arm : Arm
-    log : Log
-        With an input of every joint.
-
-    Returns
-    -------
-    (n_samples, n_joints) [V], or [N m] where the study has no torque per volt
+    A logged torque is the motor torque at the time stamps and is converted to the voltage command
+    that produces it. With a current loop of bandwidth f, and a = exp(-2 pi f T), u_k = (tau_(k+1) -
+    a tau_k) / (1 - a) in torque units. Without one, the held value is the mean of both torques. The
+    unit is N m if the joint has no torque per volt. The log must have an input of every joint.
     """
     columns = []
     for i, joint in enumerate(arm.joints, start=1):
@@ -221,16 +146,17 @@ def driving_voltages(arm: Arm, log: Log) -> FloatArray:
 
 
 def _commanded(torque: FloatArray, loop_hz: float | None, sample_time: float) -> FloatArray:
-    """What, held from sample to sample, makes a torque that the motor has at the samples."""
+    """Held command between samples that produces the motor torque at the samples."""
     following = np.append(torque[1:], torque[-1])
     if loop_hz is None:
         return np.asarray(0.5 * (torque + following))
-    left = np.exp(-2.0 * np.pi * loop_hz * sample_time)
-    return np.asarray((following - left * torque) / (1.0 - left))
+    decay = np.exp(-2.0 * np.pi * loop_hz * sample_time)
+    return np.asarray((following - decay * torque) / (1.0 - decay))
 
 
 def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
+    """PRBS voltage at each sample, held over its clock."""
     sequence = excitation.prbs(prbs)
-    at = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
-    held: FloatArray = sequence[at % len(sequence)]
+    clock_index = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)
+    held: FloatArray = sequence[clock_index % len(sequence)]
     return held
