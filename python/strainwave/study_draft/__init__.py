@@ -1,8 +1,9 @@
-"""Logs -> a study file to complete: `strainwave init`.
+"""Draft a study file from logs: `strainwave init`.
 
-`inspection` reads what can be read; `names`, `signal_features` and `units` say what a column is,
-`joints` whose it is; `joint_columns` and `axes` join what they say of one joint, `channels` of the
-arm; `experiment_type` proposes what each record is for, and `written` writes it down with reasons.
+`inspection` reads the logs. `names`, `signal_features` and `units` classify a column, and `joints`
+assigns it to a joint. `joint_columns`, `axes` and `channels` map columns to channels,
+`experiment_type` proposes the use of each record, and `written` writes the study file with a reason
+for each guess.
 """
 
 from __future__ import annotations
@@ -24,36 +25,23 @@ __all__ = ["Started", "start_study"]
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """What was written."""
+    """Summary of a drafted study file."""
 
     path: Path
     joints: int
     channels: tuple[str, ...]
     experiments: int
-    todos: int  # values to be filled in
-    limit: str  # what of the logs is beyond the arms that can be identified; empty: nothing
+    todos: int  # number of values that the user must fill in
+    limit: str  # why the arm exceeds the supported models; empty if it does not
     warnings: tuple[str, ...]
 
 
 def start_study(logs: Sequence[Path], out: Path) -> Started:
-    """Look at logs and write a study file with guesses, their reasons, and what is to be filled in.
+    """Write a draft study file from logs of one arm.
 
-    Parameters
-    ----------
-    logs : sequence of Path
-        Of one rig.
-    out : Path
-        Never overwritten.
-
-    Returns
-    -------
-    Started
-
-    Raises
-    ------
-    InvalidInput
-        A log cannot be read or has no time, the logs name their columns differently, or `out` is
-        there already.
+    Each guess has a comment with its reason; values that cannot be guessed are TODO. Raises
+    InvalidInput if a log cannot be read or has no time column, if the logs name their columns
+    differently, or if `out` exists.
     """
     if out.exists():
         raise InvalidInput(
@@ -89,7 +77,7 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
 def _warnings(
     records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed]
 ) -> Iterator[str]:
-    """What a person should know before the study is filled in."""
+    """Yield the warnings that the user needs before completing the study."""
     for record in records:
         for fault in record.faults:
             yield f"{record.path.name}: {fault}"
@@ -102,19 +90,19 @@ def _warnings(
 
 
 def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -> None:
-    """One [channels] serves all logs of a study; angles and inputs must be in every one."""
-    needed = [
+    """Check that every log has the time, motor angle and input columns of [channels]."""
+    required_columns = [
         guess.column
         for guess in mapping.guesses.values()
         if guess.channel.startswith(("theta_m", "u", "torque"))
     ]
     for record in records:
-        lacking = [column for column in needed if column not in record.columns]
+        missing_columns = [column for column in required_columns if column not in record.columns]
         if record.time_column != fullest.time_column:
-            lacking.append(str(fullest.time_column))
-        if lacking:
+            missing_columns.append(str(fullest.time_column))
+        if missing_columns:
             raise InvalidInput(
-                f"has no {', '.join(lacking)}, as {fullest.path.name} has",
+                f"has no {', '.join(missing_columns)}, as {fullest.path.name} has",
                 where=str(record.path),
                 remedy="run init for each kind of log, or rename the columns",
             )

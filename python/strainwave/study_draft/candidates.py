@@ -1,4 +1,4 @@
-"""What is guessed of a rig: channels, and facts of its joints, each with its reason."""
+"""Guessed channels and joint properties, each with its reason."""
 
 from __future__ import annotations
 
@@ -8,39 +8,39 @@ from typing import Literal
 Sure = Literal["sure", "likely", "unsure"]
 
 AGREES = 0.9
-"""Correlation from which two columns belong together."""
+"""Minimum correlation at which two columns count as related."""
 
 
 @dataclass(frozen=True, slots=True)
 class Guess:
-    """What feeds one channel."""
+    """Guessed source column of one channel."""
 
     channel: str
     column: str
     why: str
     sure: Sure
-    scale: float | None = 1.0  # None: to be filled in
-    todo: str = ""  # what is to be filled in
+    scale: float | None = 1.0  # factor to SI units; None: the user must fill it in
+    todo: str = ""  # description of the value that the user must fill in
 
 
 @dataclass(slots=True)
 class JointFacts:
-    """What the columns say of one joint."""
+    """Properties of one joint derived from the columns."""
 
     prismatic: bool = False
-    gear_ratio: tuple[float, str] | None = None  # and why
-    encoder_counts: tuple[int | None, str] | None = None  # None: steps of no usual size
-    voltage: bool = False  # the drive's input is a voltage
+    gear_ratio: tuple[float, str] | None = None  # with its reason
+    encoder_counts: tuple[int | None, str] | None = None  # None: the step matches no common encoder
+    voltage: bool = False  # whether the drive's input is a voltage
     link_sensors: set[str] = field(default_factory=set)
 
 
 @dataclass(slots=True)
 class Mapping:
-    """All channels, and the columns that are none."""
+    """Channels of a study, and the columns without a channel."""
 
     guesses: dict[str, Guess] = field(default_factory=dict)
     joints: list[JointFacts] = field(default_factory=list)
-    unused: dict[str, str] = field(default_factory=dict)  # column -> why
-    missing: dict[str, str] = field(default_factory=dict)  # channel -> what it is
-    limit: str = ""  # what of the logs is beyond the arms that can be identified
+    unused: dict[str, str] = field(default_factory=dict)  # column -> reason
+    missing: dict[str, str] = field(default_factory=dict)  # channel -> description
+    limit: str = ""  # why the arm exceeds the supported models
     notes: tuple[str, ...] = ()

@@ -1,4 +1,4 @@
-"""Columns -> channels: which column feeds each, in which unit, why, and how sure that is."""
+"""Map columns to channels, with unit, reason and certainty."""
 
 from __future__ import annotations
 
@@ -17,27 +17,17 @@ _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")
 
 
 def map_channels(record: Record) -> Mapping:
-    """Guess every channel of the arm that a record is of.
-
-    Parameters
-    ----------
-    record : Record
-        With the most columns.
-
-    Returns
-    -------
-    Mapping
-    """
+    """Guess the channels of the arm from the record with the most columns."""
     return _mapped(record, record)
 
 
 def _mapped(record: Record, fullest: Record) -> Mapping:
     named, limit, notes = named_columns(record, fullest)
-    count = max((each.number or 1 for each in named.values()), default=1)
+    n_joints = max((each.number or 1 for each in named.values()), default=1)
     mapping = Mapping(limit=limit, notes=notes)
-    for joint in range(1, count + 1):
-        of_it = {n: e for n, e in named.items() if (e.number or 1) == joint}
-        JointColumns(record, of_it, joint, mapping).map()
+    for joint in range(1, n_joints + 1):
+        joint_columns = {n: e for n, e in named.items() if (e.number or 1) == joint}
+        JointColumns(record, joint_columns, joint, mapping).map()
     _map_imus(record, mapping)
     used = {guess.column for guess in mapping.guesses.values()}
     for name, values in record.columns.items():
@@ -47,7 +37,7 @@ def _mapped(record: Record, fullest: Record) -> Mapping:
 
 
 def _map_imus(record: Record, mapping: Mapping) -> None:
-    """Axes of IMUs under their own names: which frame they are in no numbers say."""
+    """Map IMU axes only by their channel names: the data do not determine the frame of an axis."""
     used = {guess.column for guess in mapping.guesses.values()}
     for name, values in record.columns.items():
         number = int(name[2]) if _IMU_AXIS.fullmatch(name) else 0
@@ -57,29 +47,24 @@ def _map_imus(record: Record, mapping: Mapping) -> None:
 
 
 def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
-    """Add what only a further log has: its columns that the fullest lacks.
+    """Add the channels whose columns are only in `record`, not in `fullest`.
 
-    Parameters
-    ----------
-    mapping : Mapping
-        Of the fullest; channels, facts of joints and unused columns are added to it.
-    record : Record
-        With all motor angles of the fullest.
-    fullest : Record
+    Updates the channels, joint properties and unused columns of `mapping`, which belongs to
+    `fullest`. `record` must have all motor angles of `fullest`.
     """
     known = {*fullest.columns, *mapping.unused, *(g.column for g in mapping.guesses.values())}
     if known.issuperset(record.columns):
         return
-    other = _mapped(record, fullest)
-    for channel, guess in other.guesses.items():
+    extra = _mapped(record, fullest)
+    for channel, guess in extra.guesses.items():
         if channel not in mapping.guesses and guess.column not in known:
             mapping.guesses[channel] = guess
             mapping.missing.pop(channel, None)
-    for facts, more in zip(mapping.joints, other.joints, strict=False):
-        facts.link_sensors |= more.link_sensors
-        facts.gear_ratio = facts.gear_ratio or more.gear_ratio
+    for joint_facts, extra_facts in zip(mapping.joints, extra.joints, strict=False):
+        joint_facts.link_sensors |= extra_facts.link_sensors
+        joint_facts.gear_ratio = joint_facts.gear_ratio or extra_facts.gear_ratio
     used = {guess.column for guess in mapping.guesses.values()}
-    for column, why in other.unused.items():
+    for column, why in extra.unused.items():
         if column not in known | used:
             mapping.unused[column] = why
     for column in record.columns:
@@ -88,7 +73,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
 
 
 def _unknown(record: Record, values: FloatArray, mapping: Mapping) -> str:
-    """What can be said of a column that no channel takes."""
+    """Describe a column that has no channel."""
     if np.ptp(values) == 0.0:
         return "it never changes"
     for guess in mapping.guesses.values():

@@ -1,4 +1,7 @@
-"""What each record is for: pseudo-random voltages identify elasticity, slow motion rigidity."""
+"""Propose the use of each record.
+
+Records with pseudo-random input identify elasticity; slow motion identifies the rigid arm.
+"""
 
 from __future__ import annotations
 
@@ -19,15 +22,15 @@ from strainwave.study_draft.signal_features import (
     switches,
 )
 
-_SLOW_HZ = 5.0
-_SLOW = 0.9  # share of an input's power below that in a motion of the whole arm
-_MANY = 40  # jumps of an input that no step and no square wave has
+_SLOW_HZ = 5.0  # [Hz] upper frequency of a motion of the whole arm
+_SLOW = 0.9  # minimum share of an input's power below _SLOW_HZ in a motion record
+_MANY = 40  # minimum number of jumps of a random input; step records have fewer
 _CHECK = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 
 
 @dataclass(slots=True)
 class Proposed:
-    """One [[experiment]]."""
+    """Proposed entry of [[experiment]]."""
 
     record: Record
     use: Use
@@ -35,42 +38,33 @@ class Proposed:
     joint: int | None = None
     control: tuple[Control, ...] = ()
     prbs: Prbs | None = None
-    has_known_amplitude: bool = True  # False: the scale of the voltage is to be filled in
+    has_known_amplitude: bool = True  # False: the user must fill in the voltage scale
 
 
 @dataclass(frozen=True, slots=True)
 class _Seen:
-    """One joint's part in a record."""
+    """Classification of one joint's input in a record."""
 
     joint: int
-    kind: str  # still, random, steps, smooth
+    kind: str  # "still", "random", "steps" or "smooth"
     sequence: Prbs | None
     servo: bool
-    size: float
+    size: float  # standard deviation of the input
 
 
 def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[Proposed]:
-    """A use for every record.
+    """Propose a use for every record.
 
-    Parameters
-    ----------
-    records : sequence of Record
-    mapping : Mapping
-    elastic : bool
-        Whether the gears' springs are to be identified.
-
-    Returns
-    -------
-    list of Proposed
+    `elastic` states whether the gear stiffness is to be identified.
     """
-    found = [_one(record, mapping, elastic) for record in records]
-    _sweeps(found)
-    _checks(found)
-    return found
+    proposals = [_one(record, mapping, elastic) for record in records]
+    _sweeps(proposals)
+    _checks(proposals)
+    return proposals
 
 
 def _elastic_checks(found: list[Proposed]) -> None:
-    """Of each joint's steps one to check the elastic model with; the last only if others fit it."""
+    """Use the last step record of each joint for validation, if other records fit the model."""
     checked = {each.joint for each in found if each.use == "check"}
     excited = {each.joint for each in found if each.use in ("frequency", "sweep")}
     for joint in {each.joint for each in found if each.use == "tuning"} - checked:
@@ -81,42 +75,38 @@ def _elastic_checks(found: list[Proposed]) -> None:
 
 
 def unchecked_joints(found: Sequence[Proposed], joints: int) -> list[int]:
-    """Joints whose elastic model no record would check.
+    """Return the joints, counted from 1, without a validation record for the elastic model.
 
-    Parameters
-    ----------
-    found : sequence of Proposed
-    joints : int
-        Of the arm.
-
-    Returns
-    -------
-    list of int
+    `joints` is the number of joints of the arm.
     """
     checked = {each.joint for each in found if each.use == "check"}
     return [joint for joint in range(1, joints + 1) if joint not in checked]
 
 
 def _one(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
-    seen = [_joint(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
-    control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in seen)
-    random = max((s for s in seen if s.kind == "random"), key=_size, default=None)
-    stepped = [s for s in seen if s.kind == "steps"]
-    if random is not None and elastic:
-        sequence = random.sequence
-        what = "a pseudo-random sequence" if sequence else "fast and broad"
-        why = f"the input of joint {random.joint} is {what}"
-        names = (f"u{random.joint}", f"torque{random.joint}")
+    inputs = [_joint(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
+    control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in inputs)
+    random_input = max((s for s in inputs if s.kind == "random"), key=_size, default=None)
+    stepped = [s for s in inputs if s.kind == "steps"]
+    if random_input is not None and elastic:
+        sequence = random_input.sequence
+        description = "a pseudo-random sequence" if sequence else "fast and broad"
+        reason = f"the input of joint {random_input.joint} is {description}"
+        names = (f"u{random_input.joint}", f"torque{random_input.joint}")
         guesses = [mapping.guesses[name] for name in names if name in mapping.guesses]
-        known = all(guess.scale is not None for guess in guesses)
-        return Proposed(record, "frequency", why, random.joint, control, sequence, known)
-    if len(stepped) == 1 and elastic and len(seen) > 1 and not _moves_all(record, mapping):
-        why = f"joint {stepped[0].joint} is stepped"
-        return Proposed(record, "tuning", why, stepped[0].joint, control)
-    if stepped and elastic and len(seen) == 1:
+        has_scale = all(guess.scale is not None for guess in guesses)
+        return Proposed(
+            record, "frequency", reason, random_input.joint, control, sequence, has_scale
+        )
+    if len(stepped) == 1 and elastic and len(inputs) > 1 and not _moves_all(record, mapping):
+        reason = f"joint {stepped[0].joint} is stepped"
+        return Proposed(record, "tuning", reason, stepped[0].joint, control)
+    if stepped and elastic and len(inputs) == 1:
         return Proposed(record, "tuning", "the joint is stepped", 1, control)
-    why = "a slow motion" if not random else "fast, but a rigid arm needs no more than motions"
-    return Proposed(record, "motion", why, None, control)
+    reason = (
+        "a slow motion" if not random_input else "fast, but a rigid arm needs no more than motions"
+    )
+    return Proposed(record, "motion", reason, None, control)
 
 
 def _joint(record: Record, mapping: Mapping, joint: int) -> _Seen:
@@ -126,24 +116,24 @@ def _joint(record: Record, mapping: Mapping, joint: int) -> _Seen:
         return _Seen(
             joint, "still", None, reference is not None and bool(np.ptp(reference) > 0.0), 0.0
         )
-    size = float(np.std(drive))
-    few = levels(drive)
+    std = float(np.std(drive))
+    input_levels = levels(drive)
     jumps = switches(drive)
-    servo = few is None
-    if few is not None and jumps >= _MANY and not runs_alike(drive):
-        return _Seen(joint, "random", sequence_of(drive, record.period), False, size)
-    if few is not None:
-        return _Seen(joint, "steps", None, False, size)
+    servo = input_levels is None
+    if input_levels is not None and jumps >= _MANY and not runs_alike(drive):
+        return _Seen(joint, "random", sequence_of(drive, record.period), False, std)
+    if input_levels is not None:
+        return _Seen(joint, "steps", None, False, std)
     if reference is not None and np.ptp(reference) > 0.0:
-        stepped = levels(reference) is not None
-        return _Seen(joint, "steps" if stepped else "smooth", None, servo, size)
-    smooth = smooth_share(drive, record.period, _SLOW_HZ) > _SLOW
-    broad = jumps >= _MANY and not smooth
-    return _Seen(joint, "random" if broad else "smooth", None, servo, size)
+        is_stepped = levels(reference) is not None
+        return _Seen(joint, "steps" if is_stepped else "smooth", None, servo, std)
+    is_smooth = smooth_share(drive, record.period, _SLOW_HZ) > _SLOW
+    is_broad = jumps >= _MANY and not is_smooth
+    return _Seen(joint, "random" if is_broad else "smooth", None, servo, std)
 
 
 def _size(seen: _Seen) -> float:
-    # a sequence that is one for certain counts before what only looks like it
+    # a detected maximum-length sequence has priority over other random inputs
     return seen.size * (1e6 if seen.sequence else 1.0)
 
 
@@ -153,7 +143,7 @@ def _moves_all(record: Record, mapping: Mapping) -> bool:
 
 
 def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | None:
-    """The first of some channels that the record has, in SI units where its scale is known."""
+    """Return the record's first available channel, in SI units if its scale is known."""
     for channel in channels:
         guess = mapping.guesses.get(channel)
         if guess is not None and guess.column in record.columns:
@@ -162,7 +152,10 @@ def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | No
 
 
 def _sweeps(found: list[Proposed]) -> None:
-    """Of records that excite one joint alike, the strongest is `frequency`, the others `sweep`."""
+    """Assign `frequency` or `sweep` to records that excite one joint under the same control.
+
+    The record with the largest amplitude is `frequency`, weaker ones are `sweep`.
+    """
     groups: dict[tuple[int | None, tuple[Control, ...]], list[Proposed]] = {}
     for each in found:
         if each.prbs:
@@ -180,13 +173,13 @@ def _amplitude(each: Proposed) -> float:
 
 
 def _checks(found: list[Proposed]) -> None:
-    """Records to predict: those that say so, or else the last of several motions."""
+    """Select validation records: by name, else the shortest of several motion records."""
     for each in found:
         if _CHECK.search(each.record.name) and each.use in ("motion", "tuning"):
             each.use, each.why = "check", f"{each.why}; a record to check with, by its name"
     motions = [each for each in found if each.use == "motion"]
     if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in found):
-        # of equally long ones the last
+        # of records with equal duration, the last
         shortest = min(reversed(motions), key=lambda each: round(float(np.ptp(each.record.time))))
         shortest.use = "check"
         shortest.why += "; the shortest of several: kept to check with"
@@ -196,6 +189,6 @@ def _checks(found: list[Proposed]) -> None:
             each.use, each.why = "check", f"{each.why} in open loop; kept to check with"
     _elastic_checks(found)
     if not any(each.use == "motion" for each in found):
-        slow = [e for e in found if e.use == "check" and e.joint is None]
-        if slow:
-            slow[0].use = "motion"
+        motion_checks = [e for e in found if e.use == "check" and e.joint is None]
+        if motion_checks:
+            motion_checks[0].use = "motion"

@@ -1,4 +1,4 @@
-"""Log files as a newcomer brings them -> columns of numbers, and what to say of the others."""
+"""Read logs of unknown layout into numeric columns, with notes on unusable columns."""
 
 from __future__ import annotations
 
@@ -16,53 +16,42 @@ from strainwave.io.logs.tables import LARGEST, first_impossible, open_table
 from strainwave.study_draft.names import MOST_JOINTS, UNITS, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
-_FEW_LOST = 0.05  # share of a column's samples; with more lost, what it is can hardly be seen
+_FEW_LOST = 0.05  # maximum share of invalid samples; with more, a column cannot be classified
 
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """One log as far as it could be read."""
+    """Readable content of one log."""
 
     path: Path
     time: FloatArray  # (n_samples,) [s]
-    time_column: str | None  # None: a bag's stamps
+    time_column: str | None  # None: time stamps of a bag
     time_scale: float  # [s] per unit of the column
     time_unit: str
     columns: dict[str, FloatArray]  # name -> (n_samples,)
     notes: tuple[str, ...]
-    faults: tuple[str, ...] = ()  # what `identify` would refuse, or what was left out
+    faults: tuple[str, ...] = ()  # values that `identify` rejects; omitted columns
 
     @property
     def period(self) -> float:
-        """[s] between samples, usually."""
+        """Median sampling period [s]."""
         return float(np.median(np.diff(self.time)))
 
     @property
     def is_bag(self) -> bool:
-        """Whether its columns are fields of topics."""
+        """Whether the record is a bag, whose columns are fields of topics."""
         return self.time_column is None
 
     @property
     def name(self) -> str:
-        """The file's, without its endings."""
+        """File name without suffixes."""
         return self.path.name.split(".")[0] or self.path.name
 
 
 def look_at(path: Path) -> Record:
-    """Read what can be read of a log.
+    """Read the usable columns of a log.
 
-    Parameters
-    ----------
-    path : Path
-
-    Returns
-    -------
-    Record
-
-    Raises
-    ------
-    InvalidInput
-        It is no log, or it has no time, or too few samples.
+    Raises InvalidInput if the file is not a log, has no time column or has too few samples.
     """
     if not path.exists():
         raise InvalidInput("the log does not exist", where=str(path), remedy="check the name")
@@ -74,28 +63,28 @@ def _table(path: Path) -> Record:
     columns, faults = {}, []
     try:
         columns = table.read(list(table.names))
-    except InvalidInput:  # one of them is not numbers; the others may be
+    except InvalidInput:  # a column is not numeric; read each column separately
         for name in table.names:
             try:
                 columns |= table.read([name])
             except InvalidInput as error:
                 faults.append(f"column {name!r} is left out: {error.problem}")
-    columns, said = _finite(columns)
-    rows = max((len(values) for values in columns.values()), default=0)
-    columns = {name: values for name, values in columns.items() if len(values) == rows}
-    if rows < FEWEST_ROWS:
+    columns, value_faults = _finite(columns)
+    n_samples = max((len(values) for values in columns.values()), default=0)
+    columns = {name: values for name, values in columns.items() if len(values) == n_samples}
+    if n_samples < FEWEST_ROWS:
         raise InvalidInput(
-            f"has {rows} row(s) of numbers; at least {FEWEST_ROWS} are needed",
+            f"has {n_samples} row(s) of numbers; at least {FEWEST_ROWS} are needed",
             where=str(path),
             remedy="give a log of an experiment, with a header line",
         )
     name, unit, scale = _clock(columns, path)
     time = scale * columns.pop(name)
-    return Record(path, time, name, scale, unit, columns, (), (*faults, *said))
+    return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults))
 
 
 def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]:
-    """The column of time, its unit and the unit in seconds."""
+    """Return the name of the time column, its unit and the unit in seconds."""
     clocks = [name for name, values in columns.items() if is_clock(values)]
     clocks.sort(key=lambda name: parse(name).quantity != "time")
     for name in clocks:
@@ -103,12 +92,12 @@ def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]
         unit = parse(name).unit
         if unit in UNITS["time"]:
             return name, unit, UNITS["time"][unit]
-        guessed = time_unit(period)
-        if guessed:
-            return name, *guessed
-    more = f" ({', '.join(clocks)} increase, but not as a clock of 20 Hz to 50 kHz)"
+        unit_from_period = time_unit(period)
+        if unit_from_period:
+            return name, *unit_from_period
+    increasing = f" ({', '.join(clocks)} increase, but not as a clock of 20 Hz to 50 kHz)"
     raise InvalidInput(
-        f"there is no column of time among {', '.join(columns)}{more if clocks else ''}",
+        f"there is no column of time among {', '.join(columns)}{increasing if clocks else ''}",
         where=str(path),
         remedy="add a column t [s]: the row's number divided by the sampling rate will do"
         + _beyond(columns),
@@ -116,7 +105,7 @@ def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]
 
 
 def _beyond(columns: Collection[str]) -> str:
-    """A word on logs of more joints than can be identified, before more work goes into them."""
+    """Return a remark if the columns have more joints than a supported arm, else an empty text."""
     numbers = {number for name in columns if (number := parse(name).number) is not None}
     if len(numbers) <= MOST_JOINTS:
         return ""
@@ -140,17 +129,17 @@ def _bag(path: Path) -> Record:
     notes, faults = [warning.message for warning in warnings], list[str]()
     usable: list[Track] = []
     for track in tracks:
-        columns, said = _finite(track.columns)
-        faults += said
+        columns, value_faults = _finite(track.columns)
+        faults += value_faults
         if columns and len(track.time) >= FEWEST_ROWS:
             usable.append(Track(track.name, track.time, columns, track.row_name))
     usable.sort(key=_without_angle)
     commanded = {n for t in usable for n in t.columns if parse(n).quantity in ("voltage", "torque")}
     if not usable:
         raise InvalidInput("the topics are too short", where=str(path), remedy="record for longer")
-    as_is = Experiment(path.name, path.name, "motion", ())
-    time, columns, found = one_clock(usable, commanded, as_is, path)
-    notes += [warning.message for warning in found]
+    whole_record = Experiment(path.name, path.name, "motion", ())
+    time, columns, clock_warnings = one_clock(usable, commanded, whole_record, path)
+    notes += [warning.message for warning in clock_warnings]
     return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
 
 
@@ -159,30 +148,35 @@ def _without_angle(track: Track) -> bool:
 
 
 def _finite(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
-    """Columns of numbers; where few are none, they are interpolated, to see what the column is."""
-    kept, said = {}, []
+    """Return the numeric columns, and messages on invalid samples.
+
+    A few invalid samples are interpolated so that the column can be classified; columns with more
+    are omitted.
+    """
+    valid_columns, messages = {}, []
     for name, values in columns.items():
         row = first_impossible(values)
         if row is None:
-            kept[name] = values
+            valid_columns[name] = values
             continue
-        possible = np.abs(values) < LARGEST
-        lost = len(values) - int(np.count_nonzero(possible))
-        what = (
-            f"column {name!r} has {lost} sample(s) that are no number, the first in row {row + 1}"
+        is_valid = np.abs(values) < LARGEST
+        n_invalid = len(values) - int(np.count_nonzero(is_valid))
+        fault = (
+            f"column {name!r} has {n_invalid} sample(s) that are no number, "
+            f"the first in row {row + 1}"
         )
-        if lost > _FEW_LOST * len(values):
-            said.append(f"{what}: it is left out")
+        if n_invalid > _FEW_LOST * len(values):
+            messages.append(f"{fault}: it is left out")
             continue
         rows = np.arange(len(values))
-        kept[name] = np.interp(rows, rows[possible], values[possible])
-        said.append(
-            f"{what} ({values[row]}): identify refuses the log while a channel uses it. Mend it, "
+        valid_columns[name] = np.interp(rows, rows[is_valid], values[is_valid])
+        messages.append(
+            f"{fault} ({values[row]}): identify refuses the log while a channel uses it. Mend it, "
             "cut it off with start and stop, or rename the column"
         )
-    return kept, said
+    return valid_columns, messages
 
 
 def in_common(records: Sequence[Record]) -> Record:
-    """The record with the most columns that change: what columns are is judged by it."""
+    """Return the record with the most varying columns, which is used to classify columns."""
     return max(records, key=lambda record: sum(np.ptp(v) > 0.0 for v in record.columns.values()))

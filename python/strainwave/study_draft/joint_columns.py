@@ -1,4 +1,4 @@
-"""One joint's columns identified: angles first, then what belongs to them."""
+"""Map the columns of one joint: angles first, then the columns that depend on them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from strainwave.study_draft.units import NEAR, nearest_unit, unit_pair
 
 
 class JointColumns:
-    """One joint's columns while they are being identified."""
+    """Mapping of one joint's columns in progress."""
 
     def __init__(
         self, record: Record, named: dict[str, Named], number: int, mapping: Mapping
@@ -37,7 +37,7 @@ class JointColumns:
         mapping.joints.append(self.facts)
 
     def map(self) -> None:
-        """Angle first: the others are identified by how they belong to it."""
+        """Map the angles, then classify the other columns by their relation to the motor angle."""
         motor, link = self._angles()
         if motor is None:
             self.mapping.missing[f"theta_m{self.number}"] = "the motor's angle [rad at the motor]"
@@ -63,36 +63,41 @@ class JointColumns:
         return self.record.columns[column]
 
     def _angles(self) -> tuple[str | None, str | None]:
-        """The motor's angle and the link's: by name, or else the wider range is the motor's."""
+        """Return the columns of motor angle and link angle.
+
+        Names decide; without a side in the name, the angle with the larger range is the motor's.
+        """
         names = sorted(self._of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
         link = [n for n in names if self.named[n].side == "link"]
         motor = [n for n in names if self.named[n].side == "motor"]
-        neither = [n for n in names if n not in link + motor]
-        ordered = motor + neither
-        chosen = ordered[0] if ordered else link.pop(0) if link else None
-        second = next(iter(link + ordered[1:]), None)
+        no_side = [n for n in names if n not in link + motor]
+        motor_candidates = motor + no_side
+        motor_angle = motor_candidates[0] if motor_candidates else link.pop(0) if link else None
+        link_angle = next(iter(link + motor_candidates[1:]), None)
         for name in names:
-            if name not in (chosen, second):
+            if name not in (motor_angle, link_angle):
                 self.mapping.unused[name] = f"a further angle of joint {self.number}"
-        if chosen is not None:
-            self._angle(chosen, "link" if self.named[chosen].side == "link" else "motor")
-        return chosen, second
+        if motor_angle is not None:
+            self._angle(motor_angle, "link" if self.named[motor_angle].side == "link" else "motor")
+        return motor_angle, link_angle
 
     def _angle(self, column: str, side: str) -> None:
         each = self.named[column]
         sure: Sure = "likely" if each.sure else "unsure"
-        why = _by_name(each)
-        scale, todo, said = self._angle_unit(column)
+        name_reason = _by_name(each)
+        scale, todo, unit_reason = self._angle_unit(column)
         self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
         if side == "link":
             scale, todo = None, "1/gear_ratio: motor turns per link turn"
-            said = "an angle of the link, and no motor's is there"
+            unit_reason = "an angle of the link, and no motor's is there"
         elif each.side is None and not self.facts.prismatic:
-            said += "; taken as the motor's, before the gear: if it is the link's, divide the scale"
-            said += " by gear_ratio"
+            unit_reason += (
+                "; taken as the motor's, before the gear: if it is the link's, divide the scale"
+            )
+            unit_reason += " by gear_ratio"
         if wraps(self._values(column), 2.0 * pi if scale == 1.0 else 360.0):
-            said += "; IT JUMPS BY A TURN: unwrap it in the log first"
-        self._add("theta_m", column, f"{why}; {said}", sure, scale=scale, todo=todo)
+            unit_reason += "; IT JUMPS BY A TURN: unwrap it in the log first"
+        self._add("theta_m", column, f"{name_reason}; {unit_reason}", sure, scale=scale, todo=todo)
 
     def _inputs(self) -> list[Named]:
         return [each for each in self.named.values() if each.quantity in ("torque", "velocity")]
@@ -104,9 +109,9 @@ class JointColumns:
         if unit is not None:
             return UNITS["angle"][unit], "", f"unit {unit} by its name"
         for velocity in self._of("velocity"):
-            known = self._unit_pair(column, velocity)
-            if known and self.named[velocity].unit is None:
-                return known[0], "", f"with {velocity!r}: {known[2]}"
+            units = self._unit_pair(column, velocity)
+            if units and self.named[velocity].unit is None:
+                return units[0], "", f"with {velocity!r}: {units[2]}"
             rate = UNITS["velocity"].get(self.named[velocity].unit or "")
             r, ratio = self._relation(velocity, column)
             if rate and r > AGREES and ratio > 0.0:
@@ -125,25 +130,27 @@ class JointColumns:
         return unit_pair(ratio) if r > AGREES else None
 
     def _velocity(self, angle: str) -> None:
-        mapped = self.mapping.guesses[f"theta_m{self.number}"].scale
+        angle_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
         for column in self._of("velocity"):
             r, ratio = self._relation(column, angle)
             agrees = r > AGREES and ratio > 0.0
-            if not agrees or mapped is None:
-                why = f"a velocity by its name; it is not that of {angle!r} (r = {r:.2f})"
-                self.mapping.unused[column] = why if not agrees else "a velocity of the link"
+            if not agrees or angle_scale is None:
+                reason = f"a velocity by its name; it is not that of {angle!r} (r = {r:.2f})"
+                self.mapping.unused[column] = reason if not agrees else "a velocity of the link"
                 continue
-            scale = ratio * mapped
+            scale = ratio * angle_scale
             nearest = nearest_unit(scale)
             if abs(scale / nearest - 1.0) > 2.0 * NEAR:
-                why = f"a velocity, but {angle!r} changes {scale:.4g} times as fast: is one of the "
-                why += "two behind the gear?"
-                self.mapping.unused[column] = why
+                reason = (
+                    f"a velocity, but {angle!r} changes {scale:.4g} times as fast: is one of the "
+                )
+                reason += "two behind the gear?"
+                self.mapping.unused[column] = reason
                 if 5.0 < scale < 1000.0:
                     self.facts.gear_ratio = (1.0 / round(scale), f"{angle!r} over {column!r}")
                 continue
-            why = f"its integral is {angle!r} (r = {r:.3f})"
-            self._add("omega_m", column, why, "sure", scale=nearest)
+            reason = f"its integral is {angle!r} (r = {r:.3f})"
+            self._add("omega_m", column, reason, "sure", scale=nearest)
 
     def _encoder(self, angle: str) -> None:
         scale = self.mapping.guesses[f"theta_m{self.number}"].scale
@@ -152,48 +159,57 @@ class JointColumns:
             return
         counts = 2.0 * pi / (step * scale)
         if 16.0 < counts < 5e6:
-            why = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} a turn"
-            usual = usual_counts(counts)
-            if usual is not None and round(counts) != usual:
-                why += f"; {usual} is the nearest number that encoders have"
-            self.facts.encoder_counts = (usual, why) if usual else (None, why)
+            reason = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} a turn"
+            common_counts = usual_counts(counts)
+            if common_counts is not None and round(counts) != common_counts:
+                reason += f"; {common_counts} is the nearest number that encoders have"
+            self.facts.encoder_counts = (common_counts, reason) if common_counts else (None, reason)
 
     def _reference(self, angle: str) -> None:
         for column in self._of("reference"):
             values, each = self._values(column), self.named[column]
-            follows, _ = self._relation(column, angle)
-            span = self._values(angle) - self._values(angle).mean()
-            same, _ = proportion(span, values - values.mean())
+            velocity_r, _ = self._relation(column, angle)
+            centred_angle = self._values(angle) - self._values(angle).mean()
+            angle_r, _ = proportion(centred_angle, values - values.mean())
             scale = UNITS["reference"].get(each.unit or "", 1.0)
-            if same > max(follows, AGREES):
+            if angle_r > max(velocity_r, AGREES):
                 self.mapping.unused[column] = f"a reference of {angle!r}; only velocities have one"
             else:
-                sure: Sure = "sure" if follows > AGREES else "unsure"
-                why = f"{_by_name(each)}; {angle!r} is its integral (r = {follows:.2f})"
-                self._add("ref", column, why, sure, scale=scale)
+                sure: Sure = "sure" if velocity_r > AGREES else "unsure"
+                reason = f"{_by_name(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
+                self._add("ref", column, reason, sure, scale=scale)
 
     def _link(self, motor: str, link: str) -> None:
-        """The link's own angle; and how often it turns per motor turn is the gear ratio."""
+        """Map the link angle and derive the gear ratio: link turns per motor turn."""
         of_motor, of_link = (self._values(n) - self._values(n).mean() for n in (motor, link))
         r, ratio = proportion(of_motor, of_link)
-        scale, todo, said = self._angle_unit(link)
+        scale, todo, unit_reason = self._angle_unit(link)
         sure: Sure = "likely" if r > AGREES else "unsure"
-        why = f"{_by_name(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {said}"
-        self._add("theta_l", link, why, sure, scale=scale, todo=todo)
+        reason = (
+            f"{_by_name(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {unit_reason}"
+        )
+        self._add("theta_l", link, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("theta_l")
-        own = self.mapping.guesses[f"theta_m{self.number}"].scale
-        if r > AGREES and own and scale and 0.0 < ratio * scale / own <= 1.05:
-            found = 1.0 / max(1.0, round(own / (ratio * scale)))
-            self.facts.gear_ratio = (found, f"{link!r} over {motor!r}: {ratio * scale / own:.5g}")
+        motor_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
+        if r > AGREES and motor_scale and scale and 0.0 < ratio * scale / motor_scale <= 1.05:
+            gear_ratio = 1.0 / max(1.0, round(motor_scale / (ratio * scale)))
+            self.facts.gear_ratio = (
+                gear_ratio,
+                f"{link!r} over {motor!r}: {ratio * scale / motor_scale:.5g}",
+            )
 
     def _input(self) -> None:
         for quantity, channel in (("torque", "torque"), ("voltage", "u"), ("current", "torque")):
             for column in self._of(quantity):
-                have = {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses)
-                if have:
-                    other = self.mapping.guesses[have.pop()].column
-                    why = f"a {quantity} by its name; {other!r} is taken. If it acts beside that: "
-                    self.mapping.unused[column] = why + "see `add` in docs/study.md"
+                mapped_inputs = {f"torque{self.number}", f"u{self.number}"} & set(
+                    self.mapping.guesses
+                )
+                if mapped_inputs:
+                    other = self.mapping.guesses[mapped_inputs.pop()].column
+                    reason = (
+                        f"a {quantity} by its name; {other!r} is taken. If it acts beside that: "
+                    )
+                    self.mapping.unused[column] = reason + "see `add` in docs/study.md"
                     continue
                 self._add_input(column, quantity, channel)
         if not {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses):
@@ -202,21 +218,23 @@ class JointColumns:
     def _add_input(self, column: str, quantity: str, channel: str) -> None:
         each = self.named[column]
         scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
-        todo, why = "", _by_name(each)
+        todo, reason = "", _by_name(each)
         if quantity == "current":
             scale, todo = None, "torque constant [N m/A], at the motor; times 1e-3 for mA"
-        found = levels(self._values(column))
-        if found is not None and len(found) > 1:
-            why += f"; it takes {len(found)} levels"
+        input_levels = levels(self._values(column))
+        if input_levels is not None and len(input_levels) > 1:
+            reason += f"; it takes {len(input_levels)} levels"
         limit = flat_top(self._values(column))
-        if found is None and limit is not None:
-            why += f"; now and then it stays at {limit:.4g}: the drive's limit?"
+        if input_levels is None and limit is not None:
+            reason += f"; now and then it stays at {limit:.4g}: the drive's limit?"
         if each.word in ("pwm", "duty"):
             scale, todo = None, "volts at full duty"
         if each.unit is None and quantity != "current":
-            why += f"; unit taken as {'V' if quantity == 'voltage' else 'N m at the motor'}"
+            reason += f"; unit taken as {'V' if quantity == 'voltage' else 'N m at the motor'}"
         self.facts.voltage = channel == "u"
-        self._add(channel, column, why, "likely" if each.sure else "unsure", scale=scale, todo=todo)
+        self._add(
+            channel, column, reason, "likely" if each.sure else "unsure", scale=scale, todo=todo
+        )
 
     def _sensors(self, motor: str | None) -> None:
         angle = None if motor is None else self._values(motor)
@@ -226,15 +244,15 @@ class JointColumns:
             ("deflection", "deflection"),
         ):
             columns = {name: self._values(name) for name in self._of(quantity)}
-            found = chosen_axis(columns, quantity, angle, self.record.time)
-            if found is None:
+            best_axis = chosen_axis(columns, quantity, angle, self.record.time)
+            if best_axis is None:
                 continue
-            column, r = found
+            column, r = best_axis
             each = self.named[column]
-            scale, said = scale_and_reason(each, quantity, r, len(columns))
+            scale, axis_reason = scale_and_reason(each, quantity, r, len(columns))
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            nowhere = "" if each.placed else "; no joint in its name: the last is a guess"
-            self._add(channel, column, _by_name(each) + said + nowhere, sure, scale=scale)
+            placement = "" if each.placed else "; no joint in its name: the last is a guess"
+            self._add(channel, column, _by_name(each) + axis_reason + placement, sure, scale=scale)
             self.facts.link_sensors.add(channel)
             for other, values in columns.items():
                 if other != column and np.ptp(values) > 0.0:

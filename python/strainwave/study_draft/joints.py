@@ -1,4 +1,4 @@
-"""Which joint and which quantity each column is of, by names first, by numbers where names fail."""
+"""Assign columns to joints and quantities: by name, or by their data if the names are unknown."""
 
 from __future__ import annotations
 
@@ -10,28 +10,17 @@ from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.names import MOST_JOINTS, Named, parse
 from strainwave.study_draft.signal_features import levels, relation
 
-_DERIVATIVE = 0.95  # correlation above which a column without a name is another's derivative
+_DERIVATIVE = 0.95  # minimum correlation at which an unnamed column is the derivative of another
 
 
 def named_columns(
     record: Record, fullest: Record | None = None
 ) -> tuple[dict[str, Named], str, tuple[str, ...]]:
-    """Every column with its quantity, and with its joint's number from 1.
+    """Return each column's quantity and joint number, a limit and notes.
 
-    Parameters
-    ----------
-    record : Record
-    fullest : Record, optional
-        Of the same arm, which says what joints there are; the record itself if not given.
-
-    Returns
-    -------
-    dict of str to Named
-        Those beyond the joints that an arm here can have are left out.
-    str
-        What of the log is beyond such an arm; empty: nothing.
-    tuple of str
-        What else to say of it.
+    Joints count from 1. `fullest` is the record of the same arm that determines the moving joints;
+    by default `record`. Columns of joints beyond MOST_JOINTS are omitted; the second value then
+    states the limit, else it is empty. The last value holds further notes.
     """
     named = {name: parse(name) for name in record.columns}
     notes: list[str] = []
@@ -55,7 +44,7 @@ def named_columns(
     for name, each in numbered.items():
         on_link = each.quantity in ("acceleration", "gyro", "deflection")
         if each.number is None and chosen and (on_link or len(chosen) == 1):
-            # what sits on no joint by its name, sits on the last link
+            # a sensor without a joint in its name is assigned to the last link
             placed = len(chosen) == 1
             numbered[name] = replace(each, number=chosen[-1], placed=placed)
     kept = {
@@ -67,7 +56,7 @@ def named_columns(
 
 
 def _numbered(named: Mapping[str, Named]) -> dict[str, Named]:
-    """Joints counted from 1, whatever the names do."""
+    """Number the joints from 1, also if the names count from 0 or use labels."""
     named = {name: replace(each, label=_label(each, named)) for name, each in named.items()}
     labels = list(dict.fromkeys(each.label for each in named.values() if each.label))
     from_zero = {_kin(name, each) for name, each in named.items() if each.number == 0}
@@ -83,14 +72,14 @@ def _numbered(named: Mapping[str, Named]) -> dict[str, Named]:
 
 
 def _label(each: Named, named: Mapping[str, Named]) -> str:
-    """A joint's name: in a table, a word that two angles or more differ by."""
+    """Return the joint's label; in a table, the word that distinguishes two or more angles."""
     angles = [e for e in named.values() if e.quantity == "angle" and e.number is None]
     words = {e.word_left for e in angles if e.word_left}
     return each.label or (each.word_left if len(words) > 1 and each.word_left in words else "")
 
 
 def _kin(name: str, each: Named) -> tuple[str, str | None]:
-    """Columns that count alike: of one topic, or of one quantity in a table."""
+    """Return the group of columns that share a numbering: a topic, or a quantity in a table."""
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
@@ -115,35 +104,40 @@ def _called(named: Mapping[str, Named], joint: int) -> str:
 
 
 def _by_nature(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
-    """Angles and velocities by the one being the other's integral; voltages by their levels."""
-    unknown = [n for n, e in named.items() if e.quantity is None and _span(record, n) > 0.0]
-    voltages = [n for n in unknown if levels(record.columns[n]) is not None]
-    unknown = [n for n in unknown if n not in voltages]
-    pairs = sorted(_pairs({n: record.columns[n] for n in unknown}, record.time), reverse=True)
-    found: dict[str, Named] = {}
+    """Classify columns by their data.
+
+    An angle is the integral of a velocity; a voltage takes few levels.
+    """
+    unclassified = [n for n, e in named.items() if e.quantity is None and _span(record, n) > 0.0]
+    voltages = [n for n in unclassified if levels(record.columns[n]) is not None]
+    unclassified = [n for n in unclassified if n not in voltages]
+    pairs = sorted(_pairs({n: record.columns[n] for n in unclassified}, record.time), reverse=True)
+    classified: dict[str, Named] = {}
     for _, angle, velocity in pairs:
-        if angle not in found and velocity not in found:
-            found[angle], found[velocity] = Named("angle"), Named("velocity")
+        if angle not in classified and velocity not in classified:
+            classified[angle], classified[velocity] = Named("angle"), Named("velocity")
     for quantity in ("angle", "velocity"):
-        of_it = [n for n in record.columns if n in found and found[n].quantity == quantity]
-        for k, name in enumerate(of_it, start=1):
-            found[name] = replace(found[name], number=k)
-    joints = sum(each.quantity == "angle" for each in found.values())
-    rest = [n for n in unknown if n not in found]
-    inputs = voltages + (rest if len(voltages) + len(rest) == joints else [])
+        same_quantity = [
+            n for n in record.columns if n in classified and classified[n].quantity == quantity
+        ]
+        for k, name in enumerate(same_quantity, start=1):
+            classified[name] = replace(classified[name], number=k)
+    joints = sum(each.quantity == "angle" for each in classified.values())
+    remaining = [n for n in unclassified if n not in classified]
+    inputs = voltages + (remaining if len(voltages) + len(remaining) == joints else [])
     inputs.sort(key=list(record.columns).index)
     for k, name in enumerate(inputs, start=1):
-        found[name] = Named("voltage", k)
-    return found
+        classified[name] = Named("voltage", k)
+    return classified
 
 
 def _pairs(columns: Mapping[str, FloatArray], time: FloatArray) -> list[tuple[float, str, str]]:
-    """(correlation, angle, velocity) of columns of which one is the other's derivative."""
-    found = []
+    """Return (correlation, angle, velocity) for each column that is the derivative of another."""
+    pairs = []
     for rate, speeds in columns.items():
         for value, angles in columns.items():
             if rate != value:
                 r, ratio = relation(speeds, angles, time)
                 if r > _DERIVATIVE and ratio > 0.0:
-                    found.append((r, value, rate))
-    return found
+                    pairs.append((r, value, rate))
+    return pairs

@@ -1,4 +1,4 @@
-"""What a column's name says: quantity, joint, unit, side of the gear."""
+"""Parse column names: quantity, joint, unit, side of the gear."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ Quantity = Literal[
 Side = Literal["motor", "link"]
 
 MOST_JOINTS = 2
-"""Of an arm that can be identified."""
+"""Maximum number of joints of a supported arm."""
 
-_WORDS: tuple[tuple[Quantity, str], ...] = (  # the first that matches decides
+_WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
     ("deflection", "defl deflection twist torsion"),
     ("gyro", "gyro gyr gyros gyroscope angularvelocity angvel angrate"),
     ("acceleration", "a acc accel acceleration accelerometer accelero linearacceleration qdd ddq"),
@@ -78,44 +78,35 @@ UNITS: dict[Quantity, dict[str, float]] = {
     "acceleration": {"ms2": 1.0, "mps2": 1.0, "mss": 1.0, "g": 9.80665, "mg": 9.80665e-3},
 }
 LINEAR = (*_TRAVEL, "n", "kn", "mps", "mms")
-"""Units that a prismatic joint has."""
+"""Units of a prismatic joint."""
 _ROTATIONAL = ("theta", "th", "angle", "ang", "phi", "motorangle", "dtheta", "thetadot", "omega")
 
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """What a name says; None is what it does not."""
+    """Parsed column name; None marks information that the name does not contain."""
 
     quantity: Quantity | None
-    number: int | None = None  # as written, from 0 or 1
-    label: str = ""  # a joint's name, in a bag
-    word_left: str = ""  # that means nothing else: a joint's name in a table, perhaps
+    number: int | None = None  # joint number as written, from 0 or 1
+    label: str = ""  # name of the joint in a bag
+    word_left: str = ""  # unrecognised word; in a table it may be the name of the joint
     unit: str | None = None
     side: Side | None = None
     commanded: bool = False
-    word: str = ""  # that decided
+    word: str = ""  # word that determined the quantity
     sure: bool = False
-    own: bool = False  # the name is a channel's
-    placed: bool = True  # the joint is known, not guessed
+    own: bool = False  # whether the name is a channel name
+    placed: bool = True  # False: the joint is a guess
 
 
 def parse(name: str) -> Named:
-    """Take a column's name apart.
-
-    Parameters
-    ----------
-    name : str
-
-    Returns
-    -------
-    Named
-    """
+    """Parse a column name."""
     text, label, number = name, "", None
-    if name.startswith("/"):  # of a bag: /topic.field[joint or index]
-        inside = re.search(r"\[([^\]]*)\]$", name)
-        text = name[: inside.start()] if inside else name
-        label = inside[1] if inside and not inside[1].isdecimal() else ""
-        number = int(inside[1]) if inside and inside[1].isdecimal() else None
+    if name.startswith("/"):  # bag column: /topic.field[joint or index]
+        bracket = re.search(r"\[([^\]]*)\]$", name)
+        text = name[: bracket.start()] if bracket else name
+        label = bracket[1] if bracket and not bracket[1].isdecimal() else ""
+        number = int(bracket[1]) if bracket and bracket[1].isdecimal() else None
         text = re.sub(r"\.data$", "", text)
     tokens = _tokens(text)
     if any(token.lower() in _NO_AXIS for token in tokens):
@@ -127,17 +118,27 @@ def parse(name: str) -> Named:
     numbers = [int(token) for token in words if token.isdecimal()]
     if number is None and numbers:
         number = numbers[-1]
-    low = [token.lower() for token in words]
-    sides = [_SIDES[token] for token in low if token in _SIDES]
-    commanded = any(token in _COMMANDED for token in low)
+    lowercase = [token.lower() for token in words]
+    sides = [_SIDES[token] for token in lowercase if token in _SIDES]
+    commanded = any(token in _COMMANDED for token in lowercase)
     if commanded and quantity in ("angle", "velocity"):
         quantity = "reference"
     side = sides[-1] if sides else None
-    known = {word, *_GENERAL, *_SIDES, *_COMMANDED, *(w for _, of in _WORDS for w in of.split())}
-    left = next((token for token in low if token not in known and not token.isdecimal()), "")
-    own = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
-    sure = own or (bool(word) and word not in _UNSURE)
-    return Named(quantity, number, label, left, unit, side, commanded, word, sure, own)
+    known_words = {
+        word,
+        *_GENERAL,
+        *_SIDES,
+        *_COMMANDED,
+        *(w for _, of in _WORDS for w in of.split()),
+    }
+    unknown_word = next(
+        (token for token in lowercase if token not in known_words and not token.isdecimal()), ""
+    )
+    is_channel = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
+    sure = is_channel or (bool(word) and word not in _UNSURE)
+    return Named(
+        quantity, number, label, unknown_word, unit, side, commanded, word, sure, is_channel
+    )
 
 
 def _tokens(text: str) -> list[str]:
@@ -147,18 +148,20 @@ def _tokens(text: str) -> list[str]:
 
 
 def _quantity(tokens: list[str]) -> tuple[Quantity | None, str]:
-    low = [token.lower() for token in tokens]
+    lowercase = [token.lower() for token in tokens]
     for quantity, words in _WORDS:
-        for token in low:
-            if token in words.split() and not (token == "t" and len(low) > 2):
-                last = token == low[-1] and len(low) > 1 and token in ("a", "v", "i", "u")
-                if not last:  # a trailing letter is a unit
+        for token in lowercase:
+            if token in words.split() and not (token == "t" and len(lowercase) > 2):
+                is_unit = (
+                    token == lowercase[-1] and len(lowercase) > 1 and token in ("a", "v", "i", "u")
+                )
+                if not is_unit:  # a trailing letter is a unit
                     return quantity, token
     return None, ""
 
 
 def _unit(tokens: list[str], quantity: Quantity | None, word: str) -> tuple[str | None, list[str]]:
-    """The unit at a name's end, and the tokens before it."""
+    """Return the unit at the end of a name and the preceding tokens."""
     for length in (4, 3, 2, 1):
         tail = "".join(token.lower() for token in tokens[-length:])
         if length >= len(tokens) or tail == word:

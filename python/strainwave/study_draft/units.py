@@ -1,4 +1,4 @@
-"""Units identified by numbers: an angle and its velocity, or a factor near a known one."""
+"""Infer units from data: from an angle and its velocity, or from the nearest known factor."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 
 from strainwave.study_draft.names import UNITS
 
-NEAR = 0.03  # of a ratio to one that two units have
-_UNIT_RATIOS = (  # angle's change per integral of the velocity -> scales of both
+NEAR = 0.03  # relative tolerance between a measured and a known ratio
+_UNIT_RATIOS = (  # change of angle per integral of velocity, SI factors of angle and velocity, text
     (1.0, 1.0, 1.0, "in matching units"),
     (180.0 / pi, pi / 180.0, 1.0, "the angle in degrees, the velocity in rad/s"),
     (pi / 180.0, 1.0, pi / 180.0, "the angle in rad, the velocity in deg/s"),
@@ -21,24 +21,18 @@ _UNIT_RATIOS = (  # angle's change per integral of the velocity -> scales of bot
 
 
 def unit_pair(ratio: float) -> tuple[float, float, str] | None:
-    """Factors to SI of an angle and a velocity, by the angle's change per integral of the velocity.
+    """Infer the units of an angle and its velocity.
 
-    Parameters
-    ----------
-    ratio : float
-
-    Returns
-    -------
-    (float, float, str) or None
-        Of the angle, of the velocity, and what to say; None: no two units have that ratio.
+    `ratio` is the change of the angle per integral of the velocity. Returns the SI factors of angle
+    and velocity and a description, or None if no pair of units has this ratio.
     """
-    for known, of_angle, of_velocity, said in _UNIT_RATIOS:
+    for known, angle_scale, velocity_scale, description in _UNIT_RATIOS:
         if abs(ratio / known - 1.0) < NEAR:
-            return of_angle, of_velocity, said
+            return angle_scale, velocity_scale, description
     return None
 
 
 def nearest_unit(scale: float) -> float:
-    """The factor to SI nearest to one that was measured."""
+    """Return the known SI factor nearest to a measured factor."""
     known = {1.0, 1e-3, *UNITS["velocity"].values(), *UNITS["angle"].values()}
     return min(known, key=lambda each: abs(np.log(scale / each)))

@@ -1,4 +1,4 @@
-"""Guesses -> the text of a study file, each with its reason; what nobody can guess is a TODO."""
+"""Write a study file from guesses, each with its reason; unknown values are TODO."""
 
 from __future__ import annotations
 
@@ -59,19 +59,9 @@ _CURRENT_LOOP = (
 def study_text(
     records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed], out: Path
 ) -> str:
-    """A study file to complete.
+    """Return the text of a draft study file.
 
-    Parameters
-    ----------
-    records : sequence of Record
-    mapping : Mapping
-    experiments : sequence of Proposed
-    out : Path
-        Where it will lie; logs are named from there.
-
-    Returns
-    -------
-    str
+    `out` is the path of the study file; log paths are relative to its folder.
     """
     elastic = is_elastic(mapping, experiments)
     parts = [_arm(mapping)]
@@ -92,19 +82,19 @@ def study_text(
 
 
 def todos(text: str) -> int:
-    """How many values are still to be filled in."""
+    """Count the TODO values of a study file, without comments."""
     lines = [line.split("#")[0] for line in text.splitlines()]
     return sum(line.count(TODO) for line in lines)
 
 
 def is_elastic(mapping: Mapping, experiments: Sequence[Proposed]) -> bool:
-    """Whether the logs identify a gear's spring: a sensor on a link, or a pseudo-random input."""
+    """Whether the logs identify gear stiffness: a link sensor or a pseudo-random input exists."""
     sensed = any(facts.link_sensors for facts in mapping.joints)
     return sensed or any(each.prbs for each in experiments)
 
 
 def _line(key: str, value: str, comment: str) -> str:
-    """One line, or the comment above it where it would be too long."""
+    """Return one line with its comment, or the comment above if the line is too long."""
     code = f"{key} = {value}"
     if len(code) + len(comment) + 4 <= _WIDTH:
         return f"{code:<26}  # {comment}"
@@ -118,13 +108,13 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _off(key: str, value: str, comment: str) -> str:
-    """A line that may be taken in."""
+    """Return a commented-out optional line."""
     code = f"# {key} = {value}" if value else f"# {key}"
     return f"{code:<26}  # {comment}"
 
 
 def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], elastic: bool) -> str:
-    """[servo]: to be filled in where steps are compared with a simulation, or else optional."""
+    """Return [servo]: required if step records are compared with a simulation, else optional."""
     gains = "[" + ", ".join([TODO] * len(mapping.joints)) + "]"
     entries = [
         (key, value.format(period=record.period, gains=gains), comment)
@@ -138,16 +128,16 @@ def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], el
     if not (elastic and steps):
         return "\n".join([_off("[servo]", "", _SERVO_OPTIONAL), *(_off(*e) for e in entries)])
     names = ", ".join(steps[:4]) + (f" and {len(steps) - 4} more" if len(steps) > 4 else "")
-    why = _wrapped(_SERVO_NEEDED.format(names=names, them="it" if len(steps) == 1 else "them"))
-    return "\n".join([*why, "[servo]", *(_line(*each) for each in entries)])
+    reason = _wrapped(_SERVO_NEEDED.format(names=names, them="it" if len(steps) == 1 else "them"))
+    return "\n".join([*reason, "[servo]", *(_line(*each) for each in entries)])
 
 
 def _arm(mapping: Mapping) -> str:
-    two = len(mapping.joints) == 2
-    kind = "planar-two-link" if two else "single-joint"
-    seen = "angles of two joints are there" if two else "one joint's angle is there"
-    lines = ["[arm]", _line("kind", _quoted(kind), f"likely: {seen}")]
-    if two:
+    is_two_link = len(mapping.joints) == 2
+    kind = "planar-two-link" if is_two_link else "single-joint"
+    evidence = "angles of two joints are there" if is_two_link else "one joint's angle is there"
+    lines = ["[arm]", _line("kind", _quoted(kind), f"likely: {evidence}")]
+    if is_two_link:
         lines.append(_line("link_length", TODO, _WHERE["link_length"]))
     if not any(facts.prismatic for facts in mapping.joints):
         lines.append(_off("gravity", "9.81", "[m/s^2] if the arm moves in a vertical plane: links"))
@@ -167,9 +157,11 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
     if facts.voltage:
         lines.append(_line("torque_per_volt", TODO, _WHERE["torque_per_volt"]))
     if facts.encoder_counts:
-        counts, said = facts.encoder_counts
-        put, sure = (_line, "likely") if counts else (_off, "unsure")
-        lines.append(put("encoder_counts", str(counts or TODO), f"{sure}: {said}; per motor turn"))
+        counts, reason = facts.encoder_counts
+        write_line, sure = (_line, "likely") if counts else (_off, "unsure")
+        lines.append(
+            write_line("encoder_counts", str(counts or TODO), f"{sure}: {reason}; per motor turn")
+        )
     if "a" in facts.link_sensors:
         lines.append(_line("accelerometer_distance", TODO, _WHERE["accelerometer_distance"]))
         lines.append(_line("accelerometer_hz", TODO, _BANDWIDTH))
@@ -186,15 +178,19 @@ def _why_spring(facts: JointFacts, elastic: bool) -> str:
     if not elastic:
         return "unsure: nothing on the link is logged, so no spring is identifiable"
     sensors = ", ".join(sorted(facts.link_sensors))
-    seen = f"likely: there is a sensor on the link ({sensors})"
-    why = seen if sensors else "unsure: as on the other joint, or as records of vibration are there"
-    return why + '; or "three-slope": strain-wave gears stiffen'
+    sensor_reason = f"likely: there is a sensor on the link ({sensors})"
+    reason = (
+        sensor_reason
+        if sensors
+        else "unsure: as on the other joint, or as records of vibration are there"
+    )
+    return reason + '; or "three-slope": strain-wave gears stiffen'
 
 
 def _gear(facts: JointFacts) -> str:
     if facts.gear_ratio:
-        ratio, said = facts.gear_ratio
-        note = f"likely: {said}; link turns per motor turn, see the gear's data sheet"
+        ratio, reason = facts.gear_ratio
+        note = f"likely: {reason}; link turns per motor turn, see the gear's data sheet"
         return _line("gear_ratio", f"{ratio:.6g}", note)
     if facts.prismatic:
         return _line("gear_ratio", "1.0", "likely: all is logged along the axis")
@@ -202,31 +198,36 @@ def _gear(facts: JointFacts) -> str:
 
 
 def _channels(records: Sequence[Record], mapping: Mapping) -> str:
-    """[channels]; what has its channel's own name needs no line, and may be missing in a log."""
+    """Return [channels].
+
+    A column that has the name of its channel needs no line and may be missing in a log.
+    """
     record = records[0]
     lines = ["[channels]                  # value = scale * column + offset, in SI units"]
-    own = [g.channel for g in mapping.guesses.values() if g.column == g.channel and g.scale == 1.0]
+    direct_channels = [
+        g.channel for g in mapping.guesses.values() if g.column == g.channel and g.scale == 1.0
+    ]
     if record.time_column is not None:
         rate = 1.0 / record.period
-        why = f"sure: increases by {record.period / record.time_scale:.4g} {record.time_unit}, "
+        reason = f"sure: increases by {record.period / record.time_scale:.4g} {record.time_unit}, "
         unit = record.time_unit
-        why += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if it counts {unit}"
+        reason += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if it counts {unit}"
         if record.time_column == "t" and record.time_scale == 1.0:
-            lines += _wrapped(f"t: {why}")
+            lines += _wrapped(f"t: {reason}")
         else:
             lines.append(
-                _line("t", _entry(record.time_column, record.time_scale, of_bag=False), why)
+                _line("t", _entry(record.time_column, record.time_scale, of_bag=False), reason)
             )
-    if own:
-        lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(own)}")
+    if direct_channels:
+        lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(direct_channels)}")
     for guess in mapping.guesses.values():
-        if guess.channel not in own:
+        if guess.channel not in direct_channels:
             lines.append(_guess(guess, records))
-    for channel, what in mapping.missing.items():
-        lines.append(_line(channel, f'"{TODO}"', f"no column was found for {what}"))
-    for column, why in mapping.unused.items():
-        lines += _wrapped(f"not used: {_quoted(column)}: {why}")
-    faults = (f"{each.path.name}: {said}" for each in records for said in each.faults)
+    for channel, description in mapping.missing.items():
+        lines.append(_line(channel, f'"{TODO}"', f"no column was found for {description}"))
+    for column, reason in mapping.unused.items():
+        lines += _wrapped(f"not used: {_quoted(column)}: {reason}")
+    faults = (f"{each.path.name}: {fault}" for each in records for fault in each.faults)
     for note in dict.fromkeys((mapping.limit, *mapping.notes, *record.notes, *faults)):
         if note:
             lines += _wrapped(f"note: {note}")
@@ -234,19 +235,19 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
 
 
 def _guess(guess: Guess, records: Sequence[Record]) -> str:
-    """One channel; in logs that lack its column it is absent."""
+    """Return the line of one channel, with the logs that lack its column."""
     comment = f"{guess.sure}: {guess.why}"
     of_bag = any(record.is_bag for record in records if guess.column in record.columns)
-    lacking = [record.path.name for record in records if guess.column not in record.columns]
-    if lacking:
-        comment += f"; not in {', '.join(lacking)}: absent there"
+    logs_without = [record.path.name for record in records if guess.column not in record.columns]
+    if logs_without:
+        comment += f"; not in {', '.join(logs_without)}: absent there"
     if guess.scale is None:
         comment = f"{TODO}: {guess.todo}. {comment}"
     return _line(guess.channel, _entry(guess.column, guess.scale, of_bag), comment)
 
 
 def _entry(column: str, scale: float | None, of_bag: bool) -> str:
-    """A channel as [channels] has it; a bag's column is /topic.field[joint or index]."""
+    """Return the value of a channel in [channels]; a bag column is /topic.field[joint or index]."""
     value = TODO if scale is None else repr(float(scale))
     scaled = "" if scale == 1.0 else f", scale = {value}"
     if not of_bag:
@@ -285,7 +286,7 @@ def _experiment(each: Proposed, out: Path) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A TOML string; JSON's escapes would do, but for DEL, which TOML forbids."""
+    """Return a TOML string; JSON escapes do not suffice, because TOML forbids a raw DEL."""
     import tomli_w
 
     return tomli_w.dumps({"text": text}).removeprefix("text = ").removesuffix("\n")
