@@ -1,8 +1,8 @@
-"""Logs, Study -> Consistency: whether the channels agree with one another and with the study.
+"""Input check: consistency of the channels with each other and with the study.
 
-Runs before any estimate. Every relation here holds for every arm of the kind, whatever its
-parameters: what contradicts one is a fault of the input, and where one cause explains all that
-contradicts, it is named.
+The input check runs before any fit. Each relation that it tests holds for all parameter values of
+the arm, so a violation indicates a fault of the input. If one cause explains all contradictions,
+the check reports that cause.
 """
 
 from __future__ import annotations
@@ -21,52 +21,58 @@ from strainwave.signals.consistency.unexplained import is_reported, unexplained
 
 __all__ = ["check", "doubted_torques", "torque_constants"]
 
-_MAX_CAUSES = 3  # an input with more faults needs experiments, not guesses
-_MUST_STAY = ("followed", "scale", "inertia")  # kinds that a correction may not make disappear
-_MIN_GAIN = 0.75  # weight of contradictions that a cause must explain
-_FREE_PENALTY = 0.5  # weight of contradictions by which a free factor must explain more
-_MAX_LIKELY_CAUSES = 3  # named where no cause explains everything
+# Maximum number of combined causes. More simultaneous faults require separate experiments.
+_MAX_CAUSES = 3
+# Kinds of observations that must remain available after a correction.
+_MUST_STAY = ("followed", "scale", "inertia")
+# Minimum decrease of the total contradiction weight for a cause to be accepted.
+_MIN_GAIN = 0.75
+# Weight added to a cause with an estimated factor, so that structured causes take precedence.
+_FREE_PENALTY = 0.5
+# Number of likely causes reported if no cause explains all contradictions.
+_MAX_LIKELY_CAUSES = 3
 
 
 def check(logs: Sequence[Log], study: Study) -> Consistency:
-    """Compare all channels of all logs with one another and with the study.
+    """Compare all channels of all logs with each other and with the study.
 
-    A suspicion for each cause that explains contradictions; where none explains all of them, the
-    contradictions themselves, with the likely causes in order.
+    Returns one suspicion per cause that explains contradictions. If the causes do not explain all
+    contradictions, also returns the remaining contradictions with the likely causes, most likely
+    first.
     """
     with one_blas_thread():
-        found = list(clipped(logs, Arm.of(study.arm)))
-        seen = evidence(logs, study).without([each.where for each in found])
-        found.extend(_explained(seen))
-    return Consistency(tuple(found))
+        suspicions = list(clipped(logs, Arm.of(study.arm)))
+        unclipped = evidence(logs, study).without([each.where for each in suspicions])
+        suspicions.extend(_explained(unclipped))
+    return Consistency(tuple(suspicions))
 
 
 def _explained(seen: Evidence) -> list[Suspicion]:
-    """Causes one after the other, each the one that leaves the least contradictions."""
-    now = observe(seen)
+    """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
+    observations = observe(seen)
     chosen: list[Cause] = []
     likely: list[Suspicion] = []
-    while any(o.contradicts for o in now) and len(chosen) < _MAX_CAUSES:
-        ranked = _ranked(seen, now)
+    while any(o.contradicts for o in observations) and len(chosen) < _MAX_CAUSES:
+        ranked = _ranked(seen, observations)
         if not chosen:
             likely = [cause.suspicion for cause in ranked if not cause.is_free]
         if not ranked:
             break
         chosen.append(ranked[0])
         seen = seen.corrected(ranked[0].suspicion.corrections)
-        now = observe(seen)
-    left = [o for o in now if o.contradicts and is_reported(o)]
-    if not left:
+        observations = observe(seen)
+    remaining = [o for o in observations if o.contradicts and is_reported(o)]
+    if not remaining:
         return [cause.suspicion for cause in chosen]
-    kept = [cause.suspicion for cause in chosen if not cause.is_free]
-    return [*kept, *unexplained(left, likely[:_MAX_LIKELY_CAUSES], seen.study)]
+    structured = [cause.suspicion for cause in chosen if not cause.is_free]
+    return [*structured, *unexplained(remaining, likely[:_MAX_LIKELY_CAUSES], seen.study)]
 
 
 def _ranked(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
-    """The causes that explain something, that which leaves least first; of equals the simplest.
+    """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
 
-    A cause without which nothing is left to compare explains nothing: what contradicted before, or
-    should always be observed, and is not observed any more counts as contradicting.
+    An observation counts as a contradiction if the correction removes it and it contradicted
+    before or its kind is in `_MUST_STAY`.
     """
     before = _weight(now, now)
     weights: list[tuple[float, Cause]] = []
@@ -80,6 +86,7 @@ def _ranked(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
 
 
 def _weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
-    lost = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _MUST_STAY}
-    lost -= {(o.kind, o.where) for o in now}
-    return sum(o.weight for o in now if o.contradicts) + len(lost)
+    """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`."""
+    missing = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _MUST_STAY}
+    missing -= {(o.kind, o.where) for o in now}
+    return sum(o.weight for o in now if o.contradicts) + len(missing)

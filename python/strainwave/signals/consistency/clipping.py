@@ -1,4 +1,4 @@
-"""Sensors at the end of their range: flat tops at the largest or smallest reading."""
+"""Saturated sensors: runs of equal samples at the largest or smallest reading."""
 
 from __future__ import annotations
 
@@ -12,23 +12,16 @@ from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import SHARE, ends_of_range
 
 _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
-_NOISY = ("a", "gyro")  # never three times the same, but at the end of the range
-_GOES_ON = 0.01  # share of its motion that the motor makes while a sensor of its joint stands still
-_STEPS = 2.0  # of the sensor's resolution that it need not show
+# Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
+_NOISY = ("a", "gyro")
+# Share of the motor's range that the motor must cover during a run for the run to count.
+_GOES_ON = 0.01
+# Sensor resolutions of motion that a constant reading can hide.
+_STEPS = 2.0
 
 
 def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
-    """Channels that stay at their extremes again and again.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-
-    Returns
-    -------
-    iterator of Suspicion
-    """
+    """Yield one suspicion per channel that repeatedly stays at its largest or smallest reading."""
     for kind in _KINDS:
         for i in range(1, arm.n_joints + 1):
             name = f"{kind}{i}"
@@ -62,7 +55,7 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
 def _share(log: Log, name: str, *, rests: bool) -> float:
     """Share of the samples in runs of equal values at either extreme.
 
-    Of a channel that may rest there, those in which the motor goes on.
+    If `rests` is true, counts only the runs during which the motor moves.
     """
     values, motor = log.channels[name], log.channels.get(f"theta_m{name[-1]}")
     runs = [run for ends in ends_of_range(values, rests=rests) for run in ends.tolist()]

@@ -1,4 +1,4 @@
-"""Log -> Clocks: the rhythm in which commands change, against the rhythm that the study gives."""
+"""PRBS and servo clocks estimated from the times at which the commands change."""
 
 from __future__ import annotations
 
@@ -10,25 +10,32 @@ import numpy as np
 from strainwave.domain import FloatArray, Log, Prbs, channel_parts
 from strainwave.dynamics.arm import Arm
 
+# Minimum number of switches for a clock estimate.
 _FEWEST_SWITCHES = 24
-_JUMP = 0.3  # of a command's range: below half of it, as a servo's share may add to the test signal
-_WHOLE = 0.2  # of a clock, within which a switch is at a whole number of them
+# Minimum size of a switch, as a share of the command's range. Less than half, because a servo
+# output can add to the test signal.
+_JUMP = 0.3
+# Maximum distance of a switch from a clock tick, in clock periods.
+_WHOLE = 0.2
+# Minimum share of samples or switches that must agree with the hypothesis.
 _NEARLY_ALL = 0.95
-_RESOLVED = 1.5  # samples in a clock, below which a switch in between may be missed
-_REPEATS = 0.8  # autocorrelation of a sequence one period later
+# Minimum clock period in samples. With shorter periods, the record can miss switches.
+_RESOLVED = 1.5
+# Minimum autocorrelation of a periodic sequence at a lag of one period.
+_REPEATS = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class Clocks:
-    """What a log's commands show of its time base."""
+    """Clock periods and levels of the commands in one log."""
 
-    prbs: float | None = None  # [s] between possible switches of an open-loop PRBS
-    servo: float | None = None  # [s] between changes of a servo's output
-    level: Mapping[str, float] = field(default_factory=dict)  # half the swing of open-loop inputs
-    excited: frozenset[str] = frozenset()  # commands that switch as test signals do
+    prbs: float | None = None  # [s] clock of an open-loop PRBS
+    servo: float | None = None  # [s] update period of the servo output
+    level: Mapping[str, float] = field(default_factory=dict)  # half the range of open-loop inputs
+    excited: frozenset[str] = frozenset()  # commands that contain a test signal
 
     def retimed(self, factor: float) -> Clocks:
-        """With all time stamps multiplied by a factor."""
+        """Clocks after all time stamps are multiplied by `factor`."""
 
         def by(clock: float | None) -> float | None:
             return None if clock is None else factor * clock
@@ -37,17 +44,7 @@ class Clocks:
 
 
 def clocks_of(log: Log, arm: Arm) -> Clocks:
-    """The clocks that a log's commands follow.
-
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-
-    Returns
-    -------
-    Clocks
-    """
+    """Estimate the PRBS and servo clocks of a log from its commands."""
     experiment = log.experiment
     level: dict[str, float] = {}
     prbs = servo = None
@@ -58,15 +55,17 @@ def clocks_of(log: Log, arm: Arm) -> Clocks:
         values = log.channels[name]
         if control == "open" and experiment.prbs is not None:
             level[name] = 0.5 * float(np.ptp(values))
-            found = _clock(values, log, two_levels=True) or _period(values, log, experiment.prbs)
-            prbs = prbs or found
+            prbs_clock = _clock(values, log, two_levels=True) or _period(
+                values, log, experiment.prbs
+            )
+            prbs = prbs or prbs_clock
         elif control == "servo" and arm.servo is not None:
             servo = servo or _clock(values, log, two_levels=False)
     return Clocks(prbs, servo, level, excited_inputs(log))
 
 
 def excited_inputs(log: Log) -> frozenset[str]:
-    """The commands that jump through much of their range again and again."""
+    """Commands with at least `_FEWEST_SWITCHES` jumps larger than `_JUMP` of their range."""
     excited = set()
     for name, values in log.channels.items():
         if channel_parts(name)[0] in ("u", "torque"):
@@ -77,10 +76,11 @@ def excited_inputs(log: Log) -> frozenset[str]:
 
 
 def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
-    """Period of the clock at which a held signal changes [s]; None: it shows none.
+    """Clock period of a zero-order-hold signal [s].
 
-    The stamps of all changes are regressed on the number of clocks that lie between them, which the
-    shortest distance gives; a clock is there if nearly all distances are whole numbers of it.
+    The shortest interval between changes gives a starting value. Linear regression of the change
+    times on the tick numbers refines it. Returns None unless nearly all intervals are whole
+    multiples of the period.
     """
     size = float(np.ptp(values))
     if size == 0.0 or (two_levels and not _two_levels(values, size)):
@@ -88,28 +88,30 @@ def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
     changes = np.flatnonzero(np.abs(np.diff(values)) > (0.5 if two_levels else 1e-9) * size) + 1
     if len(changes) < _FEWEST_SWITCHES:
         return None
-    apart = np.diff(changes)
-    shortest = float(np.percentile(apart, 5.0))
-    if shortest < _RESOLVED:
+    intervals = np.diff(changes)
+    shortest_interval = float(np.percentile(intervals, 5.0))
+    if shortest_interval < _RESOLVED:
         return None
-    clock = float(np.mean(apart[apart < 1.5 * shortest]))
-    at = changes[1:] - changes[0]
+    clock = float(np.mean(intervals[intervals < 1.5 * shortest_interval]))
+    elapsed = changes[1:] - changes[0]
     for _ in range(3):
-        number = np.cumsum(np.round(apart / clock))
-        clock = float(number @ at / (number @ number))
-    off = np.abs(apart / clock - np.round(apart / clock))
-    return clock * log.sample_time if np.mean(off < _WHOLE) > _NEARLY_ALL else None
+        ticks = np.cumsum(np.round(intervals / clock))
+        clock = float(ticks @ elapsed / (ticks @ ticks))
+    distance = np.abs(intervals / clock - np.round(intervals / clock))
+    return clock * log.sample_time if np.mean(distance < _WHOLE) > _NEARLY_ALL else None
 
 
 def _two_levels(values: FloatArray, size: float) -> bool:
+    """Whether a signal of range `size` has few samples near the middle of its range."""
     middle = 0.5 * float(values.max() + values.min())
     return bool(np.mean(np.abs(values - middle) < 0.2 * size) < 1.0 - _NEARLY_ALL)
 
 
 def _period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
-    """A PRBS's clock from its period, where samples are too far apart to resolve its switches.
+    """PRBS clock [s] from the period of the sequence, for records that do not resolve switches.
 
-    The autocorrelation of a maximum-length sequence is 1 at whole periods and nearly 0 elsewhere.
+    The autocorrelation of a maximum-length sequence is 1 at multiples of the period and nearly 0
+    elsewhere. Returns None if the record does not repeat the sequence.
     """
     size = float(np.ptp(values))
     if prbs.periods < 2 or size == 0.0 or not _two_levels(values, size):
@@ -123,6 +125,6 @@ def _period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
     lag = first + int(np.argmax(correlation[first:]))
     if first == 0 or correlation[lag] < _REPEATS:
         return None
-    whole = np.flatnonzero(correlation > _REPEATS)
-    lag = int(whole[whole > first][0]) if np.any(whole > first) else lag
+    repeats = np.flatnonzero(correlation > _REPEATS)
+    lag = int(repeats[repeats > first][0]) if np.any(repeats > first) else lag
     return float(lag * log.sample_time / (2**prbs.order - 1))

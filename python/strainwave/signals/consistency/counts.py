@@ -1,4 +1,4 @@
-"""The step of a quantised motor angle, which is one count of its encoder."""
+"""Encoder resolution estimated from the steps of a quantized motor angle."""
 
 from __future__ import annotations
 
@@ -8,46 +8,43 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_FEWEST = 40  # small steps that must agree
-_MOST_COUNTS = 12.0  # between samples, beyond which a written log's digits blur the count
-_NEAR = 0.12  # of a count
-_SHARE = 0.97  # of the steps that lie near whole counts
+# Minimum number of steps for an estimate.
+_FEWEST = 40
+# Maximum step in counts. Rounding of the logged digits hides the count in larger steps.
+_MOST_COUNTS = 12.0
+# Maximum distance of a step from a whole number of counts, in counts.
+_NEAR = 0.12
+# Minimum share of the steps within `_NEAR` of a whole number of counts.
+_SHARE = 0.97
+# Maximum number of samples evaluated per record.
 _MOST_SAMPLES = 40_000
 
 
 def count_of(angles: Sequence[FloatArray]) -> float | None:
-    """One count of the encoder behind a motor angle.
+    """Size of one encoder count of a motor angle, in the unit of the channel.
 
-    The smallest step between neighbours, if nearly all small steps are whole multiples of it.
-
-    Parameters
-    ----------
-    angles : sequence of (n_samples,)
-        The same channel in several records.
-
-    Returns
-    -------
-    float or None
-        In the channel's unit; None: the angle shows no counts.
+    The count is the smallest step between consecutive samples, provided that nearly all small
+    steps are whole multiples of it. `angles` holds the same channel of several records, each of
+    shape (n_samples,). Returns None if the angle shows no quantization.
     """
     steps = np.concatenate([np.abs(np.diff(angle[:_MOST_SAMPLES])) for angle in angles])
     largest = steps.max(initial=0.0)
     steps = steps[steps > 1e-9 * largest]
     if len(steps) < _FEWEST:
         return None
-    ordered = np.sort(steps)
-    smallest = ordered[: max(1, len(ordered) // 1000) + 4]
-    least = float(np.median(smallest))
-    if least == 0.0:
+    sorted_steps = np.sort(steps)
+    smallest = sorted_steps[: max(1, len(sorted_steps) // 1000) + 4]
+    min_step = float(np.median(smallest))
+    if min_step == 0.0:
         return None
-    count = float(np.median(ordered[ordered < 1.5 * least]))
-    near = ordered[ordered < _MOST_COUNTS * count]
-    if len(near) < _FEWEST or len(near) < 0.001 * len(ordered):
+    count = float(np.median(sorted_steps[sorted_steps < 1.5 * min_step]))
+    small_steps = sorted_steps[sorted_steps < _MOST_COUNTS * count]
+    if len(small_steps) < _FEWEST or len(small_steps) < 0.001 * len(sorted_steps):
         return None
-    number = np.round(near / count)
-    if number.min() < 1.0:
+    multiples = np.round(small_steps / count)
+    if multiples.min() < 1.0:
         return None
-    count = float(number @ near / (number @ number))
-    off = np.abs(near / count - number)
-    distinct = len(np.unique(number))
-    return count if np.mean(off < _NEAR) > _SHARE and distinct > 1 else None
+    count = float(multiples @ small_steps / (multiples @ multiples))
+    distance = np.abs(small_steps / count - multiples)
+    distinct = len(np.unique(multiples))
+    return count if np.mean(distance < _NEAR) > _SHARE and distinct > 1 else None
