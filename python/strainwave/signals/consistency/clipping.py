@@ -30,12 +30,14 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
                 for log in logs
                 if name in log.channels
             }
-            worst = [record for record, (share, _) in shares.items() if share > SHARE]
-            if not worst:
+            records = [record for record, (share, _) in shares.items() if share > SHARE]
+            if not records:
                 continue
-            first = max(worst, key=lambda record: shares[record][0])
+            first = max(records, key=lambda record: shares[record][0])
             share, values = shares[first]
-            others = f" (also in {', '.join(w for w in worst if w != first)})" if worst[1:] else ""
+            others = (
+                f" (also in {', '.join(r for r in records if r != first)})" if records[1:] else ""
+            )
             yield Suspicion(
                 code="clipped",
                 where=name,
@@ -60,7 +62,7 @@ def _share(log: Log, name: str, *, rests: bool) -> float:
     values, motor = log.channels[name], log.channels.get(f"theta_m{name[-1]}")
     runs = [run for ends in ends_of_range(values, rests=rests) for run in ends.tolist()]
     if rests and motor is not None:
-        steps = resolution_of(values) / float(np.ptp(values)) if runs else 0.0
-        least = (_GOES_ON + _STEPS * steps) * float(np.ptp(motor))
-        runs = [(start, stop) for start, stop in runs if np.ptp(motor[start:stop]) > least]
+        relative_resolution = resolution_of(values) / float(np.ptp(values)) if runs else 0.0
+        min_motion = (_GOES_ON + _STEPS * relative_resolution) * float(np.ptp(motor))
+        runs = [(start, stop) for start, stop in runs if np.ptp(motor[start:stop]) > min_motion]
     return float(sum(stop - start for start, stop in runs)) / len(values)

@@ -55,10 +55,8 @@ def clocks_of(log: Log, arm: Arm) -> Clocks:
         values = log.channels[name]
         if control == "open" and experiment.prbs is not None:
             level[name] = 0.5 * float(np.ptp(values))
-            prbs_clock = _clock(values, log, two_levels=True) or _period(
-                values, log, experiment.prbs
-            )
-            prbs = prbs or prbs_clock
+            clock = _clock(values, log, two_levels=True) or _period(values, log, experiment.prbs)
+            prbs = prbs or clock
         elif control == "servo" and arm.servo is not None:
             servo = servo or _clock(values, log, two_levels=False)
     return Clocks(prbs, servo, level, excited_inputs(log))

@@ -1,7 +1,7 @@
-"""Logs -> Evidence: every record at low frequencies, and what clocks and counters show at once.
+"""Evidence for the input check: low-frequency records, command clocks, encoder counts.
 
-Everything here scales with the data: bands are chosen from the motion and from the record's length,
-never in hertz, so that a log whose time is in milliseconds is looked at like any other.
+All frequency bands follow from the motion and the length of the record. No band is fixed in hertz,
+so a log with its time in milliseconds gives the same evidence as a log in seconds.
 """
 
 from __future__ import annotations
@@ -30,51 +30,56 @@ from strainwave.signals.consistency.clocks import Clocks, clocks_of, excited_inp
 from strainwave.signals.consistency.counts import count_of
 from strainwave.signals.consistency.input_delay import DelayProfile, delay_profile
 
-_SLOW = (0.8, 2.0)  # share of the velocities' power, and bandwidth over the band that holds it
+# Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
+# lies, for slow and for fast records.
+_SLOW = (0.8, 2.0)
 _FAST = (0.5, 0.25)
-_LEAST_CYCLES = 10.0  # of the bandwidth in a record
-_OVERSAMPLING = 20.0  # rows per cycle of the bandwidth: second derivatives lose 0.1 % there
-_MOST_SAMPLES = 2**18  # of a record that are looked at
+# Minimum record length in periods of the bandwidth frequency.
+_LEAST_CYCLES = 10.0
+# Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
+_OVERSAMPLING = 20.0
+# Maximum number of samples evaluated per record.
+_MOST_SAMPLES = 2**18
 
 
 @dataclass(frozen=True, slots=True)
 class SlowRecord:
-    """One record at low frequencies: low-passed, at a low rate."""
+    """One record after low-pass filtering and decimation to n_rows."""
 
     experiment: Experiment
     sample_time: float  # [s] between rows
     bandwidth_hz: float
     channels: Mapping[str, FloatArray]  # (n_rows,)
-    noise: Mapping[str, float]  # standard deviation of a row by the channel's noise above the band
-    direction: FloatArray  # (n_rows, n_joints) of the motors, mean over a row
-    inside: BoolArray  # (n_rows,) away from the filter's ends
-    start: float  # [s] of the first row after the log's first sample
+    noise: Mapping[str, float]  # std of a row, extrapolated from the noise above the band
+    direction: FloatArray  # (n_rows, n_joints) mean sign of the motor velocity
+    inside: BoolArray  # (n_rows,) rows without end effects of the filter
+    start: float  # [s] time of the first row, from the first sample of the log
     clocks: Clocks
-    delays: Mapping[int, DelayProfile]  # of the joints whose delay the record shows
-    shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> [s] it was moved back
+    delays: Mapping[int, DelayProfile]  # joint -> profile, where the record determines the delay
+    shifted: Mapping[str, float] = field(default_factory=dict)  # channel -> delay removed [s]
 
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """A study and the low-frequency content of its logs, under a hypothesis about the input."""
+    """A study and the low-frequency content of its logs, under one hypothesis about the input."""
 
     study: Study  # with the corrections of the hypothesis
     records: tuple[SlowRecord, ...]
-    counts: Mapping[int, float]  # joint -> step of its motor angle, where it has one
-    high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> [Hz]
+    counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantized
+    high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
 
     @property
     def arm(self) -> Arm:
-        """The arm of the study."""
+        """Arm of the study."""
         return Arm.of(self.study.arm)
 
     @property
     def channels(self) -> frozenset[str]:
-        """The channels of all records."""
+        """Names of the channels of all records."""
         return frozenset(name for record in self.records for name in record.channels)
 
     def corrected(self, corrections: Sequence[Correction]) -> Evidence:
-        """The evidence after corrections of the study and of the logs."""
+        """Evidence after corrections of the study and the logs."""
         after = replace(self, study=corrected_study(self.study, corrections))
         experiments = {each.name: each for each in after.study.experiments}
         records = [replace(r, experiment=experiments[r.experiment.name]) for r in self.records]
@@ -90,11 +95,11 @@ class Evidence:
         return after
 
     def channel(self, name: str) -> Channel:
-        """The column, scale and offset of a channel."""
+        """Column, scale and offset of a channel."""
         return self.study.channels.get(name) or Channel(name)
 
     def _remapped(self, before: Evidence, changed: Collection[str]) -> Evidence:
-        """With channels taken from other columns, or scaled."""
+        """Evidence after a change of the columns, scales or offsets of the `changed` channels."""
         owners = {before.channel(name).column: name for name in before.channels}
         sources = {name: owners.get(self.channel(name).column, name) for name in changed}
         factors = {
@@ -116,7 +121,7 @@ class Evidence:
         return replace(self, records=records, counts=counts)
 
     def _with_log(self, correction: Correction) -> Evidence:
-        """With one channel moved in time, restored, or removed."""
+        """Evidence after one channel is shifted in time, removed, or assigned a high-pass."""
         name, value = correction.entry, float(correction.value or 0.0)
         if correction.key == "high_pass_hz":
             return replace(self, high_passes={**self.high_passes, name: value})
@@ -126,7 +131,7 @@ class Evidence:
         return replace(self, records=tuple(_moved(r, name, delay, drift) for r in self.records))
 
     def without(self, names: Collection[str]) -> Evidence:
-        """Without some channels."""
+        """Evidence without the channels `names`."""
         records = [
             replace(r, channels={k: v for k, v in r.channels.items() if k not in names})
             for r in self.records
@@ -134,7 +139,7 @@ class Evidence:
         return replace(self, records=tuple(records))
 
     def _retimed(self, factor: float) -> Evidence:
-        """With all time stamps multiplied by a factor."""
+        """Evidence after all time stamps are multiplied by `factor`."""
         records = [
             replace(
                 record,
@@ -150,7 +155,10 @@ class Evidence:
 
 
 def _moved(record: SlowRecord, name: str, delay: float, drift: float) -> SlowRecord:
-    """With one channel moved back by a delay that grows from the record's start on."""
+    """Record after removal of a delay from one channel.
+
+    The delay is `delay` [s] at the start of the record and grows by `drift` [s/s].
+    """
     if name not in record.channels:
         return record
     time = record.sample_time * np.arange(len(record.inside))
@@ -200,29 +208,19 @@ def _remapped(
 
 
 def evidence(logs: Sequence[Log], study: Study) -> Evidence:
-    """What a study's logs show at low frequencies.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    study : Study
-
-    Returns
-    -------
-    Evidence
-    """
+    """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
-    found = side_by_side([partial(_slow, log, arm) for log in logs]) if logs else []
+    records = side_by_side([partial(_slow, log, arm) for log in logs]) if logs else []
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
         if count is not None:
             counts[joint] = count
-    return Evidence(study, tuple(r for r in found if r is not None), counts)
+    return Evidence(study, tuple(r for r in records if r is not None), counts)
 
 
 def _slow(log: Log, arm: Arm) -> SlowRecord | None:
-    """A record at low frequencies; None where it is too short for any."""
+    """Low-pass filter and decimate a record. Returns None if the record is too short."""
     joints = range(1, arm.n_joints + 1)
     n = min(len(log), _MOST_SAMPLES)
     T = log.sample_time
@@ -234,21 +232,21 @@ def _slow(log: Log, arm: Arm) -> SlowRecord | None:
     if n_rows < 4 * edge:
         return None
     names = list(log.channels)
-    whole = np.column_stack([log.channels[name][: n_rows * block] for name in names])
+    samples = np.column_stack([log.channels[name][: n_rows * block] for name in names])
     smooth = low_pass(angle[: n_rows * block], min(4.0 * band, 0.2 / T), T)
     direction = np.sign(differentiate(smooth, T))
-    rows = _means(np.column_stack([whole, direction]), block)
+    rows = _means(np.column_stack([samples, direction]), block)
     slow = low_pass(rows, band, block * T)
     inside = np.zeros(n_rows, dtype=bool)
     inside[edge : n_rows - edge] = True
-    above = np.sqrt(np.mean(np.diff(whole, axis=0) ** 2, axis=0) / 2.0)
-    share = np.sqrt(2.0 * band * T)
+    all_band_noise = np.sqrt(np.mean(np.diff(samples, axis=0) ** 2, axis=0) / 2.0)
+    share = np.sqrt(2.0 * band * T)  # of white noise in the band
     return SlowRecord(
         experiment=log.experiment,
         sample_time=block * T,
         bandwidth_hz=band,
         channels={name: slow[:, k] for k, name in enumerate(names)},
-        noise={name: float(above[k] * share) for k, name in enumerate(names)},
+        noise={name: float(all_band_noise[k] * share) for k, name in enumerate(names)},
         direction=slow[:, len(names) :],
         inside=inside,
         start=0.5 * (block - 1) * T,
@@ -258,7 +256,7 @@ def _slow(log: Log, arm: Arm) -> SlowRecord | None:
 
 
 def _delays(log: Log, arm: Arm) -> dict[int, DelayProfile]:
-    """The delay profiles of the joints that a test signal excites."""
+    """Delay profiles of the joints that a test signal excites. Keys are joints, from 1."""
     profiles = {}
     if log.experiment.use in ("frequency", "sweep"):
         open_loop = {i for i, control in enumerate(log.experiment.control, 1) if control == "open"}
@@ -271,36 +269,27 @@ def _delays(log: Log, arm: Arm) -> dict[int, DelayProfile]:
 
 
 def is_slow(experiment: Experiment) -> bool:
-    """Whether an experiment moves all joints slowly, so that gears are as good as rigid."""
+    """Whether an experiment moves all joints slowly, so that the rigid model applies."""
     return experiment.joint is None and experiment.use in ("motion", "check")
 
 
 def _means(signal: FloatArray, block: int) -> FloatArray:
-    whole: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
-    return whole
+    means: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
+    return means
 
 
 def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
-    """Bandwidth that holds the slow motion of the fastest motor and little of a spring's [Hz].
+    """Bandwidth of the commanded motion of the fastest motor, below the gear resonances [Hz].
 
-    Of a slow record twice the frequency below which most of the velocities' power lies. In a fast
-    one the springs ring: a quarter of the frequency below which half of it lies.
-
-    Parameters
-    ----------
-    angle : (n_samples, n_joints) [rad]
-    sample_time : float [s]
-    slow : bool
-
-    Returns
-    -------
-    float [Hz]
+    Slow records: 2 times the frequency below which 80 % of the velocity power lies. Fast records
+    excite the gear resonances: 0.25 times the frequency below which 50 % of the power lies.
+    `angle` has shape (n_samples, n_joints).
     """
     velocity = np.diff(angle[: 2**16], axis=0)
     power = np.cumsum(np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2, axis=0)
     frequency = np.fft.rfftfreq(len(velocity), sample_time)
-    share, reach = _SLOW if slow else _FAST
-    moved = power.T[power[-1] > 0.0]
+    share, ratio = _SLOW if slow else _FAST
+    moving = power.T[power[-1] > 0.0]
     return max(
-        (reach * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moved), default=0.0
+        (ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving), default=0.0
     )

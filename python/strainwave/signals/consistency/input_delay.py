@@ -1,14 +1,14 @@
-"""Delay between a motor's logged command and its encoder, by the phase of its response.
+"""Delay of a motor's logged command relative to its encoder, from the phase of the response.
 
-Above the gears' resonances a motor responds to its torque like a free inertia. The links follow
-through the springs, and their reaction falls with 1/s^2: with the motor angles of all joints,
+Above the gear resonances, a motor responds to its torque like a free inertia. The reaction of the
+links through the gear springs decreases with 1/s^2. In terms of the motor angles of all joints,
 
     u exp(s D) = m s^2 theta + d s theta + f sgn(s theta) + sum_j (k_j0 + k_j1/s + ... ) theta_j
 
-where D is the delay of the logged command and the sum is the springs' series in 1/s. The
-coefficients are free, so that neither scales nor gains change D. Only records in which the
-joint's command is independent of its encoder show D: a servo's output also contains the encoder's
-noise, and would show the delay of the servo.
+where D is the delay of the logged command and the sum expands the spring reaction in powers of
+1/s. All coefficients are free, so D does not depend on scales or gains. Only open-loop records
+determine D: a servo output also contains the encoder noise, and the estimate would be the delay of
+the servo.
 """
 
 from __future__ import annotations
@@ -24,68 +24,80 @@ from strainwave.numerics.filters import band_passes, noise_deviation, signal_ban
 from strainwave.signals.channels import directions, torque_channel
 
 LONGEST_DELAY = 0.024
-"""[s] Delays are searched between both signs of this."""
-_DELAY_STEP = 2e-4  # [s] of the search, refined by a parabola; 200 Hz turns by 0.25 rad
-_BAND_SHARE = 0.5  # top of the band over the frequency at which the encoder meets its noise
-_BAND_RATIOS = (2.0, 5.0)  # top over bottom; the wider one where resonances lie below
-_SPRING_ORDERS = (0, 1, 2, 3, 4)  # of 1/s
-_MIN_LINES = 60  # spectral lines of a regression with some 14 coefficients
-_MIN_EXPLAINED = 0.95  # share of the command; healthy drawn arms with less were 8 ms off
-_MIN_IMPROVEMENT = 2.0  # of the unexplained share; noise alone gave up to 1.7 on drawn arms
-_PHASE_FLOOR = 0.03  # [rad] at the top of the band, left by friction and unmodelled lags
+"""Largest delay of the search, in either direction [s]."""
+# Step of the delay grid [s]; 0.25 rad of phase at 200 Hz. A parabola refines the estimate.
+_DELAY_STEP = 2e-4
+# Upper band limit over the frequency at which the encoder signal falls to its noise.
+_BAND_SHARE = 0.5
+# Upper over lower band limit. The wider band is for records with resonances below the narrow one.
+_BAND_RATIOS = (2.0, 5.0)
+# Powers of 1/s in the expansion of the spring reaction.
+_SPRING_ORDERS = (0, 1, 2, 3, 4)
+# Minimum number of spectral lines; a two-joint regression has about 14 coefficients.
+_MIN_LINES = 60
+# Minimum explained share of the command. Random fault-free arms below it had errors of 8 ms.
+_MIN_EXPLAINED = 0.95
+# Minimum decrease of the unexplained share, as a factor. On random arms, noise gave up to 1.7.
+_MIN_IMPROVEMENT = 2.0
+# Phase error at the upper band limit due to friction and unmodelled lags [rad].
+_PHASE_FLOOR = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class DelayProfile:
-    """Unexplained share of one record's command against its delay."""
+    """Unexplained share of the command of one record as a function of its delay."""
 
     record: str
     unexplained: FloatArray  # (n_delays,) over `delays()`
-    lines: int
-    band_hz: float  # top
+    lines: int  # spectral lines in the band
+    band_hz: float  # upper band limit
     sample_time: float  # [s] of the log
 
 
 def delays() -> FloatArray:
-    """The delays of a profile [s]."""
+    """Delay grid of a profile [s]."""
     count = round(LONGEST_DELAY / _DELAY_STEP)
     return np.asarray(_DELAY_STEP * np.arange(-count, count + 1), dtype=np.float64)
 
 
 def delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
-    """The profile of joint i, from 0; None where the record does not show the delay."""
+    """Delay profile of joint i, from 0. Returns None if the record does not determine the delay."""
     T, n = log.sample_time, arm.n_joints
     angle = np.column_stack([log.channels[f"theta_m{k}"] for k in range(1, n + 1)])
     top = _BAND_SHARE * signal_band(angle[:, i], T)
     noise = np.array([noise_deviation(each) for each in angle.T])
     direction = directions(angle, noise, arm, T)[:, i]
     signals = np.column_stack([angle, direction, _command(log, arm, i)])
-    found = [_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
-    known = [each for each in found if each is not None]
-    return min(known, key=lambda each: float(each.unexplained.min()), default=None)
+    profiles = [_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
+    valid = [each for each in profiles if each is not None]
+    return min(valid, key=lambda each: float(each.unexplained.min()), default=None)
 
 
 def pooled_delay(profiles: Sequence[DelayProfile]) -> Delay | None:
-    """The delay of largest likelihood over several records; None where they do not show it."""
-    clear = [p for p in profiles if p.unexplained.min() < 1.0 - _MIN_EXPLAINED]
-    if not clear:
+    """Maximum-likelihood delay over several records.
+
+    Returns None if the records do not determine the delay, or if it does not differ significantly
+    from zero.
+    """
+    valid = [p for p in profiles if p.unexplained.min() < 1.0 - _MIN_EXPLAINED]
+    if not valid:
         return None
-    cost = np.sum([p.lines * np.log(p.unexplained) for p in clear], axis=0)
+    cost = np.sum([p.lines * np.log(p.unexplained) for p in valid], axis=0)
     best, grid = int(np.argmin(cost)), delays()
     zero = len(grid) // 2
-    lines = sum(p.lines for p in clear)
+    lines = sum(p.lines for p in valid)
     if best in (0, len(grid) - 1) or cost[zero] - cost[best] < lines * np.log(_MIN_IMPROVEMENT):
         return None
-    # near its minimum the unexplained share, not its logarithm, is a parabola
-    share = np.sum([p.lines * p.unexplained / p.unexplained.min() for p in clear], axis=0)
+    # The unexplained share is parabolic near its minimum; its logarithm is not.
+    share = np.sum([p.lines * p.unexplained / p.unexplained.min() for p in valid], axis=0)
     left, middle, right = (float(share[k]) for k in (best - 1, best, best + 1))
     vertex = 0.5 * (left - right) / (left - 2.0 * middle + right)
-    floor = _PHASE_FLOOR / (2.0 * np.pi * max(p.band_hz for p in clear))
+    floor = _PHASE_FLOOR / (2.0 * np.pi * max(p.band_hz for p in valid))
     return Delay(float(grid[best]) + vertex * _DELAY_STEP, floor)
 
 
 def _command(log: Log, arm: Arm, i: int) -> FloatArray:
-    """The motor's torque as the drive makes it of the log's command, but for its scale."""
+    """Motor torque of joint i (from 0) up to its scale, from the logged command or torque."""
     name, joint = torque_channel(log, i + 1), arm.joints[i]
     values = log.channels[name]
     if name == f"torque{i + 1}":
@@ -97,31 +109,33 @@ def _command(log: Log, arm: Arm, i: int) -> FloatArray:
 def _profile(
     log: Log, signals: FloatArray, i: int, band: tuple[float, float]
 ) -> DelayProfile | None:
+    """Delay profile of joint i in one frequency band [Hz]; None if the record is too short."""
     T, n = log.sample_time, signals.shape[1] - 2
-    edge = int(np.ceil(1.5 / (band[0] * T)))  # of the band-pass, at either end
+    edge = int(np.ceil(1.5 / (band[0] * T)))  # samples with end effects of the band-pass
     if len(signals) < 4 * edge:
         return None
     springs = [(j, order) for j in range(n) for order in _SPRING_ORDERS]
-    wanted = [(n + 1, 0), (i, -2), (i, -1), (n, 0), *springs]
-    passed = band_passes(signals, wanted, *band, T)[edge:-edge]
-    frequency = np.fft.rfftfreq(len(passed), T)
+    derivatives = [(n + 1, 0), (i, -2), (i, -1), (n, 0), *springs]
+    filtered = band_passes(signals, derivatives, *band, T)[edge:-edge]
+    frequency = np.fft.rfftfreq(len(filtered), T)
     inside = (frequency >= band[0]) & (frequency <= band[1])
     if inside.sum() < _MIN_LINES:
         return None
-    lines = np.fft.rfft(np.hanning(len(passed))[:, None] * passed, axis=0)[inside]
+    lines = np.fft.rfft(np.hanning(len(filtered))[:, None] * filtered, axis=0)[inside]
     columns = _stacked(lines[:, 1:])
     size = np.linalg.norm(columns, axis=0)
     total = float(np.sum(np.abs(lines[:, 0]) ** 2))
     if total == 0.0 or size.max() == 0.0:
         return None
     columns = columns[:, size > 0.0] / size[size > 0.0]
-    basis, weight, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, weight > 1e-7 * weight[0]]
-    turned = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delays()))
-    explained = np.sum((basis.T @ _stacked(turned)) ** 2, axis=0) / total
+    basis, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, singular_values > 1e-7 * singular_values[0]]
+    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delays()))
+    explained = np.sum((basis.T @ _stacked(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
     return DelayProfile(log.name, unexplained, int(inside.sum()), band[1], T)
 
 
 def _stacked(lines: ComplexArray) -> FloatArray:
+    """Real parts above imaginary parts."""
     return np.concatenate([lines.real, lines.imag])

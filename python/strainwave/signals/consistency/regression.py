@@ -1,4 +1,4 @@
-"""One regression at low frequencies, and the mean of several records' answers."""
+"""Linear regression on low-frequency records, and the weighted mean over records."""
 
 from __future__ import annotations
 
@@ -9,106 +9,86 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_PER_CYCLE = 10.0  # rows that repeat one another: 20 a cycle of the bandwidth, 2 are independent
-_MEMORY = 200  # rows over which residuals may repeat one another: ten cycles of the bandwidth
+# Rows per independent row: 20 rows per period of the bandwidth frequency, 2 of them independent.
+_PER_CYCLE = 10.0
+# Maximum lag of the residual autocorrelation in rows: ten periods of the bandwidth frequency.
+_MEMORY = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """Coefficients of one record's regression."""
+    """Coefficients of a regression."""
 
     value: FloatArray  # (n_columns,)
     covariance: FloatArray  # (n_columns, n_columns)
-    explained: float  # share of the target's variance
+    explained: float  # share of the variance of the target
     rows: int
 
 
 def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = None) -> Fit | None:
-    """Least squares by QR with a free constant, and deviations for rows that repeat one another.
+    """Least squares by QR with a free constant. The covariance allows for correlated residuals.
 
-    Parameters
-    ----------
-    target : (n_rows,)
-    columns : (n_rows, n_columns)
-    prior : (n_columns,), optional
-        Deviations of the coefficients about zero, known beforehand; infinite: nothing is known.
-
-    Returns
-    -------
-    Fit or None
-        None where the columns do not determine the coefficients, or nothing varies.
+    `target` has shape (n_rows,), `columns` (n_rows, n_columns). `prior`, of shape (n_columns,),
+    holds prior standard deviations of the coefficients about zero; infinity means no prior.
+    Returns None if the target or a column is constant, or if the columns are linearly dependent.
     """
     y = target - target.mean()
     X = columns - columns.mean(axis=0)
     total = float(y @ y)
-    size = np.linalg.norm(X, axis=0)
-    if total == 0.0 or np.any(size == 0.0) or not np.all(np.isfinite(size)):
+    norms = np.linalg.norm(X, axis=0)
+    if total == 0.0 or np.any(norms == 0.0) or not np.all(np.isfinite(norms)):
         return None
-    X = X / size
-    tight = np.zeros(0) if prior is None else np.flatnonzero(np.isfinite(prior))
-    root = np.sqrt(total / len(y))
+    X = X / norms
+    known = np.zeros(0) if prior is None else np.flatnonzero(np.isfinite(prior))
+    residual_std = np.sqrt(total / len(y))
     for _ in range(2):
-        ridge = np.zeros((len(tight), X.shape[1]))
+        ridge = np.zeros((len(known), X.shape[1]))
         if prior is not None:
-            ridge[np.arange(len(tight)), tight] = root / (prior[tight] * size[tight])
+            ridge[np.arange(len(known)), known] = residual_std / (prior[known] * norms[known])
         Q, R = np.linalg.qr(np.vstack([X, ridge]))
         if np.min(np.abs(np.diag(R))) < 1e-7 * np.max(np.abs(np.diag(R))):
             return None
         value = np.linalg.solve(R, Q[: len(y)].T @ y)
         residual = y - X @ value
-        root = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
-        root = max(root, 1e-9 * float(np.sqrt(total / len(y))))
+        residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
+        residual_std = max(residual_std, 1e-9 * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    spread = inverse @ inverse.T * root**2 * _PER_CYCLE
-    wider = np.maximum(
-        1.0, _slow_deviation(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(spread))
+    covariance = inverse @ inverse.T * residual_std**2 * _PER_CYCLE
+    factor = np.maximum(
+        1.0, _slow_deviation(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(covariance))
     )
-    spread = spread * np.outer(wider, wider)
+    covariance = covariance * np.outer(factor, factor)
     return Fit(
-        value=value / size,
-        covariance=spread / np.outer(size, size),
+        value=value / norms,
+        covariance=covariance / np.outer(norms, norms),
         explained=1.0 - float(residual @ residual) / total,
         rows=len(y),
     )
 
 
 def _slow_deviation(influence: FloatArray, residual: FloatArray) -> FloatArray:
-    """Deviations of coefficients where residuals repeat one another over cycles of the bandwidth.
+    """Standard deviations of the coefficients for autocorrelated residuals, (n_columns,).
 
-    The long-run variance of each coefficient's influences (Newey and West, 1987).
-
-    Parameters
-    ----------
-    influence : (n_rows, n_columns)
-        What a row's residual adds to each coefficient.
-    residual : (n_rows,)
-
-    Returns
-    -------
-    (n_columns,)
+    Long-run variance of the influence times the residual (Newey and West, 1987). `influence`, of
+    shape (n_rows, n_columns), is the derivative of each coefficient with respect to a residual.
     """
     terms = influence * residual[:, None]
     n_rows = len(terms)
     n_lags = min(_MEMORY, n_rows // 4)
     spectrum = np.fft.rfft(terms, 2 * n_rows, axis=0)
-    products = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_rows, axis=0)[: n_lags + 1]
-    weight = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
-    weight[1:] *= 2.0
-    return np.sqrt(np.maximum(weight @ products, 0.0))
+    autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_rows, axis=0)[: n_lags + 1]
+    window = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
+    window[1:] *= 2.0
+    return np.sqrt(np.maximum(window @ autocovariance, 0.0))
 
 
 def pooled(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
-    """Weighted mean of several records' answers, wider where they contradict one another.
+    """Weighted mean over records and its standard deviation.
 
-    Parameters
-    ----------
-    values, deviations : sequence of float
-
-    Returns
-    -------
-    value, standard deviation
+    `deviations` holds the standard deviations of the values. The result's standard deviation
+    increases if the values scatter more than `deviations` explain.
     """
-    x, weight = np.array(values), np.array(deviations) ** -2.0
-    mean = float(weight @ x / weight.sum())
-    scatter = float(weight @ (x - mean) ** 2) / max(1, len(x) - 1)
-    return mean, float(np.sqrt(max(1.0, scatter) / weight.sum()))
+    x, weights = np.array(values), np.array(deviations) ** -2.0
+    mean = float(weights @ x / weights.sum())
+    scatter = float(weights @ (x - mean) ** 2) / max(1, len(x) - 1)
+    return mean, float(np.sqrt(max(1.0, scatter) / weights.sum()))
