@@ -1,7 +1,7 @@
 //! Arms of any number of joints behind one interface: [`CompiledArm`].
 //!
-//! Inside of an arm's programs the number of joints is a constant; outside it is not. Lists of
-//! numbers are flat here, a row of joints for each sample or tick.
+//! The number of joints is a constant in the programs of an arm, but not in this interface. Lists
+//! of numbers are flat, with a row of joints for each sample or tick.
 
 use crate::actuation::{PiPosition, PiVelocity, Servo};
 use crate::arm::{Arm, Name};
@@ -14,36 +14,36 @@ use crate::sensors::decimation::Decimation;
 /// One experiment on an arm.
 #[derive(Clone, Debug)]
 pub struct Experiment {
-    /// The clocks.
+    /// Clock of steps, ticks and samples.
     pub clock: Clock,
-    /// The servo; `None`: every joint gets its feed-forward voltage.
+    /// Servo; `None`: each joint gets its feed-forward voltage.
     pub servo: Option<ServoGains>,
-    /// Feed-forward voltage [V]: a row for each tick.
+    /// Feed-forward voltage [V], a row per tick.
     pub voltage: Vec<f64>,
-    /// Servo reference [rad/s]: a row for each tick; may be empty without a servo.
+    /// Servo reference [rad/s], a row per tick; may be empty without a servo.
     pub reference: Vec<f64>,
-    /// The start.
+    /// Initial state.
     pub initial: InitialState,
-    /// The quantities to be recorded.
+    /// Quantities to record.
     pub record: Vec<Quantity>,
 }
 
-/// Gains of a PI velocity servo, with a number for each joint.
+/// Gains of a PI velocity servo, one number per joint.
 #[derive(Clone, Debug)]
 pub struct ServoGains {
     /// kp [V s/rad].
     pub kp: Vec<f64>,
     /// ki [V/rad].
     pub ki: Vec<f64>,
-    /// Largest output [V]; the integrals stop while it is reached.
+    /// Output limit [V]; integration stops while the output is limited.
     pub limit: f64,
     /// The joints under servo.
     pub active: Vec<bool>,
-    /// Gains [1/s] of an outer position loop, if there is one.
+    /// Gains [1/s] of the outer position loop; `None`: no position loop.
     pub position_gain: Option<Vec<f64>>,
 }
 
-/// Start of an experiment, with a number for each joint.
+/// Initial state of an experiment, one number per joint.
 #[derive(Clone, Debug)]
 pub struct InitialState {
     /// theta_M [rad].
@@ -58,7 +58,7 @@ pub struct InitialState {
     pub voltage: Option<Vec<f64>>,
 }
 
-/// Link angles, velocities and accelerations, a row of joints for each sample.
+/// Link angles, velocities and accelerations, a row of joints per sample.
 #[derive(Clone, Copy, Debug)]
 pub struct LinkMotion<'a> {
     /// q [rad].
@@ -69,26 +69,26 @@ pub struct LinkMotion<'a> {
     pub acceleration: &'a [f64],
 }
 
-/// Recorded quantities: for each of them samples times joints.
+/// Recorded quantities, each samples times joints.
 pub type Recording = Vec<Vec<f64>>;
 
 /// Recorded quantities and their derivatives.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Derivatives {
-    /// What [`CompiledArm::simulate`] gives, or its rows behind a low-pass.
+    /// As from [`CompiledArm::simulate`], or rows behind a low-pass.
     pub values: Recording,
-    /// For each quantity samples, or rows, times joints times directions.
+    /// For each quantity: samples (or rows) times joints times directions.
     pub tangents: Vec<Vec<f64>>,
 }
 
-/// A list whose size does not fit the arm or the clock.
+/// A list whose size does not match the arm or the clock.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WrongSize {
-    /// The name of the list.
+    /// Name of the list.
     pub name: &'static str,
-    /// The size it must have.
+    /// Expected size.
     pub expected: usize,
-    /// The size it has.
+    /// Size of the list.
     pub got: usize,
 }
 
@@ -107,20 +107,20 @@ impl std::error::Error for WrongSize {}
 
 /// An arm with its known constants and compiled equations.
 ///
-/// Methods that take parameters panic unless [`CompiledArm::check`] passes them; those that take an
-/// experiment, unless [`Experiment::check`] does; and those that take a motion, unless it has whole
-/// rows of joints.
+/// Methods with parameters panic if [`CompiledArm::check`] rejects them. Methods with an experiment
+/// panic if [`Experiment::check`] rejects it. Methods with a motion panic if it does not consist of
+/// whole rows of joints.
 pub trait CompiledArm: Send + Sync {
     /// Number of joints.
     fn joints(&self) -> usize;
-    /// Number of inertial and gravity parameters; these come first in lists of parameters.
+    /// Number of inertial and gravity parameters, which come first in lists of parameters.
     fn base_parameters(&self) -> usize;
-    /// Names of the parameters, in the order of lists of their values.
+    /// Names of the parameters, in the order of lists of values.
     fn parameter_names(&self) -> Vec<Name>;
-    /// Checks a list of parameter values, as many as there are names.
+    /// Checks a list of parameter values, which must be as long as the list of names.
     ///
     /// # Errors
-    /// The first value that is impossible.
+    /// The first impossible value.
     fn check(&self, parameters: &[f64]) -> Result<(), InvalidParameter>;
 
     /// Simulates one experiment.
@@ -142,7 +142,7 @@ pub trait CompiledArm: Send + Sync {
 
     /// Link-side torques [N m] per base parameter: samples times joints times base parameters.
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64>;
-    /// Motor torques [N m] of a motion behind rigid gears, (5): samples times joints.
+    /// Motor torques [N m] of a motion with rigid gears, (5): samples times joints.
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64>;
     /// M_L(q) of (2) [kg m^2]: samples times joints times joints.
     fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64>;
@@ -151,7 +151,7 @@ pub trait CompiledArm: Send + Sync {
 }
 
 impl Experiment {
-    /// Checks the sizes of all lists for an arm of some joints.
+    /// Checks the sizes of all lists against the number of joints.
     ///
     /// # Errors
     /// The first list of a wrong size.
@@ -201,7 +201,7 @@ impl Experiment {
         }
     }
 
-    /// An arm with given parameters in this experiment.
+    /// The parameters, feed-forward voltages and initial state.
     fn member<'a, const N: usize>(&'a self, parameters: &'a [f64]) -> Member<'a, N> {
         let initial = &self.initial;
         let or_zero = |list: &Option<Vec<f64>>| list.as_deref().map_or([0.0; N], row);
@@ -211,7 +211,7 @@ impl Experiment {
             feed_forward,
             reference: match self.servo {
                 Some(_) => self.reference.as_chunks().0,
-                None => feed_forward, // not read
+                None => feed_forward, // without a servo the reference is not read
             },
             initial: Initial {
                 motor_angle: row(&initial.motor_angle),
@@ -255,7 +255,7 @@ struct Compiled<A: 'static, const N: usize> {
     width: Width,
 }
 
-/// An arm behind the common interface, on registers of a width.
+/// An arm behind the common interface, on registers of a given width.
 ///
 /// # Panics
 /// The processor has no registers of that width.

@@ -1,10 +1,10 @@
-//! The functions that are compiled for an arm.
+//! Functions that are compiled for each arm.
 //!
-//! A program is one instance of a generic function of this module. Each takes seconds to compile, so
-//! an arm has few: [`Programs`] lists fast ones, which a benchmark justifies, and general ones, which
-//! serve every gear law and every effect. On x86-64 the processor decides at run time which of them
-//! run. This is the only module that names a scalar which needs more than the baseline of the
-//! target, and each program asks the processor first.
+//! A program is one instance of a generic function of this module. Each program takes seconds to
+//! compile, so an arm has few of them. [`Programs`] lists fast programs, which are justified by a
+//! benchmark, and general programs for every gear law and every effect. On x86-64 the processor's
+//! features decide at run time which of them are used. This is the only module that names scalars
+//! beyond the baseline of the target; each program checks the processor's features first.
 
 use std::marker::PhantomData;
 
@@ -76,21 +76,21 @@ impl Width {
     }
 }
 
-/// An experiment to be differentiated.
+/// A request for the derivatives of an experiment.
 #[derive(Clone, Copy)]
 pub struct Request<'a, A, const N: usize> {
     /// The experiment.
     pub task: &'a Task<A, N>,
-    /// The arm's parameters and the start.
+    /// Parameters of the arm, and initial state.
     pub member: &'a Member<'a, N>,
-    /// The parameters and initial states with respect to which it is differentiated.
+    /// The parameters and initial states to differentiate with respect to.
     pub directions: &'a [Source],
-    /// Replaces the samples by rows behind a low-pass.
+    /// Low-pass and decimation of the samples; `None`: all samples.
     pub decimation: Option<&'a Decimation>,
 }
 
 impl<'a, A, const N: usize> Request<'a, A, N> {
-    /// The same request on another description of the arm.
+    /// The same request with another representation of the arm.
     pub fn with_task<'b, B>(&self, task: &'b Task<B, N>) -> Request<'b, B, N>
     where
         'a: 'b,
@@ -116,10 +116,9 @@ pub type Differentiation<A, const N: usize> =
 pub struct Programs<A: 'static, const N: usize> {
     /// For linear and three-slope gears.
     pub fast: FastPrograms<A, N>,
-    /// For everything else.
+    /// For all other gears, and for effects.
     pub general: GeneralPrograms<A, N>,
-    /// For the baseline of the target, by dual numbers: on x86-64 the only program of a processor
-    /// without AVX2.
+    /// For the baseline of the target, over dual numbers. The only program for x86-64 processors without AVX2.
     pub baseline: Differentiation<A, N>,
 }
 
@@ -130,7 +129,7 @@ pub struct FastPrograms<A: 'static, const N: usize> {
     pub simulation: Simulation<A, N>,
     /// Derivatives, with effects of size zero.
     pub forward: Differentiation<A, N>,
-    /// The same on AVX-512.
+    /// As `forward`, on AVX-512.
     pub forward_avx512: Differentiation<A, N>,
 }
 
@@ -139,14 +138,14 @@ pub struct FastPrograms<A: 'static, const N: usize> {
 pub struct GeneralPrograms<A: 'static, const N: usize> {
     /// Simulation.
     pub simulation: Simulation<A, N>,
-    /// Derivatives by the variational equations: of elastic gears, with effects of size zero.
+    /// Derivatives by the variational equations, for elastic gears and effects of size zero.
     pub forward: Differentiation<A, N>,
     /// Derivatives by dual numbers.
     pub duals: Differentiation<A, N>,
 }
 
 impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
-    /// Compiles the general programs of an arm where it is called.
+    /// Compiles the general programs of an arm in the calling crate.
     pub const fn compile() -> Self {
         Self {
             simulation: simulate::<A, AllLaws, N, true>,
@@ -155,7 +154,7 @@ impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
         }
     }
 
-    /// The general programs in place of fast ones.
+    /// The general programs as fast ones.
     pub fn as_fast(&self) -> FastPrograms<A, N> {
         FastPrograms {
             simulation: self.simulation,
@@ -165,7 +164,7 @@ impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
     }
 }
 
-/// Simulates an arm whose gears are of the set `G`, with effects only if `EFFECTS`.
+/// Simulates an arm whose gears are in the set `G`, with effects only if `EFFECTS`.
 ///
 /// # Errors
 /// The motion diverged.
@@ -186,13 +185,14 @@ pub fn simulate<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 
 /// Simulates an arm with elastic gears, with derivatives by the variational equations.
 ///
-/// With `EFFECTS`, directions may be the sizes of effects whose sizes are all zero.
+/// With `EFFECTS`, directions may be sizes of effects; all sizes must be zero.
 ///
 /// # Errors
 /// The motion diverged.
 ///
 /// # Panics
-/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect has a size.
+/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect has a nonzero
+/// size.
 pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
@@ -200,13 +200,13 @@ pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     forward_on::<A, One, Four, Four, G, N, EFFECTS>(request)
 }
 
-/// [`forward`] with eight directions in a register of AVX-512.
+/// [`forward`] with eight directions per AVX-512 register.
 ///
 /// # Errors
 /// The motion diverged.
 ///
 /// # Panics
-/// The processor has no AVX-512, a gear is not in the set, or an effect has a size.
+/// The processor lacks AVX-512, a gear is not in the set, or an effect has a nonzero size.
 #[cfg(target_arch = "x86_64")]
 pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
@@ -215,7 +215,7 @@ pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     forward_on::<A, One, F64x8, Four, G, N, EFFECTS>(request)
 }
 
-/// [`forward`]: there are no wider registers to use.
+/// [`forward`], because this target has no wider registers.
 ///
 /// # Errors
 /// The motion diverged.
@@ -226,8 +226,8 @@ pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     forward::<A, G, N, EFFECTS>(request)
 }
 
-/// Simulates an arm over dual numbers: slower than [`forward`], for rigid gears and effects of any
-/// size as well.
+/// Simulates an arm with derivatives over dual numbers: slower than [`forward`], but also for rigid
+/// gears and effects of any size.
 ///
 /// # Errors
 /// The motion diverged.
@@ -291,7 +291,7 @@ fn forward_on<
 }
 
 impl<A: Arm<N>, const N: usize> Programs<A, N> {
-    /// Simulates one experiment with the fastest program that serves it on registers of a width.
+    /// Simulates one experiment with the fastest suitable program for a register width.
     ///
     /// # Errors
     /// The motion diverged.
@@ -321,7 +321,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
         }
     }
 
-    /// Simulates one experiment with derivatives, likewise.
+    /// Simulates one experiment with derivatives, with the fastest suitable program.
     ///
     /// # Errors
     /// The motion diverged.

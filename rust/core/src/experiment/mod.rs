@@ -1,4 +1,4 @@
-//! What an experiment is asked, and what it records.
+//! Experiments: their settings and the quantities that they record.
 
 pub mod simulate;
 mod start;
@@ -7,12 +7,12 @@ use crate::actuation::Servo;
 use crate::plant::config::Config;
 use crate::scalar::Real;
 
-/// What can be recorded, each a value per joint.
+/// Quantities that can be recorded, one value per joint each.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Quantity {
-    /// u [V], as applied from this instant on.
+    /// u [V], applied from this instant on.
     Voltage,
-    /// Torque of the motor [N m].
+    /// Motor torque [N m].
     MotorTorque,
     /// theta_M [rad].
     MotorAngle,
@@ -24,31 +24,31 @@ pub enum Quantity {
     LinkVelocity,
     /// ddtheta_L [rad/s^2].
     LinkAcceleration,
-    /// Torque [N m] each gear passes to its link; zero for a rigid gear.
+    /// Torque [N m] of each gear at its link; zero for a rigid gear.
     GearTorque,
     /// Encoder reading [rad].
     Encoder,
-    /// Accelerometer reading [m/s^2], after its bandwidth.
+    /// Accelerometer reading [m/s^2], behind its low-pass.
     Accelerometer,
-    /// Gyro reading [rad/s], after its bandwidth.
+    /// Gyro reading [rad/s], behind its low-pass.
     Gyro,
-    /// Specific force [m/s^2] at the link's own axis along the link, after the bandwidth of the
+    /// Specific force [m/s^2] at the link's own axis along the link, behind the low-pass of the
     /// IMU's accelerometers.
     SpecificForceX,
-    /// The same across the link.
+    /// Specific force [m/s^2] across the link, behind the same low-pass.
     SpecificForceY,
-    /// Angular acceleration [rad/s^2] of the link in space, after that bandwidth.
+    /// Angular acceleration [rad/s^2] of the link in space, behind the same low-pass.
     AngularAcceleration,
-    /// Square [rad^2/s^2] of its rate in space, after that bandwidth.
+    /// Square [rad^2/s^2] of the link's rate in space, behind the same low-pass.
     SquaredRate,
-    /// Its rate in space [rad/s], after the bandwidth of the IMU's gyros.
+    /// Rate of the link in space [rad/s], behind the low-pass of the IMU's gyros.
     AngularRate,
-    /// 0 where the motor stands still by friction, else the sign of its motion.
+    /// 0 while friction holds the motor, else the sign of its velocity.
     Sliding,
 }
 
 impl Quantity {
-    /// The place among what the sensors of an IMU read combinations of; `None` of all others.
+    /// Index among the signals of an IMU; `None` for other quantities.
     #[inline(always)]
     pub(crate) fn mounted(self) -> Option<usize> {
         match self {
@@ -62,33 +62,33 @@ impl Quantity {
     }
 }
 
-/// How time is cut: everything happens at multiples of the integrator's step.
+/// Clock of an experiment. All its events are at multiples of the integrator's step.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     /// Step of the integrator [s].
     pub step: f64,
-    /// Steps from one voltage of the feed-forward to the next.
+    /// Steps per tick of the feed-forward voltage.
     pub steps_per_tick: usize,
-    /// Steps from one servo reading to the next.
+    /// Steps per servo reading.
     pub steps_per_servo: usize,
-    /// Steps from one recorded sample to the next.
+    /// Steps per recorded sample.
     pub steps_per_sample: usize,
-    /// Samples to record; the first is at time zero.
+    /// Number of samples; the first one is at time zero.
     pub samples: usize,
 }
 
 impl Clock {
-    /// Steps from the first sample to the last.
+    /// Number of steps from the first sample to the last.
     pub fn steps(&self) -> usize {
         self.samples.saturating_sub(1) * self.steps_per_sample
     }
 
-    /// Ticks the feed-forward and the reference must hold.
+    /// Number of ticks that feed-forward and reference must have.
     pub fn ticks(&self) -> usize {
         self.steps() / self.steps_per_tick + 1
     }
 
-    /// Every instant, and what is to be done there.
+    /// All instants with their events.
     pub(crate) fn instants(&self) -> Instants {
         Instants {
             clock: *self,
@@ -100,7 +100,7 @@ impl Clock {
     }
 }
 
-/// A clock on its way; it counts down, which is cheaper than to divide at every step.
+/// A running clock. It counts down, because a division at every step costs more.
 pub(crate) struct Instants {
     clock: Clock,
     step: usize,
@@ -133,49 +133,49 @@ impl Iterator for Instants {
     }
 }
 
-/// How an experiment begins.
+/// Initial state of an experiment.
 #[derive(Clone, Copy, Debug)]
 pub struct Initial<const N: usize> {
     /// theta_M [rad].
     pub motor_angle: [f64; N],
     /// dtheta_M [rad/s].
     pub motor_velocity: [f64; N],
-    /// theta_L [rad]; `None`: where the links hang at rest on their gears.
+    /// theta_L [rad]; `None`: in equilibrium with gravity.
     pub link_angle: Option<[f64; N]>,
     /// dtheta_L [rad/s].
     pub link_velocity: [f64; N],
-    /// Voltage [V] that has been there long enough for the torque to have followed.
+    /// Voltage [V] before the start, to which the torque has settled.
     pub voltage: [f64; N],
 }
 
-/// One arm in one experiment.
+/// Parameters and inputs of one arm in an experiment.
 #[derive(Clone, Copy, Debug)]
 pub struct Member<'a, const N: usize> {
     /// Parameter values, in the order of [`Config::parameter_names`].
     pub parameters: &'a [f64],
-    /// Voltage [V] per tick, added to the servo's.
+    /// Feed-forward voltage [V] per tick, added to the servo's output.
     pub feed_forward: &'a [[f64; N]],
     /// Servo reference [rad/s] per tick.
     pub reference: &'a [[f64; N]],
-    /// How it begins.
+    /// Initial state.
     pub initial: Initial<N>,
 }
 
-/// What is common to all arms of a batch.
+/// An experiment without the parameters of the arm.
 #[derive(Clone, Debug)]
 pub struct Task<A, const N: usize> {
-    /// The arm's known constants.
+    /// Known constants of the arm.
     pub config: Config<A, N>,
-    /// How time is cut.
+    /// Clock.
     pub clock: Clock,
-    /// The servo; `None`: every joint gets its feed-forward voltage.
+    /// Servo; `None`: each joint gets its feed-forward voltage.
     pub servo: Option<Servo<N>>,
-    /// What to record.
+    /// Quantities to record.
     pub record: Vec<Quantity>,
 }
 
 impl<A: Copy, const N: usize> Task<A, N> {
-    /// The same experiment on another description of the arm.
+    /// The same experiment with another representation of the arm.
     pub fn with_arm<B>(&self, arm: impl Fn(&A) -> B) -> Task<B, N> {
         Task {
             config: Config {
@@ -190,13 +190,13 @@ impl<A: Copy, const N: usize> Task<A, N> {
     }
 }
 
-/// What was recorded: for each quantity of the task, samples times joints.
+/// A recording: for each quantity of the task, samples times joints.
 pub type Record<const N: usize> = RecordOf<f64, N>;
 
-/// A record of numbers of any kind.
+/// A recording over any scalar.
 pub type RecordOf<S, const N: usize> = Vec<Vec<[S; N]>>;
 
-/// The plain numbers of a record.
+/// The values of a recording, without derivatives.
 pub fn values<S: Real, const N: usize>(record: &RecordOf<S, N>) -> Record<N> {
     let plain = |row: &[S; N]| row.map(|value| value.lane(0));
     record
@@ -205,29 +205,29 @@ pub fn values<S: Real, const N: usize>(record: &RecordOf<S, N>) -> Record<N> {
         .collect()
 }
 
-/// A number that a motion depends on.
+/// A quantity to differentiate with respect to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Source {
-    /// The parameter of this place in [`Config::parameter_names`].
+    /// The parameter with this index in [`Config::parameter_names`].
     Parameter(usize),
-    /// A joint's first motor angle.
+    /// Initial motor angle of a joint.
     MotorAngle(usize),
-    /// A joint's first motor velocity.
+    /// Initial motor velocity of a joint.
     MotorVelocity(usize),
-    /// A joint's first link angle, or what is added to the angle where it hangs.
+    /// Initial link angle of a joint, or its offset from the equilibrium.
     LinkAngle(usize),
-    /// A joint's first link velocity.
+    /// Initial link velocity of a joint.
     LinkVelocity(usize),
 }
 
-/// A motion that left the finite numbers.
+/// The motion is no longer finite.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Diverged {
-    /// When [s].
+    /// Time [s].
     pub time: f64,
 }
 
-/// What the clock asks for at one step.
+/// Events of the clock at one step.
 pub(crate) struct Event {
     pub(crate) commands: bool,
     pub(crate) servo_reads: bool,

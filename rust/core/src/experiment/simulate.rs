@@ -1,4 +1,5 @@
-//! Simulation of one experiment: voltages and references in; motor, link and sensor signals out.
+//! Simulation of one experiment. Inputs are voltages and references; outputs are motor, link and
+//! sensor signals.
 
 use std::marker::PhantomData;
 
@@ -17,7 +18,7 @@ use crate::sensors::encoder::encoder_angle;
 use crate::sensors::imu::{self, MOUNTED, Mounted};
 use crate::sensors::low_pass::LowPass;
 
-/// One simulation over scalars `S` of one lane, as work for [`Real::scope`].
+/// Simulation over scalars `S` of one lane, as work for [`Real::scope`].
 pub struct Simulate<'a, A, S, F, G: Gears, const N: usize, const EFFECTS: bool = false> {
     task: &'a Task<A, N>,
     member: &'a Member<'a, N>,
@@ -30,8 +31,8 @@ impl<'a, A: Arm<N>, S: Real, F, G: Gears, const N: usize, const EFFECTS: bool>
 where
     F: Fn(Source, f64) -> S,
 {
-    /// `lift` makes a scalar of the value of a parameter or an initial state, and may add its
-    /// derivatives.
+    /// `lift` converts the value of a parameter or an initial state to a scalar, with derivatives
+    /// if the scalar has them.
     pub fn new(task: &'a Task<A, N>, member: &'a Member<'a, N>, lift: F) -> Self {
         Self {
             task,
@@ -60,7 +61,7 @@ where
     }
 }
 
-/// The state of one simulation.
+/// State of a simulation.
 pub(crate) struct Simulation<
     'a,
     A: Arm<N>,
@@ -77,25 +78,25 @@ pub(crate) struct Simulation<
     standing: bool,
     pub(crate) target: [S; N],
     pub(crate) voltage: [S; N],
-    /// What each drive makes of its voltage [V].
+    /// Effective voltage [V] after the effects of the drive.
     driven: [S; N],
-    /// The state [V] of each drive's lag.
+    /// State [V] of the lag of each drive.
     remembered: [S; N],
-    /// Whether any drive lags.
+    /// Whether any drive has a lag.
     pub(crate) lags: bool,
     servo: Option<ServoMemory<S, N>>,
     pub(crate) sensors: Option<Sensors<S, N>>,
-    /// The parts into which friction events cut the last step; empty without events.
+    /// Spans between the friction events of the last step; empty without events.
     pub(crate) stretches: Vec<Stretch<S, N>>,
     record: RecordOf<S, N>,
     diverged: Option<Diverged>,
 }
 
-/// The sensors with a memory, one of each kind a joint.
+/// Sensors with states, one of each kind per joint.
 pub(crate) struct Sensors<S, const N: usize> {
     pub(crate) accelerometer: [Option<LowPass<S, 2>>; N],
     pub(crate) gyro: [Option<LowPass<S, 1>>; N],
-    /// The signals of the IMUs, where any of them is recorded.
+    /// Signals of the IMUs, if any are recorded.
     pub(crate) mounted: Option<Mounted<S, N>>,
     readings: [[S; N]; 2],
 }
@@ -146,7 +147,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         simulation
     }
 
-    /// One instant, and the step that follows it.
+    /// Advances by one instant and the step that follows it.
     #[inline(always)]
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
@@ -180,7 +181,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     /// Applies the voltages of this instant: the feed-forward of the tick, and the servo's output
-    /// where it reads.
+    /// if the servo reads.
     pub(crate) fn command(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         let feed_forward = &self.member.feed_forward[tick];
@@ -223,7 +224,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         }
     }
 
-    /// Releases standing motors whose torque has jumped beyond what friction can hold.
+    /// Releases sticking motors whose torque has jumped beyond the friction limit.
     fn release(&mut self) {
         let Motion {
             state,
@@ -234,8 +235,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         self.standing = is_any_standing(&self.motion);
     }
 
-    /// One step of the integrator. A step in which friction changes its mode is repeated event by
-    /// event.
+    /// Advances by one integrator step. A step in which friction changes its mode is repeated event
+    /// by event.
     #[inline(always)]
     pub(crate) fn advance(&mut self, now: &Instant<A, S, N>, watch: &mut impl Watch<S, N>) {
         let torque = self.current.over_step(&self.motion.torque, &self.target);
@@ -296,7 +297,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         }
     }
 
-    /// What ideal accelerometers and gyros read.
+    /// Readings of ideal accelerometers and gyros.
     #[inline(always)]
     fn readings(&self, now: &Instant<A, S, N>) -> [[S; N]; 2] {
         let state = &self.motion.state;
@@ -308,7 +309,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         ]
     }
 
-    /// What an IMU's sensors read combinations of, before any low-pass.
+    /// Signals of ideal IMUs, before the low-passes.
     #[inline(always)]
     fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; MOUNTED] {
         let velocity = &self.motion.state.link_velocity;
@@ -412,8 +413,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 }
 
-/// [`Simulation::record`] in the scope of its scalar: outside of it, each operation that the
-/// compiler moves out of the loop would be a call.
+/// [`Simulation::record`] in the scope of its scalar. Outside of it, operations that the compiler
+/// moves out of the loop would be calls.
 struct Recording<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     &'g mut Simulation<'a, A, S, G, N, EFFECTS>,
     usize,

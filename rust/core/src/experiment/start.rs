@@ -63,10 +63,10 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
 
 /// Link angles [rad] in equilibrium with gravity, for fixed motor angles.
 ///
-/// A fixed-point iteration: gravity at the last angles determines the torsion of gears and the
-/// rotation of bases. The stiffness of gravity is some thousandth of theirs, so each iteration
-/// gains three digits. After convergence the iteration continues for as long again, because
-/// derivatives converge as fast but start later.
+/// Fixed-point iteration: gravity at the previous angles determines the torsion of gears and the
+/// rotation of bases. The stiffness of gravity is about a thousandth of theirs, so each iteration
+/// gains three digits. After convergence the number of iterations is doubled, because derivatives
+/// converge as fast but start later.
 fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     plant: &Plant<A, S, G, N, EFFECTS>,
     motor_angle: &[S; N],

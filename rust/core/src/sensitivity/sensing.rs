@@ -13,7 +13,7 @@ use crate::sensors::low_pass::Feedthrough;
 /// Filters of `M` states of one kind of sensor, joint by joint.
 type Filters<V, const N: usize, const M: usize> = [Option<Feedthrough<V, M>>; N];
 
-/// Recorded sensors, for all blocks.
+/// Low-passes and slopes of the recorded sensors, for all blocks.
 pub(crate) struct Sensing<V, const N: usize> {
     /// Half steps per second: the derivatives of the motion are in half steps.
     rate: f64,
@@ -31,7 +31,7 @@ pub(crate) struct Sensed<V, const N: usize> {
     gyros: [[V; 1]; N],
     /// Accelerometers and gyros.
     pub(crate) readings: [[V; N]; 2],
-    /// Boxed to keep it out of the way if no IMU is recorded.
+    /// States of the IMUs; in a box, because most recordings have none.
     pub(crate) mounted: Option<Box<MountedSensed<V, N>>>,
 }
 
@@ -158,7 +158,7 @@ impl<V: Real, const N: usize> Sensed<V, N> {
 }
 
 impl<const N: usize> ReadingSlopes<N> {
-    /// For the nonzero entries of [`Arm::accelerometer_slopes`].
+    /// Derivatives of the readings, from the nonzero entries of [`Arm::accelerometer_slopes`].
     #[inline(always)]
     fn tangents<A: Arm<N>, V: Real>(&self, x: &Tangent<V, N>, response: &Response<V, N>) -> [V; N] {
         let (c, mut sum) = (V::splat, [V::splat(0.0); N]);
@@ -171,7 +171,7 @@ impl<const N: usize> ReadingSlopes<N> {
                     sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
-            // the diagonal is computed last
+            // the accelerations are the last result of the equations
             for j in 0..=i {
                 sum[i] = c(self.acceleration[i][j]).mul_add(response.link[j], sum[i]);
             }

@@ -209,7 +209,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             };
             let motor = self.tangent.motor[i];
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
-            // displacement of a motor at constant velocity
+            // velocity at the start of the step minus velocity with which the stage was advanced
             let behind = motor - before.motor[i];
             stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
             stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);
