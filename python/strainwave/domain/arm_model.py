@@ -1,4 +1,4 @@
-"""The whole arm with elastic gears, and what criticism finds in its fit."""
+"""Result of the whole-arm fit, with the analysis of its residuals."""
 
 from __future__ import annotations
 
@@ -15,110 +15,110 @@ from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 
 @dataclass(frozen=True, slots=True)
 class ResidualCorrelation:
-    """Normalised correlations of a residual with itself and with the inputs."""
+    """Normalised autocorrelation of a residual, and its cross-correlation with the inputs."""
 
     lag_time: float  # [s] between lags
     n_samples: int
     autocorrelation: FloatArray  # (n_lags + 1,) from lag 0
-    cross_correlation: FloatArray  # (2 n_lags + 1, n_inputs), input lags -n_lags..n_lags behind
-    cross_std: FloatArray  # (n_inputs,) of each value if residual and input are independent
+    cross_correlation: FloatArray  # (2 n_lags + 1, n_inputs), at input lags -n_lags..n_lags
+    cross_std: FloatArray  # (n_inputs,) of each value under independence
 
 
 MAX_RESIDUAL_NOISE = 10.0
-"""Standard deviations of the sensor's noise from which residuals are far above it."""
+"""Ratio of standard deviations of residual and sensor noise that counts as far above noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualTest:
-    """What a fit left of one channel of one record, beside its sensor's own noise."""
+    """Residual of one channel in one record, compared with the sensor noise."""
 
     experiment: str
     channel: str
-    deviation: float  # of the residuals, in the channel's unit
-    noise: float  # of the sensor's noise behind the same low-pass
+    deviation: float  # standard deviation of the residual, in the channel's unit
+    noise: float  # standard deviation of the sensor noise after the same low-pass
     frequency_hz: FloatArray  # (n_frequencies,)
-    density: FloatArray  # (n_frequencies,) of the residuals, one-sided [unit^2/Hz]
+    density: FloatArray  # (n_frequencies,) one-sided, of the residual [unit^2/Hz]
     noise_density: FloatArray  # (n_frequencies,)
-    worst_hz: float  # where the one exceeds the other most
-    whiteness: float  # probability that noise of the sensor's colour looks no more like it
-    input_joint: int  # whose input it follows most, from 1
+    worst_hz: float  # frequency of the largest ratio density / noise_density
+    whiteness: float  # p-value: the residual has the spectrum of the sensor noise
+    input_joint: int  # joint whose input correlates most, from 1
     input_correlation: float  # with that input
-    input_delay: float  # [s] behind it
-    input_probability: float  # that an independent input correlates as much
+    input_delay: float  # [s] of the residual relative to that input
+    input_probability: float  # p-value: residual and input are independent
     correlation: ResidualCorrelation | None = None
 
     @property
     def is_far_above_noise(self) -> bool:
-        """Whether more than the sensor's noise is at work, and not by a little."""
+        """Whether the residual exceeds the sensor noise by a factor of `MAX_RESIDUAL_NOISE`."""
         return self.deviation > MAX_RESIDUAL_NOISE * self.noise > 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterShift:
-    """What one more effect in the model would do to a parameter."""
+    """Shift of a parameter if one more effect is added to the model."""
 
     name: str
-    joint: int | None  # from 1; None for the arm's own
-    without: float  # value of the fit without the effect
-    shift: float  # that the effect adds to it
-    deviations: float  # the shift, in standard deviations of the fit without it
+    joint: int | None  # from 1; None for the whole arm
+    without: float  # value without the effect
+    shift: float  # value with the effect minus value without it
+    deviations: float  # shift in standard deviations of the fit without the effect
 
 
 @dataclass(frozen=True, slots=True)
 class ScoreTest:
-    """What an effect that is not in the model would explain of a fit's residuals."""
+    """Score test of an effect that the model does not contain."""
 
     joint: int  # from 1
     effect: EffectName
-    sizes: Mapping[str, float]  # parameter -> value, by one linear step
+    sizes: Mapping[str, float]  # parameter -> value after one linear step
     stds: Mapping[str, float]
-    gain: float  # of the cost, given the effects before it in the list: 9 is three deviations
-    share: float  # of the cost
+    gain: float  # decrease of the objective beyond the previous effects; 9 is 3 std
+    share: float  # gain relative to the objective
     evident: bool
-    shifts: tuple[ParameterShift, ...] = ()  # by that step, the most significant first
-    limit: float = math.inf  # of the gain: chi-square limit of significance
+    shifts: tuple[ParameterShift, ...] = ()  # by that step, most significant first
+    limit: float = math.inf  # chi-square limit of the gain
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """An effect that may be what the model lacks, judged by a fit with it."""
+    """Likely effect, confirmed by a fit that includes it."""
 
     joint: int  # from 1
     effect: EffectName
-    parameters: tuple[Parameter, ...]  # the effect's, with intervals
-    gain: float  # of the cost, less what so many parameters gain by chance
-    share: float  # of the cost that it explains
-    shifts: tuple[ParameterShift, ...]  # of the arm's other parameters, the most significant first
+    parameters: tuple[Parameter, ...]  # of the effect, with confidence intervals
+    gain: float  # decrease of the objective minus its expectation by chance
+    share: float  # of the objective that the effect explains
+    shifts: tuple[ParameterShift, ...]  # of all other parameters, most significant first
 
 
 @dataclass(frozen=True, slots=True)
 class Criticism:
-    """What a fit does not explain, and what might."""
+    """Residual analysis of a fit: residual tests, score tests and likely effects."""
 
     residuals: tuple[ResidualTest, ...]
-    score_tests: tuple[ScoreTest, ...]  # the most significant first
-    causes: tuple[Cause, ...] = ()  # that were fitted, the most likely first
+    score_tests: tuple[ScoreTest, ...]  # most significant first
+    causes: tuple[Cause, ...] = ()  # that were fitted, most likely first
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueHistogram:
-    """How often a gear carried which torque in the records, by the model, whatever its sign."""
+    """Histogram of the absolute gear torque in the records, by the model."""
 
     joint: int  # from 1
-    edges: FloatArray  # (n_bins + 1,) [N m] at the link, from zero
+    edges: FloatArray  # (n_bins + 1,) [N m], link side, from zero
     share: FloatArray  # (n_bins,) of all samples
 
 
 @dataclass(frozen=True, slots=True)
 class StageDifference:
-    """One value as the rigid and as the whole-arm fit give it.
+    """Difference of one parameter between the rigid step and the whole-arm fit.
 
-    The whole-arm fit takes the rigid model as a prior, so that its value has moved towards the
-    rigid one already; the standard deviation of the difference counts that.
+    The rigid model is a prior of the whole-arm fit, which correlates the two values. The standard
+    deviation of the difference includes this correlation.
     """
 
     name: str
-    joint: int | None  # from 1; None for the arm's own
+    joint: int | None  # from 1; None for the whole arm
     rigid: float
     whole_arm: float
     std: float  # of the difference
@@ -126,69 +126,71 @@ class StageDifference:
 
     @property
     def deviations(self) -> float:
-        """The difference in standard deviations."""
+        """Difference in standard deviations."""
         return (self.whole_arm - self.rigid) / self.std
 
 
 MIN_RELATIVE_DIFFERENCE = 0.01
-"""Relative difference of two stages below which no use of a model shows it."""
+"""Relative difference of two stages below which the difference is of no practical importance."""
 
 MAX_DISAGREEMENT = 4.0
-"""Standard deviations up to which the stages agree: noise alone exceeds it once in 4,000 runs, as
-there are four tests of two joints."""
+"""Largest difference, in standard deviations, at which the stages agree.
+
+Two joints have four tests, so noise alone exceeds this limit in one of 4,000 runs.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class AgreementTest:
-    """Whether the rigid and the whole-arm fit agree on several values at once, by chi-square."""
+    """Chi-square test of the differences between rigid step and whole-arm fit in several values."""
 
-    scope: Literal["all", "inertias", "friction"]  # "inertias": gravity torques as well
-    joint: int | None  # from 1, whose friction; None: of the other scopes
+    scope: Literal["all", "inertias", "friction"]  # "inertias" includes gravity torques
+    joint: int | None  # from 1, for "friction"; else None
     chi_square: float
     degrees: int
-    deviations: float  # of a normal variable that is as unlikely on both sides
-    largest: float = math.inf  # relative difference of the value that differs most
+    deviations: float  # two-sided normal quantile of the same p-value
+    largest: float = math.inf  # largest relative difference
 
     @property
     def matters(self) -> bool:
-        """Whether a value differs by so much that somebody would mind, however sure both are."""
+        """Whether a difference is of practical importance, independent of its significance."""
         return self.largest >= MIN_RELATIVE_DIFFERENCE
 
     @property
     def subject(self) -> str:
-        """The values that it compares, in words."""
+        """Compared values, in words."""
         if self.scope == "friction":
             return f"joint {self.joint}'s friction"
         return "inertias and gravity torques" if self.scope == "inertias" else "the values"
 
 
 def contradictions(tests: Sequence[AgreementTest]) -> tuple[AgreementTest, ...]:
-    """Tests of inertias and of each joint's friction in which the stages contradict each other.
+    """Select the tests of inertias and frictions in which the stages contradict each other.
 
-    If all values together disagree but no group does by itself, the group that disagrees most.
+    If only the test of all values fails, the group with the largest difference is returned.
     """
     groups = [test for test in tests if test.scope != "all"]
-    far = [test for test in tests if test.deviations > MAX_DISAGREEMENT and test.matters]
-    own = [test for test in far if test.scope != "all"]
-    if far and not own:
-        own = sorted(groups, key=lambda test: test.deviations)[-1:]
-    return tuple(own)
+    failed = [test for test in tests if test.deviations > MAX_DISAGREEMENT and test.matters]
+    failed_groups = [test for test in failed if test.scope != "all"]
+    if failed and not failed_groups:
+        failed_groups = sorted(groups, key=lambda test: test.deviations)[-1:]
+    return tuple(failed_groups)
 
 
 @dataclass(frozen=True, slots=True)
 class SuspectConstant:
-    """A constant of the study, or a change between records, that would explain a disagreement."""
+    """Constant of the study, or change between records, that can explain a disagreement."""
 
-    name: str  # key of the study, "payload" or "friction"
-    joint: int | None  # from 1; None for the arm's own
-    share: float  # of the cost of the fit that it explains, by one linear step
-    value: float | None = None  # that explains most, of a key of the study
+    name: str  # key of the study, "payload", "changed friction" or an effect
+    joint: int | None  # from 1; None for the whole arm
+    share: float  # of the objective that it explains, by one linear step
+    value: float | None = None  # best value, for a key of the study
     unit: str = ""
-    experiment: str = ""  # that separates it from the others, a clause
+    experiment: str = ""  # experiment that tests this cause, as a clause
 
     @property
     def text(self) -> str:
-        """What it is, how much it explains, and the experiment."""
+        """Name, explained share and experiment, as a clause."""
         subject = self.name if self.joint is None else f"{self.name} of joint {self.joint}"
         if self.value is not None:
             subject = f"{subject} (then {self.value:.4g} {self.unit})"
@@ -196,27 +198,27 @@ class SuspectConstant:
 
 
 Condition = Literal["alone", "others-free", "others-servoed"]
-"""What the other joints do while one is driven: there are none, they are free, or servoed."""
+"""State of the other joints while one is driven: no other joint, free, or servo-controlled."""
 
 CONDITIONS: Mapping[Condition, str] = {
     "alone": "on its own",
     "others-free": "the other joint free",
     "others-servoed": "the other joint servoed",
 }
-"""The same in words."""
+"""Description of each condition."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotorResponse:
-    """Motor torque to motor velocity in one record, of the rig and of the fitted arm."""
+    """Frequency response from motor torque to motor velocity in one record, measured and fitted."""
 
     experiment: str
-    joint: int  # that is driven, from 1
+    joint: int  # driven joint, from 1
     condition: Condition
     frequencies_hz: FloatArray  # (n_frequencies,)
     measured: ComplexArray  # (n_frequencies,) [rad/s per N m]
-    fitted: ComplexArray  # (n_frequencies,) by the same estimate, of the simulated arm
-    coherence: FloatArray  # (n_frequencies,) of the measured one
+    fitted: ComplexArray  # (n_frequencies,) same estimator, simulated arm
+    coherence: FloatArray  # (n_frequencies,) of the measured response
     anti_resonances_hz: tuple[float, ...]  # of the fitted arm, ascending
     resonances_hz: tuple[float, ...]
 
@@ -226,51 +228,53 @@ LinkSensor = Literal["accelerometer", "link-encoder", "gyro"]
 
 @dataclass(frozen=True, slots=True)
 class SensorGain:
-    """What a link sensor that no record has would make of one parameter's interval."""
+    """Predicted standard deviation of one parameter with an additional link sensor."""
 
     sensor: LinkSensor
-    link: int  # from 1, that it would sit on
-    assumed: str  # its data sheet and place
+    link: int  # link that carries the sensor, from 1
+    assumed: str  # assumed noise and position
     name: str
-    joint: int | None  # from 1; None for the arm's own
+    joint: int | None  # from 1; None for the whole arm
     value: float
-    std: float  # as it is
-    predicted_std: float  # with the sensor in the same records
+    std: float  # without the sensor
+    predicted_std: float  # with the sensor, same records
 
     @property
     def label(self) -> str:
-        """Name with joint, as in the verdict."""
+        """Name and joint, as in the verdict."""
         return self.name if self.joint is None else f"{self.name} {self.joint}"
 
     @property
     def percent(self) -> float:
-        """Half-width of the 95 % interval as it is, of the value."""
+        """Relative half-width of the 95 % confidence interval without the sensor."""
         return 196.0 * self.std / abs(self.value)
 
     @property
     def predicted_percent(self) -> float:
-        """The same with the sensor."""
+        """Relative half-width of the 95 % confidence interval with the sensor."""
         return 196.0 * self.predicted_std / abs(self.value)
 
 
 @dataclass(frozen=True, slots=True)
 class ArmModel(Displayed):
-    """All parameters of the arm, fitted at once to all records that excite its gears."""
+    """Whole-arm fit: all parameters, fitted to all records that excite the gears."""
 
     parameters: tuple[Parameter, ...]
-    values: Mapping[tuple[str, int | None], float]  # all that simulating the arm needs
+    values: Mapping[tuple[str, int | None], float]  # all values that the simulation requires
     covariance: FloatArray  # (n_parameters, n_parameters), of `parameters`
     fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
-    initial_fit_percent: Mapping[str, Mapping[str, float]]  # before tuning
-    simulated: tuple[Prediction, ...]  # the tuned model on the records it was fitted to
-    initial: tuple[Prediction, ...]  # the same before tuning
+    initial_fit_percent: Mapping[str, Mapping[str, float]]  # at the starting values
+    simulated: tuple[Prediction, ...]  # the fitted model on its records
+    initial: tuple[Prediction, ...]  # at the starting values
     iterations: int
     status: Literal["converged", "iteration-limit", "at-bounds"]
     warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
     gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
-    at_bounds: tuple[tuple[str, int | None], ...] = ()  # ended at a range's end, or rest on such
-    differences: tuple[StageDifference, ...] = ()  # from the rigid model, value by value
-    agreement: tuple[AgreementTest, ...] = ()  # with it, of all these differences and of groups
-    suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, the likeliest first
-    sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that are not there
+    at_bounds: tuple[
+        tuple[str, int | None], ...
+    ] = ()  # at a bound, or derived from such a parameter
+    differences: tuple[StageDifference, ...] = ()  # from the rigid model, for each value
+    agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
+    suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
+    sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have

@@ -1,4 +1,4 @@
-"""What any stage may answer: parameters, predictions, and what is said beside the numbers."""
+"""Records that every stage can return: parameters, predictions, warnings and faults."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from strainwave.domain.study import LINK_KINDS, channel_parts
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """Something the reader must know to trust, or not trust, an answer."""
+    """Warning about a result."""
 
-    code: str  # kebab-case, stable: the troubleshooting page is indexed by it
+    code: str  # stable, kebab-case; index of the troubleshooting page
     where: str  # file, experiment, joint or parameter
-    message: str  # what, and what to do about it
-    experiments: tuple[str, ...] = ()  # the records, where one cause shows in several
+    message: str  # observation, consequence and remedy
+    experiments: tuple[str, ...] = ()  # records affected, if there are several
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspicion:
-    """One cause that would explain why the channels contradict one another or the study."""
+    """Possible cause of a contradiction between channels, or between a channel and the study."""
 
     code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
-    where: str  # channel, experiment or key of the study that is at fault: "a1", "joint 2"
-    message: str  # in one sentence, with the number found
-    remedy: str  # the line of study.toml, or the step at the rig, that would mend it
-    factor: float | None = None  # by which the data differ from what the study implies
-    delay_s: float | None = None  # by which the channel lags [s]
-    corrections: tuple[Correction, ...] = ()  # the remedy as data; (): none is known
+    where: str  # faulty channel, experiment or key of the study: "a1", "joint 2"
+    message: str  # one sentence, with the measured value
+    remedy: str  # line of study.toml, or action at the rig, that corrects it
+    factor: float | None = None  # ratio of the data to the value that the study implies
+    delay_s: float | None = None  # delay of the channel [s]
+    corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
 
 
 @dataclass(frozen=True, slots=True)
 class Consistency:
-    """Whether a study's channels agree with one another and with the study, before any estimate."""
+    """Result of the input check: faults suspected before any fit."""
 
     suspected: tuple[Suspicion, ...] = ()
 
     @property
     def motors_agree(self) -> bool:
-        """Whether only link sensors, their places or the link length are suspected."""
+        """Whether all suspected faults concern link sensors, their positions or the link length."""
         places = [each.strip() for found in self.suspected for each in found.where.split(",")]
         return all(
             channel_parts(place)[0] in LINK_KINDS
@@ -53,10 +53,10 @@ class Consistency:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One physical parameter with its uncertainty; `None` is what was not identified."""
+    """Estimate of one physical parameter; value and uncertainty are None if not identified."""
 
     name: str  # as in docs/notation.md
-    joint: int | None  # from 1; None for the arm's own
+    joint: int | None  # from 1; None for the whole arm
     value: float | None
     std: float | None
     unit: str
@@ -65,13 +65,13 @@ class Parameter:
 
     @property
     def label(self) -> str:
-        """Name with joint, as in the verdict: "gear_stiffness 1"; "beta" of the arm."""
+        """Name and joint, as in the verdict: "gear_stiffness 1", or "beta" for the whole arm."""
         return self.name if self.joint is None else f"{self.name} {self.joint}"
 
 
 @dataclass(frozen=True, slots=True)
 class Prediction(Displayed):
-    """What a model says a record's channels should have been."""
+    """Measured and predicted channels of one record."""
 
     experiment: str
     time: FloatArray  # (n_samples,) [s]
@@ -79,16 +79,21 @@ class Prediction(Displayed):
     measured: FloatArray  # (n_samples, n_channels)
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
-    unfiltered_fit_percent: Mapping[str, float] = field(default_factory=dict)  # with y as logged
+    unfiltered_fit_percent: Mapping[str, float] = field(
+        default_factory=dict
+    )  # fit to the unfiltered channels
     stiffness_effect: Mapping[int, float] = field(default_factory=dict)
-    """Joint -> largest change that a fifth more gear stiffness makes, in spreads of a channel."""
+    """Joint -> largest change of a channel if the gear stiffness rises by 20 %.
+
+    Relative to the standard deviation of the channel."""
     unexplained: Mapping[str, float] = field(default_factory=dict)
-    """Of each channel that is not predicted: its error, in standard deviations of what noise,
-    friction, the parameters' covariance and the fit's own residuals explain."""
-    is_servo_at_fault: bool = False  # the recorded voltages explain what the study's servo does not
+    """Channel -> prediction error in standard deviations, for channels that are not predicted.
+
+    The standard deviation covers noise, friction, parameter covariance and residuals of the fit."""
+    is_servo_at_fault: bool = False  # recorded voltages explain the motion, the servo does not
     warnings: tuple[Diagnostic, ...] = ()
 
     @property
     def of_drive(self) -> bool:
-        """Whether drive signals are predicted from the motion, by the rigid model."""
+        """Whether the rigid model predicts drive signals from the motion."""
         return self.channels[0].startswith(("u", "torque"))

@@ -1,4 +1,4 @@
-"""What comes of it all: everything that one run learnt."""
+"""Result of one run: the records of all stages, and the verdict."""
 
 from __future__ import annotations
 
@@ -24,88 +24,79 @@ from strainwave.domain.verdict import Status, Validated, Verdict
 
 @dataclass(frozen=True, slots=True)
 class Identification(Displayed):
-    """Everything one run learnt: what result.json and the report are made of."""
+    """Result of one run; result.json and the report are rendered from it."""
 
     study: Study
     created: str  # ISO 8601, UTC
     version: str
-    stages: tuple[str, ...]  # those that were asked for
+    stages: tuple[str, ...]  # that were requested
     rigid: RigidModel | None
-    fitted: tuple[Prediction, ...]  # the model on the records it was fitted to
-    checks: tuple[Prediction, ...]  # and on those kept for validation
+    fitted: tuple[Prediction, ...]  # the model on the fitted records
+    checks: tuple[Prediction, ...]  # the model on validation records
     warnings: tuple[Diagnostic, ...]
     timing_s: Mapping[str, float]
-    links: tuple[LinkSummary, ...] = ()  # of every joint in every record that excites a gear
-    records: tuple[RecordModel, ...] = ()  # of the joints excited, record by record
-    joints: tuple[JointModel, ...] = ()  # all records of a joint at once
+    links: tuple[LinkSummary, ...] = ()  # for every joint and record that excites a gear
+    records: tuple[RecordModel, ...] = ()  # for every excited joint, record by record
+    joints: tuple[JointModel, ...] = ()  # fitted to all records of a joint
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
     sweeps: tuple[Sweep, ...] = ()
     tuned: ArmModel | None = None
-    suspected: tuple[Suspicion, ...] = ()  # causes of contradictions in the input
-    failures: tuple[str, ...] = ()  # why stages could not answer, each in one sentence
-    motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, where the arm was fitted
-    activity: tuple[Activity, ...] = ()  # of each joint in the fitted records
+    suspected: tuple[Suspicion, ...] = ()  # faults of the input
+    failures: tuple[str, ...] = ()  # reasons why stages failed, one sentence each
+    motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, if the arm was fitted
+    activity: tuple[Activity, ...] = ()  # for each joint in the fitted records
     logs: tuple[Log, ...] = ()  # as read
 
     @property
     def decisions(self) -> tuple[Decision, ...]:
-        """The final table with what was decided of each parameter, and why."""
+        """The final table, with the decision on each parameter and its reason."""
         return decide(
             self.study, self.rigid, self.joints, self.tuned, self.suspected, self.activity
         )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """The final table: each parameter once, the arm's own first, then joint by joint.
+        """The final table: parameters of the whole arm first, then joint by joint.
 
-        A later stage's value, and its refusal, win over an earlier stage's.
+        The latest stage that estimates a parameter decides it.
         """
         return tuple(decision.parameter for decision in self.decisions)
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict by docs/result.md: exit code, status, and why."""
+        """Verdict as defined in docs/result.md: status, exit code and reasons."""
         return verdict_of(self)
 
     @property
     def determined(self) -> bool:
-        """Whether every parameter asked for was identified and nothing speaks against it."""
+        """Whether all primary parameters are identified and no check failed."""
         return self.verdict.status == "determined"
 
     @property
     def reason(self) -> str | None:
-        """Why the run is not determined, in one sentence; None where it is."""
+        """Reasons why the run is not determined, in one sentence; None if it is determined."""
         return "; ".join(self.verdict.reasons) or None
 
 
 @dataclass(frozen=True, slots=True)
 class _Called:
-    """What the requested stages and the study's springs call for."""
+    """Stages and parameters that the requested stages and the study require."""
 
     stages: tuple[str, ...]
     primary: tuple[str, ...]  # labels, as in the verdict
 
 
 def verdict_of(found: Identification) -> Verdict:
-    """The verdict on a run, by docs/result.md.
-
-    Parameters
-    ----------
-    found : Identification
-
-    Returns
-    -------
-    Verdict
-    """
+    """Compute the verdict on a run, as defined in docs/result.md."""
     decisions = found.decisions
-    called = _called_for(found)
-    known = {d.parameter.label for d in decisions}
+    required = _called_for(found)
+    labels = {d.parameter.label for d in decisions}
     identified = tuple(d.parameter.label for d in decisions if d.identified)
     rejected = tuple(d.parameter.label for d in decisions if d.rejected)
-    open_ones = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
-    not_identified = (*open_ones, *(label for label in called.primary if label not in known))
-    reasons = tuple(_reasons(found, called, identified, rejected))
-    primary = [label for label in called.primary if label in identified]
+    undecided = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
+    not_identified = (*undecided, *(label for label in required.primary if label not in labels))
+    reasons = tuple(_reasons(found, required, identified, rejected))
+    primary = [label for label in required.primary if label in identified]
     status: Status = "partly-determined" if reasons else "determined"
     if not primary:
         status = "not-determined"
@@ -123,14 +114,14 @@ def verdict_of(found: Identification) -> Verdict:
 
 
 def _called_for(found: Identification) -> _Called:
-    """Stages that the study needs of those requested, and the primary parameters these answer."""
+    """Required stages among those requested, and the primary parameters that they estimate."""
     study = found.study
     arm, kind = study.arm, kind_of(study.arm)
     elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
-    motion = any(e.use == "motion" for e in study.experiments)
-    alone = is_uncoupled(arm) and bool(elastic)
-    fast = bool(elastic) and "decoupled" in found.stages
-    stages = ["rigid"] if motion or not (alone and fast) else []
+    has_motion = any(e.use == "motion" for e in study.experiments)
+    is_independent = is_uncoupled(arm) and bool(elastic)
+    has_decoupled = bool(elastic) and "decoupled" in found.stages
+    stages = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
     names: list[str] = []
     if stages:
         names += kind.primary
@@ -139,16 +130,16 @@ def _called_for(found: Identification) -> _Called:
     viscous = viscous_friction(arm)
     for number in range(1, arm.n_joints + 1):
         names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
-    whole = "tuned" in found.stages and len(elastic) == arm.n_joints
-    excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
-    if fast and (excited or not whole):
+    has_whole_arm = "tuned" in found.stages and len(elastic) == arm.n_joints
+    is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
+    if has_decoupled and (is_excited or not has_whole_arm):
         stages.append("decoupled")
-    if fast:
+    if has_decoupled:
         for number in elastic:
             inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
-            gear = arm.joints[number - 1].law.names if whole else (STIFFNESS,)
+            gear = arm.joints[number - 1].law.names if has_whole_arm else (STIFFNESS,)
             names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
-    if whole:
+    if has_whole_arm:
         stages.append("tuned")
         names += kind.primary_of_all
     return _Called(tuple(stages), tuple(dict.fromkeys(names)))
@@ -157,8 +148,8 @@ def _called_for(found: Identification) -> _Called:
 def _reasons(
     found: Identification, called: _Called, identified: Sequence[str], rejected: Sequence[str]
 ) -> Iterator[str]:
-    """Why a run is not determined, the most important first."""
-    if found.suspected:  # whatever else is missing follows from these
+    """Yield the reasons why a run is not determined, most important first."""
+    if found.suspected:  # all other failures may follow from these
         yield from (suspicion.message for suspicion in found.suspected)
         return
     yield from found.failures
@@ -167,23 +158,25 @@ def _reasons(
     yield from (size.text for size in implausible_joints(found.study.arm, found.parameters))
     if found.tuned is not None:
         yield from _contradictions(found.tuned)
-    wrong = [label for label in called.primary if label in rejected]
-    if wrong:
-        yield f"rejected: {', '.join(wrong)}"
-    missing = [name for name in called.primary if name not in identified and name not in wrong]
+    rejected_primary = [label for label in called.primary if label in rejected]
+    if rejected_primary:
+        yield f"rejected: {', '.join(rejected_primary)}"
+    missing = [
+        name for name in called.primary if name not in identified and name not in rejected_primary
+    ]
     if missing:
         yield f"not identified: {', '.join(missing)}"
 
 
 def _contradictions(tuned: ArmModel) -> Iterator[str]:
-    """On what the stages disagree, and the likely causes with the experiments that tell."""
+    """Yield the disagreements of the stages, with likely causes and experiments to test them."""
     for test in contradictions(tuned.agreement):
         text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
         yield f"{text}{_causes(tuned)}"
 
 
 def _causes(tuned: ArmModel | None) -> str:
-    """The likely causes of what a fit does not explain, as the end of a sentence."""
+    """Likely causes of unexplained residuals, as the end of a sentence."""
     causes = ", or ".join(each.text for each in tuned.suspects) if tuned else ""
     if not causes:
         return ", so check the constants in the study"
@@ -194,7 +187,7 @@ def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
     elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.elastic]
     fitted = {joint.joint for joint in found.joints}
     if found.failures:
-        return  # a stage that failed has said so, and those after it follow
+        return  # failures are reported separately; later stages depend on them
     if "rigid" in called.stages and found.rigid is None:
         yield "the rigid stage was not reached"
     if "decoupled" in called.stages and not fitted.issuperset(elastic):
@@ -207,56 +200,64 @@ def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
 
 
 MIN_STIFFNESS_EFFECT = 0.05
-"""Change of a channel, in its spreads, that a fifth more stiffness must make in validation data.
+"""Smallest change of a validation channel, relative to its standard deviation, if the gear
+stiffness rises by 20 %.
 
-A very good prediction has a fit of 95 %: where the effect is smaller, a stiffness far off would
-pass as well.
+A very good prediction has a fit of 95 %. If the change is smaller than the remaining 5 %, a wrong
+stiffness would also pass.
 """
 
 MAX_RESIDUAL = 0.1
-"""Share of a channel's spread from which its residuals are a defect of the model, if they are also
-far above the sensor's noise."""
+"""Residual norm, relative to the centred channel, above which the model is considered defective.
+
+The residual must also be far above the sensor noise.
+"""
 
 
 def _validated(found: Identification) -> Validated:
-    """Whether check records exercised each model, and it predicts them."""
+    """Check whether validation records excite each model and the model predicts them."""
     elastic = {n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.elastic}
-    drives = [check for check in found.checks if check.of_drive]
-    motions = [check for check in found.checks if not check.of_drive]
-    shown = {
+    drive_checks = [check for check in found.checks if check.of_drive]
+    motion_checks = [check for check in found.checks if not check.of_drive]
+    excited = {
         number
-        for check in motions
+        for check in motion_checks
         for number, effect in check.stiffness_effect.items()
         if effect >= MIN_STIFFNESS_EFFECT
     }
-    moving = any(math.isfinite(fit) for check in drives for fit in check.fit_percent.values())
+    has_motion = any(
+        math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
+    )
     return Validated(
-        rigid=moving and not any(check.unexplained for check in drives),
+        rigid=has_motion and not any(check.unexplained for check in drive_checks),
         elastic=bool(elastic)
-        and shown >= elastic
-        and not any(check.unexplained for check in motions)
+        and excited >= elastic
+        and not any(check.unexplained for check in motion_checks)
         and _worst_residual(found) is None,
     )
 
 
 def model_defects(found: Identification) -> Iterator[Diagnostic]:
-    """Records that the models do not describe: check records first, then the worst fitted one."""
+    """Yield records that the models do not describe.
+
+    Validation records come first, then the fitted record with the largest residual.
+    """
     for check in found.checks:
         if check.unexplained:
             yield Diagnostic("not-predicted", check.experiment, _not_predicted(found, check))
-    worst = _worst_residual(found)
-    if worst is not None:
-        share, test = worst
+    worst_residual = _worst_residual(found)
+    if worst_residual is not None:
+        relative_residual, test = worst_residual
         text = (
             f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
-            f" sensor's noise and {100.0 * share:.2g} % of the signal, so the model does not"
+            f" sensor's noise and {100.0 * relative_residual:.2g} % of the signal, so the model does not"
             f" describe the record{_harder_spring(found) or _causes(found.tuned)}"
         )
         yield Diagnostic("not-described", test.experiment, text)
 
 
 def _not_predicted(found: Identification, check: Prediction) -> str:
-    """What is wrong with the worst channel of a check record, and what to do."""
+    """Describe the worst channel of a validation record, and what to do."""
     channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
     text = (
         f"{channel} is predicted with a fit of {check.fit_percent[channel]:.3g} %, an error of"
@@ -270,32 +271,32 @@ def _not_predicted(found: Identification, check: Prediction) -> str:
             f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
             " limit of [servo], or the references of that record"
         )
-    spring = _harder_spring(found)
-    return f"{text}{spring or ', so check [servo], the references and the payload of that record'}"
+    advice = _harder_spring(found)
+    return f"{text}{advice or ', so check [servo], the references and the payload of that record'}"
 
 
 def _worst_residual(found: Identification) -> tuple[float, ResidualTest] | None:
-    """The largest residual that is far above the noise, as a share of the signal."""
+    """Largest residual far above the noise, relative to the signal; None without one."""
     if found.tuned is None or found.tuned.criticism is None:
         return None
-    far = []
+    candidates = []
     for test in found.tuned.criticism.residuals:
         fit = found.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
-        share = 1.0 - 0.01 * fit
-        if share > MAX_RESIDUAL and test.is_far_above_noise:
-            far.append((share, test))
-    return max(far, key=lambda one: one[0], default=None)
+        relative_residual = 1.0 - 0.01 * fit
+        if relative_residual > MAX_RESIDUAL and test.is_far_above_noise:
+            candidates.append((relative_residual, test))
+    return max(candidates, key=lambda one: one[0], default=None)
 
 
 def _harder_spring(found: Identification) -> str:
-    """What to do if a gear hardens with the amplitude that the study has as linear; else empty."""
-    bent = [
+    """Advice if a sweep shows hardening of a gear that the study declares linear, or ""."""
+    hardening = [
         sweep.joint
         for sweep in found.sweeps
         if sweep.verdict == "hardening"
         and not found.study.arm.joints[sweep.joint - 1].law.is_curved
     ]
-    if not bent:
+    if not hardening:
         return ""
-    joints = " and ".join(str(number) for number in bent)
+    joints = " and ".join(str(number) for number in hardening)
     return f', and the sweep of joint {joints} shows hardening: give it spring = "three-slope"'
