@@ -1,5 +1,5 @@
-//! What is known of an arm beforehand, the names of what is not, and the way from a flat list of
-//! parameter values to a [`Plant`].
+//! Known constants of an arm, the names of its parameters, and the [`Plant`] for a flat list of
+//! parameter values.
 
 use crate::actuation::current_loop::CurrentLoop;
 pub use crate::arm::Name;
@@ -13,51 +13,51 @@ use crate::parameter::Parameter;
 use crate::plant::Plant;
 use crate::scalar::Real;
 
-/// One joint's known constants.
+/// Known constants of a joint.
 #[derive(Clone, Copy, Debug)]
 pub struct JointConfig {
-    /// How the gear gives way.
+    /// Elastic law of the gear.
     pub gear: Law,
     /// n, link turns per motor turn.
     pub ratio: f64,
     /// e [N m/V] at the motor.
     pub torque_per_volt: f64,
-    /// Bandwidth [Hz] of the current loop; `None`: the torque follows at once.
+    /// Bandwidth [Hz] of the current loop; `None`: no lag.
     pub current_loop_hz: Option<f64>,
-    /// Encoder counts per motor turn; `None`: the angle itself.
+    /// Encoder counts per motor turn; `None`: an ideal encoder.
     pub encoder_counts: Option<f64>,
-    /// Bandwidth [Hz]; `None`: the acceleration itself.
+    /// Bandwidth [Hz] of the accelerometer; `None`: an ideal accelerometer.
     pub accelerometer_hz: Option<f64>,
-    /// Bandwidth [Hz]; `None`: the rate itself.
+    /// Bandwidth [Hz] of the gyro; `None`: an ideal gyro.
     pub gyro_hz: Option<f64>,
-    /// Bandwidth [Hz] of the accelerometers of the link's IMU; `None`: the signals themselves.
+    /// Bandwidth [Hz] of the accelerometers of the link's IMU; `None`: ideal accelerometers.
     pub imu_accelerometer_hz: Option<f64>,
-    /// Bandwidth [Hz] of its gyros.
+    /// Bandwidth [Hz] of the gyros of the link's IMU; `None`: ideal gyros.
     pub imu_gyro_hz: Option<f64>,
-    /// What the joint has beyond spring and dry friction; a rigid gear has Stribeck's friction at
-    /// most.
+    /// Effects of the joint. A joint with a rigid gear has only effects that do not require an
+    /// elastic gear.
     pub effects: EffectKinds,
 }
 
-/// An arm with all its known constants.
+/// An arm with its known constants.
 #[derive(Clone, Copy, Debug)]
 pub struct Config<A, const N: usize> {
     /// The arm with its geometry.
     pub arm: A,
-    /// Half width [rad] of the three-slope springs' rounded knees.
+    /// Half width [rad] of the rounded knees of three-slope springs.
     pub corner: f64,
     /// The joints, from the base.
     pub joints: [JointConfig; N],
 }
 
-/// A value that no arm can have.
+/// An impossible parameter value.
 #[derive(Clone, Debug, PartialEq)]
 pub struct InvalidParameter {
-    /// Which.
+    /// Name of the parameter.
     pub name: Name,
-    /// Its value.
+    /// Value of the parameter.
     pub value: f64,
-    /// What it must be.
+    /// Requirement on the value.
     pub must: String,
 }
 
@@ -69,28 +69,28 @@ impl std::fmt::Display for InvalidParameter {
     }
 }
 
-/// What a parameter is in the equations; the places are among its kind's own.
+/// Role of a parameter in the equations, with its index among the parameters of the same kind.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Role {
     /// A base parameter of the arm.
     Base(usize),
     /// One of [`DRIVE`].
     Drive(usize),
-    /// One of the gear's law.
+    /// A parameter of the gear's law.
     Gear(usize),
     /// d_G.
     Damping,
     /// tau.
     Settling,
-    /// One of the joint's effects.
+    /// A parameter of the joint's effects.
     Effect(usize),
 }
 
-/// Who declares a parameter, and the parameter.
+/// Owner of a parameter, and its declaration.
 pub type Declared = (&'static str, Parameter);
 
-/// Parameters that joints have whatever their arm, each once for every owner: the drive, the laws of
-/// gears by name, what every elastic gear has, the effects by name.
+/// Parameters of joints of any arm, once per owner: the drive, the gear laws by name, every elastic
+/// gear, and the effects by name.
 pub fn joint_parameters() -> Vec<Declared> {
     let of = |owner, own: &[Parameter]| own.iter().map(|&one| (owner, one)).collect::<Vec<_>>();
     let mut all = of("drive", &DRIVE);
@@ -124,7 +124,7 @@ fn numbered(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(Role, Par
 }
 
 impl<A: Arm<N>, const N: usize> Config<A, N> {
-    /// Names of the parameters, in the order every flat list of values has.
+    /// Names of the parameters, in the order of flat lists of values.
     pub fn parameter_names(&self) -> Vec<Name> {
         let mut names = self.arm.names();
         for (i, joint) in self.joints.iter().enumerate() {
@@ -134,7 +134,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         names
     }
 
-    /// What each parameter is, and of which joint, from 0, if it is of one; in that order.
+    /// Roles of the parameters in that order, with their joints from 0.
     pub(crate) fn roles(&self) -> Vec<(Role, usize)> {
         let mut roles: Vec<_> = (0..self.arm.names().len())
             .map(|k| (Role::Base(k), 0))
@@ -145,10 +145,10 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         roles
     }
 
-    /// Checks one flat list of values.
+    /// Checks a flat list of values, which must be as long as the list of names.
     ///
     /// # Errors
-    /// The first value that no arm can have. The number of values is the caller's to check.
+    /// The first impossible value.
     pub fn check(&self, values: &[f64]) -> Result<(), InvalidParameter> {
         let names = self.parameter_names();
         assert_eq!(values.len(), names.len());
@@ -174,7 +174,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         self.check_arm(&names, values)
     }
 
-    /// Places of the values that must be above the one before.
+    /// Indices of values that must exceed the previous one.
     fn rising(&self) -> Vec<usize> {
         let roles = self.roles();
         let rises = |&(role, i): &(Role, usize)| matches!(role, Role::Gear(place) if self.joints[i].gear.rising.contains(&place));
@@ -206,7 +206,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         self.plant_of(|k| R::splat(values[k]))
     }
 
-    /// The arm whose `k`-th parameter is `value(k)`.
+    /// The arm with value `value(k)` of the `k`-th parameter.
     pub fn plant_of<R: Real, G: Gears, const EFFECTS: bool>(
         &self,
         value: impl Fn(usize) -> R,
@@ -258,12 +258,12 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         }
     }
 
-    /// Whether no gear is rigid.
+    /// Whether all gears are elastic.
     pub fn is_elastic(&self) -> bool {
         self.joints.iter().all(|joint| joint.gear.elastic)
     }
 
-    /// Whether all gears are of a set.
+    /// Whether all gears are in the set `G`.
     pub fn has_gears<G: Gears>(&self) -> bool {
         let has = |joint: &JointConfig| G::have(&joint.gear) && (G::RIGID || joint.gear.elastic);
         self.joints.iter().all(has)
@@ -274,7 +274,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         self.joints.iter().any(|joint| joint.effects.any())
     }
 
-    /// The current loops for an integrator of step `h` [s].
+    /// Current loops for an integrator of step `h` [s].
     pub fn current_loop<R: Real>(&self, h: f64) -> CurrentLoop<R, N> {
         CurrentLoop::new(
             self.joints.map(|joint| joint.torque_per_volt),
@@ -288,5 +288,5 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     }
 }
 
-/// Settling time [s] that counts as none; its inverse is a number still.
+/// Settling time [s] that is treated as zero; the inverse is finite.
 const AT_ONCE: f64 = 1e-200;

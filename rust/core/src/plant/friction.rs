@@ -34,7 +34,7 @@ use crate::scalar::{Real, Work};
 /// resolve.
 const MOST_EVENTS: usize = 12;
 
-/// Part of a span after which the initial slope of a margin is evaluated.
+/// Fraction of a span after which the initial slope of a margin is evaluated.
 const SOON: f64 = 1e-4;
 
 /// Motion of one arm: state, motor torques and friction modes.
@@ -163,7 +163,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             .0
     }
 
-    /// Repeats a span with an observer: its end and the margins there, after a part of its largest
+    /// Repeats a span with an observer. Returns the motion and the margins after a part of the
     /// length.
     #[inline(always)]
     pub(crate) fn retrace(
@@ -320,7 +320,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
         (motion, margins)
     }
 
-    /// The first event.
+    /// The first event of the span, if there is one.
     fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
         let at_begin = self.plant.margins(
             &self.from.state,
@@ -349,9 +349,9 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
 /// The root on [0, 1] of a function that is negative at the end.
 ///
 /// The first estimate is the root of the parabola through both ends with the given initial slope.
-/// Then regula falsi in the form of Anderson and Bjorck, which keeps a bracket and scales down the
-/// value at the end that stays, so that it converges superlinearly. The remaining value is 1e-12 of
-/// those at the ends.
+/// Regula falsi in the form of Anderson and Bjorck follows: it keeps a bracket and scales down the
+/// value at the end that stays, and therefore converges superlinearly. The value at the root is at
+/// most 1e-12 of those at the ends.
 fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let tiny = 1e-12 * (begin.abs() + end.abs());
     let bend = end - begin - slope;
@@ -376,7 +376,7 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
         (kept, f_kept) = (part, value);
     }
     let discriminant = slope * slope - 4.0 * bend * begin;
-    // the form of the quadratic's root that does not cancel
+    // form of the quadratic formula without cancellation
     let guess = if begin <= tiny {
         -slope / bend
     } else {

@@ -217,7 +217,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Moves the flexible parts with their links.
+    /// Sets the flexible parts to the motion of their links.
     pub(crate) fn carry_parts(&self, x: &mut State<R, N>) {
         for i in 0..N {
             x.part_angle[i] = angle_in_space::<A, R, N>(&x.link_angle, i);
@@ -388,10 +388,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Torque [N m] at each motor, without its offset, with which friction holds it: at rest, or as
-    /// it settles.
+    /// Torque [N m] at each motor, without its offset, that holds the motor: at rest, or as it
+    /// settles.
     ///
-    /// The motor is held while this is within +-[`Plant::dry_friction`], because Sgn(0) = [-1, 1].
+    /// Friction holds the motor while this torque is within +-[`Plant::dry_friction`], because
+    /// Sgn(0) = [-1, 1].
     #[inline(always)]
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut holding = [R::splat(0.0); N];
@@ -415,7 +416,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         holding
     }
 
-    /// Behind a rigid gear the load is the torque of the link's row with that link at rest.
+    /// Subtracts the loads behind rigid gears: the torque of the link's row with that link at rest.
     fn subtract_rigid_loads(
         &self,
         x: &State<R, N>,

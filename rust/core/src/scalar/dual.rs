@@ -1,30 +1,30 @@
-//! Numbers with their derivatives in several directions: the equations run over them as they are.
+//! Dual numbers: a value with its derivatives in several directions.
 //!
-//! `min`, `max`, `abs` and `copysign` take the branch of the value, as the friction's events do.
-//! Values are those of the plain scalar, bit for bit.
+//! `min`, `max`, `abs` and `copysign` take the branch of the value, as friction events do. Values
+//! equal those of the plain scalar bit for bit.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Real, Work};
 
-/// A value and its derivatives, one a lane of `V`.
+/// A value and its derivatives, one per lane of `V`.
 #[derive(Clone, Copy, Debug)]
 pub struct Dual<S, V> {
-    /// The number.
+    /// Value.
     pub value: S,
-    /// Its derivatives.
+    /// Derivatives.
     pub tangent: V,
 }
 
 impl<S: Real, V: Real> Dual<S, V> {
-    /// A number that depends on nothing.
+    /// A number with derivatives zero.
     #[inline(always)]
     pub fn constant(value: S) -> Self {
         let tangent = V::splat(0.0);
         Self { value, tangent }
     }
 
-    /// A function's value here and its slope, to which the derivatives are in proportion.
+    /// A function of this number, from the function's value and slope.
     #[inline(always)]
     fn chain(self, value: S, slope: S) -> Self {
         let tangent = every::<S, V>(slope) * self.tangent;
@@ -32,7 +32,7 @@ impl<S: Real, V: Real> Dual<S, V> {
     }
 }
 
-/// One number for all directions.
+/// The same value in all lanes of the derivatives.
 #[inline(always)]
 fn every<S: Real, V: Real>(value: S) -> V {
     V::splat(value.lane(0))
@@ -159,10 +159,10 @@ impl<S: Real, V: Real> Real for Dual<S, V> {
         self.value.set_lane(index, value);
     }
 
-    /// f(x, p) = 0 makes x' = -(df/dp) / (df/dx).
+    /// The root x of f(x, p) = 0 has the derivative x' = -(df/dp) / (df/dx).
     ///
-    /// The slope comes from a second evaluation in which x moves so much more than all else that
-    /// taking away the rest's part costs no digit; derivatives know no size.
+    /// The first evaluation, with derivatives of x zero, gives df/dp. The second one, with
+    /// derivatives of x so large that subtracting df/dp loses no digits, gives df/dx.
     fn root(root: f64, f: impl Fn(Self) -> Self) -> Self {
         const FAST: f64 = 18_446_744_073_709_551_616.0; // 2^64
         let mut at = Self::splat(root);

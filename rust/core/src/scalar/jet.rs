@@ -1,37 +1,37 @@
-//! Numbers with one derivative, lane by lane.
+//! Jets: numbers with one derivative per lane.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
 use super::{Real, Work};
 
-/// A number and its derivative in one direction: unlike those of [`super::Dual`], each lane has its
-/// own.
+/// A number and its derivative in one direction. In contrast to [`super::Dual`], each lane has a
+/// derivative of its own.
 ///
 /// `min`, `max`, `abs` and `copysign` take the branch of the value.
 #[derive(Clone, Copy, Debug)]
 pub struct Jet<R> {
-    /// The number.
+    /// Value.
     pub value: R,
-    /// Its derivative.
+    /// Derivative.
     pub tangent: R,
 }
 
 impl<R: Real> Jet<R> {
-    /// A number that depends on nothing.
+    /// A number with derivative zero.
     #[inline(always)]
     pub fn constant(value: R) -> Self {
         let tangent = R::splat(0.0);
         Self { value, tangent }
     }
 
-    /// Replaces one lane, value and derivative.
+    /// Replaces value and derivative of one lane.
     #[inline(always)]
     fn take_lane(&mut self, lane: usize, other: Self) {
         self.value.set_lane(lane, other.value.lane(lane));
         self.tangent.set_lane(lane, other.tangent.lane(lane));
     }
 
-    /// In each lane one of two numbers.
+    /// Selects one of two numbers in each lane.
     #[inline(always)]
     fn choose(self, other: Self, first: impl Fn(f64, f64) -> bool) -> Self {
         let mut all = self;
@@ -156,7 +156,8 @@ impl<R: Real> Real for Jet<R> {
         self.value.set_lane(index, value);
     }
 
-    /// f(x, p) = 0 makes x' = -(df/dp) / (df/dx); the slope as that of [`super::Dual`].
+    /// The root x of f(x, p) = 0 has the derivative x' = -(df/dp) / (df/dx); slope as in
+    /// [`super::Dual`].
     fn root(root: f64, f: impl Fn(Self) -> Self) -> Self {
         const FAST: f64 = 18_446_744_073_709_551_616.0; // 2^64
         let mut at = Self::splat(root);
@@ -198,7 +199,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// A function that goes through every operation.
+    /// A function that uses every operation.
     fn mixed<R: Real>(x: R) -> R {
         let (sin, cos) = x.sin_cos();
         let ratio = (sin - x) / (R::splat(2.0) + cos);
@@ -214,9 +215,9 @@ mod tests {
             prop_assert_eq!(found.value, mixed(x));
             let h = 1e-5;
             let sides = [mixed(x + h) - mixed(x), mixed(x) - mixed(x - h)].map(|rise| rise / h);
-            // where a branch changes between them there is no slope
+            // no slope exists where a branch changes in between
             prop_assume!((sides[0] - sides[1]).abs() < 1e-3);
-            // h^2 / 6 of the third derivative, which is below 10^3
+            // h^2 / 6 times the third derivative, which is below 10^3
             prop_assert!((found.tangent - (sides[0] + sides[1])).abs() < 1e-7);
         }
 

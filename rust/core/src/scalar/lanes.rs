@@ -1,10 +1,9 @@
 //! Vectors of `f64` in the registers of x86-64 processors.
 //!
-//! Their operations are single instructions inside [`Real::scope`], into which they are forced
-//! inline. What makes every `unsafe` below sound is that this module is private to the crate and
-//! that [`crate::dispatch`] is the one place that names its types, after asking the processor for
-//! their features: no caller from outside reaches them, safe or not, on a processor without. It
-//! meets one only as the `R` of code that [`crate::dispatch`] runs:
+//! Inside [`Real::scope`] their operations are single instructions; they are forced inline. Every
+//! `unsafe` below is sound because this module is private to the crate, and [`crate::program`] is
+//! the only module that names its types, after it has checked the processor's features. Code
+//! outside the crate cannot use these types:
 //!
 //! ```compile_fail,E0603
 //! use strainwave_core::scalar::lanes::F64x4;
@@ -18,22 +17,22 @@ use super::{Lanes, MOST_LANES, Real, Work};
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
 /// # Safety
-/// The processor has both.
+/// The processor has both features.
 #[target_feature(enable = "avx2,fma")]
 pub unsafe fn with_avx2<W: Work>(work: W) -> W::Output {
     work.run()
 }
 
-/// Runs work compiled for AVX-512, whose registers narrower work has, too.
+/// Runs work compiled for AVX-512, which includes narrower registers.
 ///
 /// # Safety
-/// The processor has it, and what `with_avx2` needs.
+/// The processor has AVX-512 and the features that `with_avx2` requires.
 #[target_feature(enable = "avx2,fma,avx512f,avx512vl,avx512dq,avx512bw")]
 pub unsafe fn with_avx512<W: Work>(work: W) -> W::Output {
     work.run()
 }
 
-/// One number on a machine with a fused multiply-add.
+/// One number, with fused multiply-add.
 #[derive(Clone, Copy, Debug)]
 pub struct Fused(f64);
 
@@ -52,7 +51,7 @@ impl Real for Fused {
     const LANES: usize = 1;
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
-        // SAFETY: the processor has the features, as the top of this file says.
+        // SAFETY: the processor has the features, see the top of this file.
         unsafe { with_avx2(work) }
     }
     #[inline(always)]
@@ -102,7 +101,7 @@ macro_rules! vector {
         #[repr(transparent)]
         pub struct $name($register);
 
-        // SAFETY (all of them): the processor has the feature, as the top of this file says.
+        // SAFETY (all of them): the processor has the feature, see the top of this file.
         operators!(
             $name,
             |a, b| Self(unsafe { $add(a.0, b.0) }),
@@ -151,7 +150,7 @@ macro_rules! vector {
             #[inline(always)]
             fn lane(self, index: usize) -> f64 {
                 assert!(index < $lanes);
-                // SAFETY: the register is that many consecutive f64, and the index was checked.
+                // SAFETY: the register consists of that many f64, and the index is checked.
                 unsafe { *(&raw const self.0).cast::<f64>().add(index) }
             }
             #[inline(always)]
@@ -163,7 +162,7 @@ macro_rules! vector {
             #[inline(always)]
             fn load(from: &[f64]) -> Self {
                 assert!(from.len() >= $lanes);
-                // SAFETY: there are as many numbers as the register holds.
+                // SAFETY: the slice has as many numbers as the register.
                 Self(unsafe { from.as_ptr().cast::<$register>().read_unaligned() })
             }
             #[inline(always)]
@@ -203,7 +202,8 @@ vector!(
 );
 
 impl Lanes for F64x4 {
-    /// A negative number in the lanes that take one, and the places of the halves of each.
+    /// A negative number in each lane that takes one, and the indices of the two halves of each
+    /// number.
     type Pick = ([f64; 4], [i32; 8]);
 
     fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {
@@ -215,8 +215,8 @@ impl Lanes for F64x4 {
     #[inline(always)]
     fn picked(self, (takes, places): &Self::Pick, four: &[f64; 4]) -> Self {
         let (four, takes) = (Self::load(four), Self::load(takes));
-        // SAFETY: the processor has the feature, as the top of this file says, and there are as
-        // many places as the register holds.
+        // SAFETY: the processor has the feature, see the top of this file, and there are as many
+        // indices as the register holds.
         Self(unsafe {
             let places = _mm256_loadu_si256(places.as_ptr().cast());
             let moved = _mm256_permutevar8x32_ps(_mm256_castpd_ps(four.0), places);
@@ -227,7 +227,7 @@ impl Lanes for F64x4 {
     #[inline(always)]
     fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
         let [a, b, c, d] = four.map(|vector| vector.0);
-        // SAFETY: the processor has the feature, as the top of this file says.
+        // SAFETY: the processor has the feature, see the top of this file.
         let turned = unsafe {
             let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
             let (high_ab, high_cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
@@ -246,7 +246,7 @@ impl Lanes for F64x4 {
 }
 
 impl Lanes for F64x8 {
-    /// A bit for each lane that takes a number, and the numbers' places.
+    /// A bit for each lane that takes a number, and the indices of the numbers.
     type Pick = (u8, [i64; 8]);
 
     fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {

@@ -1,4 +1,4 @@
-//! The scalars that the arm's equations are written over.
+//! Scalars of the equations.
 
 mod aligned;
 mod dual;

@@ -1,23 +1,23 @@
-//! The scalar that the arm's equations are written over.
+//! The scalar of the equations.
 //!
-//! One source serves a single trajectory (`f64`, or one with the machine's fused multiply-add), a
-//! batch side by side in vector lanes and derivatives with respect to parameters ([`crate::scalar::Dual`]).
-//! Everything is branch-free: a lane cannot take another path than its neighbour.
+//! The same source serves simulations (`f64`, or a number with fused multiply-add), SIMD lanes, and
+//! derivatives with respect to parameters ([`crate::scalar::Dual`]). It has no branches, because
+//! all lanes take the same path.
 
 use std::ops::{Add, Div, Mul, Neg, Sub};
 
-/// Work for [`Real::scope`]: a closure, but one whose `run` can be forced inline.
+/// Work for [`Real::scope`]: a closure whose `run` can be forced inline.
 pub trait Work {
-    /// What it gives.
+    /// Result of the work.
     type Output;
-    /// Does it. Implementations are `#[inline(always)]`.
+    /// Runs the work. Implementations are `#[inline(always)]`.
     fn run(self) -> Self::Output;
 }
 
-/// Most lanes that any scalar has.
+/// Largest number of lanes of any scalar.
 pub const MOST_LANES: usize = 8;
 
-/// A real number, or several side by side.
+/// A real number, or several in lanes.
 pub trait Real:
     Copy
     + Send
@@ -29,34 +29,34 @@ pub trait Real:
     + Div<Output = Self>
     + Neg<Output = Self>
 {
-    /// How many numbers stand side by side.
+    /// Number of lanes.
     const LANES: usize;
-    /// Runs work compiled for the processor features that this scalar's operations need.
+    /// Runs work compiled for the processor features that the operations of this scalar need.
     ///
-    /// Outside of such a scope each operation would be a call, so every hot function that is not
-    /// inlined into one opens its own. Only [`crate::dispatch`] picks the scalar, after asking the
-    /// processor.
+    /// Outside such a scope each operation would be a call, so every hot function that is not
+    /// inlined into a scope opens its own. Only [`crate::program`] chooses scalars, after it has
+    /// checked the processor.
     fn scope<W: Work>(work: W) -> W::Output;
-    /// The same number in every lane.
+    /// The same value in every lane.
     fn splat(value: f64) -> Self;
-    /// `self * factor + term`, rounded once where the hardware can.
+    /// `self * factor + term`, rounded once if the processor has the instruction.
     fn mul_add(self, factor: Self, term: Self) -> Self;
-    /// Magnitude.
+    /// Absolute value.
     fn abs(self) -> Self;
-    /// The smaller of two.
+    /// Minimum of two numbers.
     fn min(self, other: Self) -> Self;
-    /// The larger of two.
+    /// Maximum of two numbers.
     fn max(self, other: Self) -> Self;
-    /// This magnitude with the sign of another.
+    /// Absolute value of this number with the sign of another.
     fn copysign(self, sign: Self) -> Self;
-    /// Whether any lane is less than zero.
+    /// Whether any lane is negative.
     fn any_negative(self) -> bool;
-    /// The number in one lane.
+    /// Value in one lane.
     fn lane(self, index: usize) -> f64;
-    /// Replaces the number in one lane. A derivative that is carried along stays as it is.
+    /// Replaces the value in one lane; its derivative does not change.
     fn set_lane(&mut self, index: usize, value: f64);
 
-    /// The first numbers of a list, one a lane.
+    /// Loads the first numbers of a list, one per lane.
     #[inline(always)]
     fn load(from: &[f64]) -> Self {
         let mut all = Self::splat(0.0);
@@ -65,7 +65,7 @@ pub trait Real:
         }
         all
     }
-    /// The lanes' numbers to the beginning of a list.
+    /// Stores the lanes to the beginning of a list.
     #[inline(always)]
     fn store(self, to: &mut [f64]) {
         for lane in 0..Self::LANES {
@@ -73,10 +73,10 @@ pub trait Real:
         }
     }
 
-    /// The root of a function whose value is known, as a function of all that the function holds.
+    /// A root of a function, with its derivatives.
     ///
-    /// Only a scalar with derivatives has something to do here: they follow from the function's
-    /// own at the root.
+    /// The value of the root is known. Scalars with derivatives compute those of the root from the
+    /// function's derivatives there.
     #[inline(always)]
     fn root(root: f64, _: impl Fn(Self) -> Self) -> Self {
         Self::splat(root)
@@ -102,14 +102,14 @@ pub trait Real:
         all
     }
 
-    /// Sine and cosine, within 4e-16 for arguments below 1e5.
+    /// Sine and cosine, with errors below 4e-16 for arguments below 1e5.
     ///
-    /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved; the
-    /// Taylor series on [-pi/4, pi/4] end below the rounding; the double angle and the parity of
-    /// the multiple give the result without a branch.
+    /// The argument is reduced by a multiple of pi (Cody and Waite, three parts) and halved. The
+    /// Taylor series on [-pi/4, pi/4] are truncated below rounding. The double angle and the parity
+    /// of the multiple give the result without a branch.
     #[inline(always)]
     fn sin_cos(self) -> (Self, Self) {
-        // Adding and taking away 1.5 * 2^52 rounds to the nearest whole number.
+        // Adding and subtracting 1.5 * 2^52 rounds to the nearest integer.
         let magic = Self::splat(6_755_399_441_055_744.0);
         let turns = self.mul_add(Self::splat(std::f64::consts::FRAC_1_PI), magic) - magic;
         let mut rest = turns.mul_add(Self::splat(-3.141_592_502_593_994), self);
@@ -163,16 +163,15 @@ fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
     sum
 }
 
-/// What registers can do beyond arithmetic, and numbers with derivatives need not: move numbers
-/// from lane to lane.
+/// Registers that can move numbers between lanes; dual numbers cannot.
 pub trait Lanes: Real {
-    /// Which lanes take which of four numbers.
+    /// Selection of one of four numbers for each lane.
     type Pick: Copy + Send + Sync;
-    /// Lane `l` takes number `from[l]`, or nothing.
+    /// Lane `l` takes number `from[l]`; `None` keeps the lane.
     fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick;
-    /// The same, but for the lanes that take one of `four` numbers.
+    /// Replaces the selected lanes by numbers of `four`.
     fn picked(self, pick: &Self::Pick, four: &[f64; 4]) -> Self;
-    /// Stores the numbers that stand in lane `l` of all four to `rows[l]`.
+    /// Stores lane `l` of all four numbers to `rows[l]`.
     #[inline(always)]
     fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
         for lane in 0..Self::LANES {
@@ -181,14 +180,14 @@ pub trait Lanes: Real {
     }
 }
 
-/// Work in a function of its own: what is long and called in every stage of every step is then in the
-/// program once.
+/// Runs work in a function of its own, so that long code that every stage of every step calls is
+/// compiled once.
 #[inline(never)]
 pub(crate) fn apart<R: Real, W: Work>(work: W) -> W::Output {
     R::scope(work)
 }
 
-/// [`Lanes`] of a scalar.
+/// Implements [`Lanes`] for a scalar with one lane.
 macro_rules! one_lane {
     ($type:ty) => {
         impl $crate::scalar::Lanes for $type {
@@ -219,7 +218,7 @@ impl Real for f64 {
     fn splat(value: f64) -> Self {
         value
     }
-    /// Rounded twice: without the instruction, `f64::mul_add` would be a call into libm.
+    /// Rounded twice: without the instruction, `f64::mul_add` would call libm.
     #[inline(always)]
     fn mul_add(self, factor: Self, term: Self) -> Self {
         self * factor + term
@@ -254,7 +253,7 @@ impl Real for f64 {
     }
 }
 
-/// Implements the four operations and the sign lane by lane for a type that wraps its parts.
+/// Implements the arithmetic operators part by part for a type that wraps its parts.
 macro_rules! operators {
     ($type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
         impl std::ops::Add for $type {

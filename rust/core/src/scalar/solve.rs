@@ -77,7 +77,7 @@ impl<R: Real, const N: usize> Factor<R, N> {
         let mut l = *matrix;
         let mut per_d = [R::splat(0.0); N];
         for j in 0..N {
-            // row j times D, up to here
+            // row j times D, computed so far
             let mut scaled = l[j];
             for k in 0..j {
                 scaled[k] = l[j][k] * l[k][k];
@@ -132,7 +132,7 @@ mod tests {
             let inverse = inverse(&matrix, 2.0);
             for i in 0..3 {
                 let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
-                prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // the condition number twice
+                prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // twice the condition number
                 prop_assert!((found[i] - x[i]).abs() < 1e-12); // condition number below 10
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
