@@ -1,7 +1,8 @@
-"""What motor signals say of one another: references, servo, velocity channel, torques.
+"""Consistency of the motor signals: servo references, servo outputs, velocities, torques.
 
-At low frequency a servoed motor follows its reference, its voltage is what the servo makes of the
-difference, and the torques are those of rigid joints, (5) to (7), whatever the gears' stiffness.
+At low frequency, a servo-controlled motor follows its reference, its voltage is the servo output
+for the tracking error, and the torques satisfy the equations of rigid joints, (5) to (7), for any
+gear stiffness.
 """
 
 from __future__ import annotations
@@ -17,147 +18,122 @@ from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
 
-_SATURATED = 0.01  # share of a record at the servo's limit, from which its law no longer holds
-_SLIDING = 0.8  # of a row's neighbourhood, that a motor slides one way
-_FEWEST_ROWS = 60  # of those; with fewer, all are taken
-_WIDEST = float(np.log(1e3))  # of the torque constants' ratio that is looked for: a unit's factor
-_RATIOS = 2001  # tried, 0.7 % apart
+# Maximum share of samples at the servo limit; above it, the servo law does not hold.
+_SATURATED = 0.01
+# Minimum magnitude of the mean sign of the motor velocity for a row to count as sliding.
+_SLIDING = 0.8
+# Minimum number of sliding rows. With fewer, the regression uses all rows.
+_FEWEST_ROWS = 60
+# Search range of the log ratio of the torque constants; 1000 is the largest unit factor.
+_WIDEST = float(np.log(1e3))
+# Number of grid points of the ratio search; the spacing is 0.7 %.
+_RATIOS = 2001
+# Parameters that occur in the equations of both joints.
 _COUPLED = ("beta", "gamma", "gravity_torque_2")
 
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """One motor signal of one record on what another implies; 1 where they agree."""
+    """Regression of a motor signal on its prediction in one record; 1 if they agree."""
 
     channel: str
     record: str
     value: float
     std: float
-    explained: float
+    explained: float  # share of the variance of the signal
 
 
 @dataclass(frozen=True, slots=True)
 class Torque:
-    """One joint's torque on the rigid joints' equations, over all slow records."""
+    """Regression of the torque of one joint on its rigid-joint equation, over all slow records."""
 
-    joint: int
-    inertia: float  # [kg m^2] motor side, what accelerates with the motor alone
+    joint: int  # from 1
+    inertia: float  # [kg m^2] motor side, coefficient of the joint's own acceleration
     inertia_std: float
-    explained: float
-    shared: tuple[str, ...]  # of beta, gamma and G2 those that its equation has
-    coupling: FloatArray  # (n_shared,) their values by this joint's equation
+    explained: float  # share of the variance of the torque
+    shared: tuple[str, ...]  # names of the coupling parameters: beta, gamma, G2
+    coupling: FloatArray  # (n_shared,) estimates of the coupling parameters
     coupling_covariance: FloatArray  # (n_shared, n_shared)
 
 
 def references(seen: Evidence) -> list[Ratio]:
-    """Low-frequency motor velocity over the reference of the servo that it follows.
+    """Ratios of low-frequency motor velocity to servo reference.
 
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    list of Ratio
-        Where a servo of the study acts and its reference moves.
+    Covers the joints under servo control whose reference varies.
     """
-    found: list[Ratio] = []
+    ratios: list[Ratio] = []
     for record, i in _servoed(seen):
         reference = record.channels[f"ref{i}"]
         velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
         slope = differentiate(reference, record.sample_time)
         slope2 = differentiate(slope, record.sample_time)
         columns = np.column_stack([reference, slope, slope2])[record.inside]
-        found.extend(_ratio(record, f"theta_m{i}", velocity, columns))
-    return found
+        ratios.extend(_ratio(record, f"theta_m{i}", velocity, columns))
+    return ratios
 
 
 def servo_outputs(seen: Evidence) -> list[Ratio]:
-    """Voltage over what the study's servo makes of reference and motor angle, kp e + ki int(e).
+    """Ratios of the logged voltage to the servo output kp e + ki int(e) of the study.
 
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    list of Ratio
-        Where a servo acts alone, without a PRBS on top.
+    e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output.
     """
-    found: list[Ratio] = []
+    ratios: list[Ratio] = []
     servo = seen.arm.servo
     for record, i in _servoed(seen):
         name = f"u{i}"
-        own = record.experiment.prbs is not None and record.experiment.joint in (None, i)
-        if servo is None or own or name not in record.channels:
+        has_prbs = record.experiment.prbs is not None and record.experiment.joint in (None, i)
+        if servo is None or has_prbs or name not in record.channels:
             continue
         angle, reference = record.channels[f"theta_m{i}"], record.channels[f"ref{i}"]
         error = reference - differentiate(angle, record.sample_time)
-        whole = np.cumsum(reference) * record.sample_time - angle
+        integral = np.cumsum(reference) * record.sample_time - angle
         if servo.position_gain is not None:
-            correction = servo.position_gain[i - 1] * (whole - whole[0])
+            correction = servo.position_gain[i - 1] * (integral - integral[0])
             error = error + correction
-            whole = whole + np.cumsum(correction) * record.sample_time
-        expected = servo.kp[i - 1] * error + servo.ki[i - 1] * whole
-        found.extend(_ratio(record, name, record.channels[name], expected[record.inside, None]))
-    return found
+            integral = integral + np.cumsum(correction) * record.sample_time
+        expected = servo.kp[i - 1] * error + servo.ki[i - 1] * integral
+        ratios.extend(_ratio(record, name, record.channels[name], expected[record.inside, None]))
+    return ratios
 
 
 def velocities(seen: Evidence) -> list[Ratio]:
-    """Logged motor velocity over the motor angle's derivative.
-
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    list of Ratio
-    """
-    found: list[Ratio] = []
+    """Ratios of the logged motor velocity to the derivative of the motor angle."""
+    ratios: list[Ratio] = []
     for record in seen.records:
         for i in range(1, seen.arm.n_joints + 1):
             name = f"omega_m{i}"
             if name in record.channels:
                 slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
                 columns = slope[record.inside, None]
-                found.extend(_ratio(record, name, record.channels[name], columns))
-    return found
+                ratios.extend(_ratio(record, name, record.channels[name], columns))
+    return ratios
 
 
 def torques(seen: Evidence) -> list[Torque]:
-    """Each joint's torque on what the equations of rigid joints are linear in.
+    """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
-    Both joints' equations are taken apart, so that beta, gamma and G2, which stand in both, come
-    out twice.
-
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    list of Torque
-        Of the joints whose torque some record has.
+    The two joints are regressed separately, so the shared parameters beta, gamma and G2 are
+    estimated twice. Joints without a torque or voltage channel are omitted.
     """
     slow = [r for r in seen.records if is_slow(r.experiment)]
-    found = []
+    estimates = []
     for i in range(seen.arm.n_joints):
-        own = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
-        own = [r for r in own if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        fit, names = _torque(own, seen.arm, i)
+        records = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
+        records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
+        fit, names = _torque(records, seen.arm, i)
         if fit is None:
             continue
-        deviation = np.sqrt(np.diag(fit.covariance))
-        at = [names.index(name) for name in _COUPLED if name in names]
-        shared = tuple(names[k] for k in at)
-        inertia = float(fit.value[0]), float(deviation[0])
-        coupling = fit.value[at], fit.covariance[np.ix_(at, at)]
-        found.append(Torque(i + 1, *inertia, fit.explained, shared, *coupling))
-    return found
+        std = np.sqrt(np.diag(fit.covariance))
+        indices = [names.index(name) for name in _COUPLED if name in names]
+        shared = tuple(names[k] for k in indices)
+        inertia = float(fit.value[0]), float(std[0])
+        coupling = fit.value[indices], fit.covariance[np.ix_(indices, indices)]
+        estimates.append(Torque(i + 1, *inertia, fit.explained, shared, *coupling))
+    return estimates
 
 
 def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
+    """Records and joints (from 1) under servo control, unsaturated, with a varying reference."""
     if seen.arm.servo is None:
         return
     limit = 0.999 * seen.arm.servo.limit
@@ -175,6 +151,7 @@ def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
 def _ratio(
     record: SlowRecord, channel: str, target: FloatArray, columns: FloatArray
 ) -> Iterator[Ratio]:
+    """Coefficient of the first column in a regression; no ratio if the regression fails."""
     fit = regress(target[record.inside], columns)
     if fit is not None:
         std = float(np.sqrt(fit.covariance[0, 0]))
@@ -182,13 +159,13 @@ def _ratio(
 
 
 def _torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, list[str]]:
-    """All records' rows of one joint's equation, each record with a constant of its own."""
+    """Regress the torque of joint i (from 0) over all records, with one constant per record."""
     targets, blocks = [], []
     names: list[str] = []
     for record in records:
         columns = _columns(record, arm, i)
         names = list(columns)
-        # about a reversal friction is anywhere between its two values
+        # Near a velocity reversal, the Coulomb friction is undetermined between its two values.
         rows = record.inside & (np.abs(record.direction[:, i]) > _SLIDING)
         rows = rows if rows.sum() > _FEWEST_ROWS else record.inside
         torque = motor_torque(record, arm, i)[rows]
@@ -201,18 +178,10 @@ def _torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, li
 
 
 def motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
-    """A motor's torque as logged, or as its voltage makes it [N m].
+    """Motor torque of joint i (from 0), (n_rows,) [N m].
 
-    Parameters
-    ----------
-    record : SlowRecord
-    arm : Arm
-    i : int
-        Joint, from 0.
-
-    Returns
-    -------
-    (n_rows,)
+    Returns the logged torque, or torque_per_volt times the voltage. If the study gives no
+    torque_per_volt, the scale is 1.
     """
     name = f"torque{i + 1}"
     if name in record.channels:
@@ -221,7 +190,7 @@ def motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
 
 
 def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
-    """Motor torque per parameter of one joint's equation, taken apart from the other's."""
+    """Regressor columns of the equation of joint i (from 0), by parameter, motor side."""
     n = arm.gear_ratios
     joints = range(1, arm.n_joints + 1)
     motor = np.column_stack([record.channels[f"theta_m{j}"] for j in joints])
@@ -234,11 +203,14 @@ def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
         pull = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
         return {"inertia": ddq[:, 0] / n[0]} | friction | pull
     c, s = np.cos(q[:, 1]), np.sin(q[:, 1])
-    own = {"inertia": ddq[:, i] / n[i]}
+    inertia = {"inertia": ddq[:, i] / n[i]}
     if i == 0:
-        both = 2.0 * ddq[:, 0] + ddq[:, 1]
-        swirl = 2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2
-        coupled = {"beta": n[0] * ddq[:, 1], "gamma": n[0] * (c * both - s * swirl)}
+        accelerations = 2.0 * ddq[:, 0] + ddq[:, 1]
+        velocities_squared = 2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2
+        coupled = {
+            "beta": n[0] * ddq[:, 1],
+            "gamma": n[0] * (c * accelerations - s * velocities_squared),
+        }
     else:
         coupled = {"beta": n[1] * ddq[:, 0], "gamma": n[1] * (c * ddq[:, 0] + s * dq[:, 0] ** 2)}
     pull = {}
@@ -246,50 +218,46 @@ def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
         pull["gravity_torque_2"] = n[i] * np.cos(q[:, 0] + q[:, 1])
         if i == 0:
             pull["gravity_torque_1"] = n[0] * np.cos(q[:, 0])
-    return own | coupled | friction | pull
+    return inertia | coupled | friction | pull
 
 
 def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
-    """How much larger joint 1's torques are than the symmetry of M(q) allows, against joint 2's.
+    """Relative error of the torque constants of joints 1 and 2, from the symmetry of M(q).
 
-    beta and gamma couple either joint to the other by the same torque, G2 acts on both; with torque
-    constants e_i wrong by factors f_i they come out as f_i times themselves, and f_1 / f_2 follows:
-    the minimum over r of (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2). A ratio of 1 is no more
-    deviations off than the root of what it costs more.
+    beta, gamma and G2 occur in the equations of both joints. If the torque constant of joint i is
+    wrong by a factor f_i, the equation of joint i gives estimates x_i that are f_i times the true
+    values. The ratio f_1 / f_2 minimizes over r
 
-    Parameters
-    ----------
-    found : list of Torque
-        From `torques`.
+        (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2)
 
-    Returns
-    -------
-    value, standard deviation, or None
-        None where the arm has one joint, or its motion does not show it.
+    Returns the ratio and its standard deviation. The standard deviation is at least
+    abs(r - 1) / sqrt(cost(1) - cost(r)), the likelihood-ratio value for a ratio of 1. Returns None
+    for one joint, or if the motion does not determine the ratio.
     """
     if len(found) < 2 or found[0].shared != found[1].shared or not found[0].shared:
         return None
     first, second = found
 
     def costs_of(ratios: FloatArray) -> FloatArray:
-        off = first.coupling - ratios[:, None] * second.coupling
+        error = first.coupling - ratios[:, None] * second.coupling
         squares = ratios[:, None, None] ** 2
-        spread = first.coupling_covariance + squares * second.coupling_covariance
-        return np.asarray((off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=1))
+        C = first.coupling_covariance + squares * second.coupling_covariance
+        return np.asarray((error * np.linalg.solve(C, error[..., None])[..., 0]).sum(axis=1))
 
     grid = np.exp(np.linspace(-_WIDEST, _WIDEST, _RATIOS))
     costs = costs_of(grid)
     best = int(np.argmin(costs))
     if best in (0, len(grid) - 1) or costs[best] + 4.0 > min(costs[0], costs[-1]):
         return None
-    # a parabola through the lowest three: its bottom, and how far from it the cost is one more
+    # The parabola through the three lowest points gives the minimum and the standard deviation:
+    # the distance at which the cost increases by 1.
     step = float(np.log(grid[1] / grid[0]))
     left, middle, right = (float(c) for c in costs[best - 1 : best + 2])
-    bend = max((left - 2.0 * middle + right) / step**2, 1e-12)
-    ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * bend)))
+    curvature = max((left - 2.0 * middle + right) / step**2, 1e-12)
+    ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * curvature)))
     excess = max(1.0, middle / max(1, len(first.shared) - 1))
-    deviation = ratio * float(np.sqrt(2.0 / bend * excess))
-    more = float(costs_of(np.ones(1))[0]) - middle
-    if more > 1.0:  # far from its bottom the cost is no parabola
-        deviation = max(deviation, abs(ratio - 1.0) * float(np.sqrt(excess / more)))
-    return ratio, deviation
+    std = ratio * float(np.sqrt(2.0 / curvature * excess))
+    increase = float(costs_of(np.ones(1))[0]) - middle
+    if increase > 1.0:  # The cost is not parabolic far from its minimum.
+        std = max(std, abs(ratio - 1.0) * float(np.sqrt(excess / increase)))
+    return ratio, std

@@ -1,59 +1,47 @@
-"""What the ratio of two joints' torques, against the symmetry of M(q), says of their constants."""
+"""Detection of a wrong torque constant from the ratio of the torques of two joints."""
 
 from __future__ import annotations
 
 from strainwave.domain import Channel, Consistency, Correction, Study, Suspicion
 from strainwave.signals.consistency.wording import number
 
-_CERTAIN = 4.0  # standard deviations
-_TOLERANCE = 0.03  # data sheets and amplifiers are good to some per cent
-_DOUBTED = 1.25  # factor up to which what the model lacks may look like a wrong constant
-_ABOUT = 0.02  # relative deviation from which a number is only about right
+# Minimum significance of a ratio other than 1, in standard deviations.
+_CERTAIN = 4.0
+# Tolerated relative error; data sheets and amplifiers are accurate to a few percent.
+_TOLERANCE = 0.03
+# Largest factor that unmodelled effects can imitate.
+_DOUBTED = 1.25
+# Relative standard deviation above which messages state the factor as approximate.
+_ABOUT = 0.02
 
 
 def torque_constants(value: float, std: float, study: Study) -> Suspicion | None:
-    """A suspicion where one joint's torques certainly do not go with the other's.
+    """Suspicion of a wrong torque constant if the torque ratio differs significantly from 1.
 
-    Parameters
-    ----------
-    value, std : float
-        Joint 1's torques over joint 2's against what the symmetry of M(q) allows, and its standard
-        deviation.
-    study : Study
-
-    Returns
-    -------
-    Suspicion or None
+    `value` and `std` are the ratio of the torque-constant errors of joints 1 and 2, from the
+    symmetry of M(q), and its standard deviation.
     """
-    off = abs(value - 1.0)
-    if off <= _CERTAIN * std or off <= _TOLERANCE:
+    error = abs(value - 1.0)
+    if error <= _CERTAIN * std or error <= _TOLERANCE:
         return None
     return wrong_torque_constant(value, std, study)
 
 
 def doubted_torques(found: Consistency) -> Suspicion | None:
-    """The suspicion of a torque constant that is off by little, where there is no other.
+    """The only suspicion, if it is a wrong torque constant with a factor near 1; else None.
 
-    The rigid fit knows no friction but the usual, and no drive but a linear one: what either does
-    beyond that may break the symmetry of M(q) as a wrong constant does.
-
-    Parameters
-    ----------
-    found : Consistency
-
-    Returns
-    -------
-    Suspicion or None
+    The rigid fit assumes Coulomb and viscous friction and a linear drive. Other friction terms or
+    a nonlinear drive can violate the symmetry of M(q) in the same way as a wrong torque constant.
     """
     if len(found.suspected) != 1:
         return None
     (only,) = found.suspected
-    near = only.factor is not None and 1.0 / _DOUBTED < only.factor < _DOUBTED
-    return only if only.code == "wrong-torque-constant" and near else None
+    is_near_one = only.factor is not None and 1.0 / _DOUBTED < only.factor < _DOUBTED
+    return only if only.code == "wrong-torque-constant" and is_near_one else None
 
 
 def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
-    """The suspicion that one of two torque constants is wrong; which of them no data show."""
+    """Suspicion that one of two torque constants is wrong. The data do not determine which one."""
     factor = number(value) if std < _ABOUT * value else f"about {number(value, 2)}"
     logged = any(name.startswith("torque") for name in study.channels)
     if logged:
@@ -81,7 +69,7 @@ def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
 
 
 def _corrections(value: float, study: Study, *, logged: bool) -> tuple[Correction, ...]:
-    """Those of joint 1: which of the two constants is wrong the signals do not show."""
+    """Correction of joint 1. The signals do not determine which of the two constants is wrong."""
     if logged:
         scale = study.channels.get("torque1", Channel("torque1")).scale / value
         return (Correction("channels", "torque1", "scale", scale),)

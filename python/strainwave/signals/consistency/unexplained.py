@@ -1,4 +1,4 @@
-"""Contradictions that no cause explains, with likely causes and separating experiments."""
+"""Suspicions for contradictions that no single cause explains, with experiments to isolate it."""
 
 from __future__ import annotations
 
@@ -69,15 +69,19 @@ _EXPERIMENTS = {
     "stays there",
     "wrong-torque-constant": "hold a known weight at standstill and read the voltage",
 }
-_MIN_FOLLOWED = 0.5  # share of a link sensor's reading; short motions of healthy arms show 0.8
-_GENERAL = ("swapped-channels", "wrong-unit", "wrong-sign")  # where no single cause explains much
+# Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
+_MIN_FOLLOWED = 0.5
+# Causes listed after the likely causes.
+_GENERAL = ("swapped-channels", "wrong-unit", "wrong-sign")
+# Kinds of observations whose value is a factor without unit.
 _DIMENSIONLESS_FACTOR = frozenset(_CODES) - {"delay", "drift", "input-delay", "followed"}
 
 
 def is_reported(each: Observation) -> bool:
-    """Whether a contradiction is a fault by itself.
+    """Whether a contradiction is reported without a cause.
 
-    Friction and a servo's limits hide what a motor follows; a link sensor always follows.
+    A low explained share of a motor signal is not reported, because friction and servo limits
+    can cause it. Link sensors follow the motion in every fault-free record.
     """
     if each.kind != "followed":
         return True
@@ -87,9 +91,9 @@ def is_reported(each: Observation) -> bool:
 def unexplained(
     left: Sequence[Observation], likely: Sequence[Suspicion], study: Study
 ) -> Iterator[Suspicion]:
-    """Suspicions for the contradictions that are left, one per channel.
+    """Suspicions for the remaining contradictions, one per channel.
 
-    `likely` are the single causes that explain most of the contradictions, the best first.
+    `likely` holds the causes that explain most of the contradictions, most likely first.
     """
     codes = list(dict.fromkeys([*(each.code for each in likely), *_GENERAL]))
     steps = [
@@ -99,7 +103,7 @@ def unexplained(
     remedy += f"experiment that separates it: {'; '.join(steps)}"
     places: set[str] = set()
     for each in sorted(left, key=lambda o: o.kind == "followed"):
-        place = each.where.split()[0]  # "u1 torque" is about u1
+        place = each.where.split()[0]  # "u1 torque" refers to channel u1
         if place in places:
             continue
         places.add(place)
