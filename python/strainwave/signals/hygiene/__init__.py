@@ -1,8 +1,8 @@
-"""Logs -> logs without what is no measurement, and what to say of it, before any estimate.
+"""Detection and repair of defective samples before any estimate: logs -> logs and warnings.
 
-Each kind of defect is one function from a record to a list of `Defect`. Short ones are bridged and
-masked: no row of a fit rests on them. Where much of a channel is defective the record, or the
-channel in it, is not used.
+Each kind of defect has one function from a record to a list of `Defect`. Short defects are
+interpolated and masked, and no row of a fit uses them. If a large share of a channel is defective,
+the record, or the channel in it, is excluded.
 """
 
 from __future__ import annotations
@@ -27,57 +27,45 @@ DETECTORS: Mapping[Kind, Detector] = {
     "flat-tops": flat_tops.detect,
     "mains-hum": mains_hum.detect,
 }
-"""All kinds that are looked for."""
+"""Detector of each kind of defect."""
 
 
 def defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
-    """All defects of each record.
+    """Detect all defects of each record; one list per log.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-
-    Returns
-    -------
-    list of list of Defect
-        One list per log; of hum that the records together confirm.
+    Mains hum is included only if the records together confirm it.
     """
-    found = side_by_side([partial(_of_record, log, arm) for log in logs])
-    hum = mains_hum.confirmed(logs, found)
+    detections = side_by_side([partial(_of_record, log, arm) for log in logs])
+    hum = mains_hum.confirmed(logs, detections)
     return [
-        [each for each in own if each.kind != "mains-hum" or (each.channel, each.words) in hum]
-        for own in found
+        [
+            defect
+            for defect in record_defects
+            if defect.kind != "mains-hum" or (defect.channel, defect.words) in hum
+        ]
+        for record_defects in detections
     ]
 
 
 def without_defects(
     logs: Sequence[Log], arm: Arm
 ) -> tuple[tuple[Log, ...], tuple[Diagnostic, ...]]:
-    """Records fit for estimation, their defects bridged and masked.
+    """Interpolate and mask the defects of all records.
 
-    Parameters
-    ----------
-    logs : sequence of Log
-    arm : Arm
-
-    Returns
-    -------
-    tuple of Log
-        Without those, and without the channels, of which much is defective.
-    tuple of Diagnostic
-        What was found where, and what to do.
+    Returns the usable records, without channels and records that are defective to a large extent,
+    and warnings that state record, channel, time and remedy.
     """
-    kept: list[Log] = []
+    usable_logs: list[Log] = []
     warnings: list[Diagnostic] = []
-    found = defects(logs, arm)
-    for log, own in zip(logs, found, strict=True):
-        usable, left_out = mended(log, arm, own)
-        warnings += warnings_of(log, own, left_out, used=usable is not None)
+    detections = defects(logs, arm)
+    for log, record_defects in zip(logs, detections, strict=True):
+        usable, left_out = mended(log, arm, record_defects)
+        warnings += warnings_of(log, record_defects, left_out, used=usable is not None)
         if usable is not None:
-            kept.append(usable)
-    return tuple(kept), (*warnings, *hum_warnings(logs, found))
+            usable_logs.append(usable)
+    return tuple(usable_logs), (*warnings, *hum_warnings(logs, detections))
 
 
 def _of_record(log: Log, arm: Arm) -> list[Defect]:
-    return [each for detect in DETECTORS.values() for each in detect(log, arm)]
+    """Run all detectors on one record."""
+    return [defect for detect in DETECTORS.values() for defect in detect(log, arm)]

@@ -1,4 +1,4 @@
-"""What may be wrong with a channel for a while: its kind, where, and by how much."""
+"""Defects of a channel: kind, samples, size, and functions that all detectors use."""
 
 from __future__ import annotations
 
@@ -12,48 +12,39 @@ from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 
 Kind = Literal["spikes", "frozen", "encoder-steps", "flat-tops", "mains-hum"]
-"""Codes of warnings, see docs/troubleshooting.md."""
+"""Kinds of defects, which are also warning codes; see docs/troubleshooting.md."""
 
 ENCODERS = ("theta_m", "theta_l", "deflection")
 NOISY = ("a", "gyro", "ax", "ay", "az", "gx", "gy", "gz")
-"""Sensors whose noise, or motion, changes their reading from sample to sample."""
+"""Sensors whose reading changes from sample to sample because of noise or motion."""
 
 INPUTS = ("u", "torque")
 
-_MOST_SAMPLES = 65_536  # of a channel that show how it usually changes
-_USUAL = 0.995  # share of the changes below what is usual
+_MOST_SAMPLES = 65_536  # maximum number of samples for statistics of the changes of a channel
+_USUAL = 0.995  # quantile of the absolute changes that defines the usual change
 
 
 @dataclass(frozen=True, slots=True)
 class Defect:
-    """One stretch of one channel that is no measurement."""
+    """One defective stretch of one channel."""
 
     kind: Kind
     channel: str
     start: int  # first sample
-    stop: int  # behind the last one
-    size: float  # in the channel's unit; of a frozen stretch [s]
-    words: str  # what is seen, without place and time: "a spike"
-    wraps: bool = False  # whether the step is a counter's whole range
+    stop: int  # index after the last sample
+    size: float  # in the unit of the channel; duration [s] if frozen
+    words: str  # description without channel and time, such as "a spike"
+    wraps: bool = False  # whether the step is the full range of a counter
 
 
 Detector = Callable[[Log, Arm], list[Defect]]
-"""One kind of defect: all of its kind in one record, by channel, then in order of time."""
+"""Function that detects one kind of defect in a record, ordered by channel and time."""
 
 
 def of_kinds(log: Log, kinds: tuple[str, ...]) -> Mapping[str, FloatArray]:
-    """Channels of some kinds that change at all.
+    """Channels of the given kinds that are not constant: name -> (n_samples,).
 
-    Parameters
-    ----------
-    log : Log
-    kinds : tuple of str
-        Names without the joint's number.
-
-    Returns
-    -------
-    dict
-        Name -> (n_samples,).
+    `kinds` are channel names without the joint number.
     """
     return {
         name: x for name, x in log.channels.items() if kind_of(name) in kinds and x.min() < x.max()
@@ -61,17 +52,17 @@ def of_kinds(log: Log, kinds: tuple[str, ...]) -> Mapping[str, FloatArray]:
 
 
 def kind_of(channel: str) -> str:
-    """A channel's name without its joint: "theta_m" of "theta_m2"."""
+    """Name of a channel without the joint number: "theta_m" for "theta_m2"."""
     return channel.rstrip("0123456789")
 
 
 def joint_of(channel: str) -> int:
-    """The joint that a channel's name ends with, from 1."""
+    """Joint number at the end of a channel name, from 1."""
     return int(channel[len(kind_of(channel)) :])
 
 
 def count_of(channel: str, arm: Arm) -> float:
-    """One count of a motor's encoder [rad]; zero of another channel, or where it is not known."""
+    """One count of a motor encoder [rad]; zero if unknown or for another channel."""
     if kind_of(channel) != "theta_m" or joint_of(channel) > arm.n_joints:
         return 0.0
     per_turn = arm.joints[joint_of(channel) - 1].encoder_counts
@@ -79,35 +70,16 @@ def count_of(channel: str, arm: Arm) -> float:
 
 
 def usual(change: FloatArray) -> float:
-    """What nearly all changes of a channel stay below.
-
-    Parameters
-    ----------
-    change : (n,)
-        Not negative.
-
-    Returns
-    -------
-    float
-    """
-    every = change[:: max(1, len(change) // _MOST_SAMPLES)]
-    if not len(every):
+    """Quantile `_USUAL` of the nonnegative changes of a channel, (n,); zero if there are none."""
+    subset = change[:: max(1, len(change) // _MOST_SAMPLES)]
+    if not len(subset):
         return 0.0
-    k = min(len(every) - 1, int(_USUAL * len(every)))
-    return float(np.partition(every, k)[k])
+    k = min(len(subset) - 1, int(_USUAL * len(subset)))
+    return float(np.partition(subset, k)[k])
 
 
 def resolution_of(signal: FloatArray) -> float:
-    """About the smallest step that a channel makes: one count, or next to nothing.
-
-    Parameters
-    ----------
-    signal : (n_samples,)
-
-    Returns
-    -------
-    float
-    """
+    """First percentile of the nonzero steps of a signal, (n_samples,): one count if quantized."""
     step = np.abs(np.diff(signal[:_MOST_SAMPLES]))
     step = step[step > 0.0]
     if not len(step):

@@ -1,4 +1,4 @@
-"""Steps of encoders: lost counts, a reset by the index, a counter that wraps."""
+"""Detection of encoder steps: lost counts, a reset by the index pulse, a counter overflow."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from strainwave.signals.hygiene.frozen import ends_a_freeze
 from strainwave.signals.hygiene.isolated import Jump, spikes_and_steps
 from strainwave.signals.standstill import runs_of
 
-_WRAP = 0.02  # of a counter's range, by which its wraps may differ
+_WRAP = 0.02  # maximum spread of overflow steps, relative to the largest one
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
-    """Increments of an angle that stay, and that the motion on either side does not explain."""
-    found = []
+    """Detect permanent steps of an angle that are inconsistent with the motion around them."""
+    detections = []
     for name, x in of_kinds(log, ENCODERS).items():
-        _, alone = spikes_and_steps(x, count_of(name, arm))
-        still = runs_of(np.diff(x) == 0.0)
-        steps = [jump for jump in alone if not ends_a_freeze(x, jump, still)]
+        _, isolated_steps = spikes_and_steps(x, count_of(name, arm))
+        rest_runs = runs_of(np.diff(x) == 0.0)
+        steps = [jump for jump in isolated_steps if not ends_a_freeze(x, jump, rest_runs)]
         wraps = _are_wraps(steps)
         words = "the counter wraps" if wraps else "a step that no motion explains"
-        found += [
-            Defect("encoder-steps", name, j.sample, j.sample + 1, j.size, words, wraps)
-            for j in steps
+        detections += [
+            Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, words, wraps)
+            for step in steps
         ]
-    return found
+    return detections
 
 
 def _are_wraps(steps: list[Jump]) -> bool:
-    """Whether there are several, all of one size."""
+    """Whether there are several steps, all of equal magnitude."""
     size = np.abs([step.size for step in steps])
     return len(size) > 1 and bool(np.ptp(size) < _WRAP * size.max())

@@ -1,4 +1,4 @@
-"""Flat tops: a sensor at the end of its range."""
+"""Detection of flat tops: a sensor in saturation at an end of its range."""
 
 from __future__ import annotations
 
@@ -15,48 +15,43 @@ from strainwave.signals.hygiene.defects import (
 from strainwave.signals.standstill import runs_of
 
 RUN = 3
-"""Equal samples at the extreme that make a flat top."""
+"""Minimum number of equal samples at an extreme value that are a flat top."""
 
 SHARE = 1e-2
-"""Of a record at the end of the range, from which a channel is `clipped` and the input refused."""
+"""Share of saturated samples above which a channel is `clipped` and the input is rejected."""
 
-_LONGER = 6.0  # times as often as one count inside; a turning angle is there 2.4 times as often
-_FEWEST_VALUES = 50  # different ones, below which a coarse channel has flat tops of its own
-_FEWEST = 6  # samples at the end of the range in all: a peak has three or four
-_CUT = 4.0  # steps of the resolution by which a signal leaves the end of its range at once
+# Minimum ratio of the number of samples at the extreme value to the number at the adjacent value.
+# At the reversal of an angle, the ratio is 2.4.
+_LONGER = 6.0
+_FEWEST_VALUES = 50  # minimum number of distinct values; coarser channels have flat tops anyway
+_FEWEST = 6  # minimum total number of samples at an end of the range; a peak has 3 or 4
+_CUT = 4.0  # minimum step into or out of a flat top, in units of the resolution
 
 
 def detect(log: Log, _: Arm) -> list[Defect]:
-    """Flat tops of noisy sensors, which never read the same three times but at their ends.
+    """Detect flat tops of noisy sensors, which repeat a value `RUN` times only in saturation.
 
-    More than `SHARE` of a record is a fault of the input, see `strainwave.signals.consistency`.
+    More than `SHARE` of a record is a fault that the input check reports, see
+    `strainwave.signals.consistency`.
     """
-    found = []
+    detections = []
     for name, x in of_kinds(log, NOISY).items():
-        for ends in ends_of_range(x, rests=False):
-            runs = cut(x, ends)
+        for end_runs in ends_of_range(x, rests=False):
+            runs = cut(x, end_runs)
             samples = int((runs[:, 1] - runs[:, 0]).sum())
             if _FEWEST <= samples <= SHARE * len(x):
                 words = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
-                found += [
+                detections += [
                     Defect("flat-tops", name, start, stop, float(abs(x[start])), words)
                     for start, stop in runs.tolist()
                 ]
-    return found
+    return detections
 
 
 def cut(values: FloatArray, runs: IntArray) -> IntArray:
-    """The runs that a signal enters or leaves faster than a peak of a smooth one.
+    """Runs, (n_runs, 2), that a signal enters or leaves faster than the peak of a smooth signal.
 
-    Parameters
-    ----------
-    values : (n_samples,)
-    runs : (n_runs, 2)
-        First sample and the one behind the last of each.
-
-    Returns
-    -------
-    (n_cut, 2)
+    Each run is its first sample and the index after its last sample.
     """
     step = _CUT * resolution_of(values)
     before = np.abs(values[np.maximum(runs[:, 0] - 1, 0)] - values[runs[:, 0]])
@@ -65,42 +60,33 @@ def cut(values: FloatArray, runs: IntArray) -> IntArray:
 
 
 def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
-    """Runs of equal values at the smallest and the largest, where these may be ends of a range.
+    """Runs of equal values, (n_runs, 2), at the minimum and maximum, if these limit the range.
 
-    Zero is no end of a range, nor is, of an angle that may rest where it went, what it usually is.
-
-    Parameters
-    ----------
-    values : (n_samples,)
-    rests : bool
-        Whether the channel may rest somewhere.
-
-    Returns
-    -------
-    list of (n_runs, 2)
-        First sample and the one behind the last of each.
+    Zero does not limit a range. For a channel that can rest (`rests`), an extreme near its median
+    is a rest position and does not limit the range either. Each run is its first sample and the
+    index after its last sample.
     """
     low, high = float(values.min()), float(values.max())
-    middle, size = float(np.median(values)), high - low
-    if size == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _FEWEST_VALUES:
+    median, span = float(np.median(values)), high - low
+    if span == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _FEWEST_VALUES:
         return []
-    found = []
+    flat_tops = []
     for extreme in (low, high):
-        at_standstill = rests and abs(extreme - middle) < 0.25 * size
-        if at_standstill or abs(extreme) < 1e-9 * size:
+        at_standstill = rests and abs(extreme - median) < 0.25 * span
+        if at_standstill or abs(extreme) < 1e-9 * span:
             continue
-        at = np.abs(values - extreme) <= 1e-9 * size
-        turns = at.sum() < _LONGER * _next_to(values, extreme, 1e-9 * size)
-        if rests and turns:
+        at_extreme = np.abs(values - extreme) <= 1e-9 * span
+        is_reversal = at_extreme.sum() < _LONGER * _next_to(values, extreme, 1e-9 * span)
+        if rests and is_reversal:
             continue
-        runs = runs_of(at)
+        runs = runs_of(at_extreme)
         runs = runs[runs[:, 1] - runs[:, 0] >= RUN]
-        found.append(cut(values, runs) if turns else runs)
-    return found
+        flat_tops.append(cut(values, runs) if is_reversal else runs)
+    return flat_tops
 
 
 def _next_to(values: FloatArray, extreme: float, alike: float) -> int:
-    """How many samples are at the value that lies next to an extreme: an encoder's next count."""
+    """Number of samples at the value adjacent to an extreme, such as the next encoder count."""
     inside = np.abs(values - extreme)
     inside = inside[inside > alike]
     return int(np.count_nonzero(inside <= inside.min() + alike))

@@ -1,7 +1,7 @@
-"""Increments of a channel unlike those on either side of them, which no motion makes.
+"""Detection of isolated increments of a channel that motion cannot cause.
 
-A motion's increments change by its acceleration; one that differs from both its neighbours far
-more than the rest do, and stands alone, was not moved but counted, transmitted or disturbed.
+The increments of a motion change by its acceleration. An increment that differs from both
+neighbours far more than is usual is due to counting, transmission or a disturbance.
 """
 
 from __future__ import annotations
@@ -14,98 +14,82 @@ from strainwave.domain import FloatArray
 from strainwave.signals.hygiene.defects import resolution_of, usual
 
 LONGEST = 3
-"""Samples of a spike."""
+"""Maximum duration of a spike [samples]."""
 
-_RETURN = 0.35  # of a spike's size, by which the signal behind it may differ from that before
-_ABOVE_ALL = 3.0  # times what is usual in the record
-_ABOVE_NEAR = 5.0  # times what is usual about it
-_COUNTS = 4.0  # steps of the channel's resolution, which quantisation cannot make
-_NEAR = 48  # samples to either side that are compared
-_OWN = 4  # of them that may belong to the same event
-_MOST = 4000  # candidates; where there are more, the channel is like that
+_RETURN = 0.35  # maximum residual offset after a spike, relative to its size
+_ABOVE_ALL = 3.0  # minimum ratio to the usual value in the record
+_ABOVE_NEAR = 5.0  # minimum ratio to the usual value nearby
+_COUNTS = 4.0  # minimum size in units of the resolution; larger than quantization effects
+_NEAR = 48  # number of samples on each side for comparison
+_OWN = 4  # number of adjacent samples on each side excluded from the comparison
+_MOST = 4000  # maximum number of candidates; more are a property of the channel, not defects
 
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """An increment that stands alone."""
+    """An isolated increment."""
 
-    sample: int  # the first that it changes
-    size: float  # by which it differs from the increments about it
+    sample: int  # first sample after the increment
+    size: float  # difference from the adjacent increments
 
 
 def spikes_and_steps(
     signal: FloatArray, count: float = 0.0
 ) -> tuple[list[tuple[int, int]], list[Jump]]:
-    """Jumps that come back within a few samples, and those that do not.
+    """Classify jumps of a signal, (n_samples,), by whether it returns within `LONGEST` samples.
 
-    Parameters
-    ----------
-    signal : (n_samples,)
-    count : float
-        By which it is quantised, where that is known.
-
-    Returns
-    -------
-    spikes : list of (first sample, the one behind the last)
-    steps : list of Jump
+    `count` is the quantization step, or zero if unknown. Returns spikes as (first sample, index
+    after the last one), and permanent steps.
     """
-    every = jumps(signal, count)
+    all_jumps = jumps(signal, count)
     spikes: list[tuple[int, int]] = []
     steps: list[Jump] = []
-    behind = 0  # the last spike
-    for jump in every:
+    last_stop = 0  # end of the last spike
+    for jump in all_jumps:
         start = jump.sample
-        if start <= behind:
+        if start <= last_stop:
             continue
         speed = signal[start] - signal[start - 1] - jump.size
         ends = np.arange(start, min(start + LONGEST, len(signal) - 1) + 1)
-        off = signal[ends] - signal[start - 1] - speed * (ends - start + 1)
-        back = ends[np.abs(off) < _RETURN * abs(jump.size)].tolist()
-        if back:
-            behind = back[0]
-            spikes.append((start, behind))
+        offset = signal[ends] - signal[start - 1] - speed * (ends - start + 1)
+        returns = ends[np.abs(offset) < _RETURN * abs(jump.size)].tolist()
+        if returns:
+            last_stop = returns[0]
+            spikes.append((start, last_stop))
         else:
             steps.append(jump)
     return spikes, steps
 
 
 def jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
-    """All increments that no motion explains.
+    """Detect all isolated increments of a signal, (n_samples,), in order of time.
 
-    Parameters
-    ----------
-    signal : (n_samples,)
-    count : float
-        By which it is quantised, where that is known.
-
-    Returns
-    -------
-    list of Jump
-        In order of time.
+    `count` is the quantization step, or zero if unknown.
     """
     if len(signal) < 4 * _NEAR:
         return []
     increment = np.diff(signal)
     change = np.abs(np.diff(increment))
-    apart = np.zeros(len(increment))
-    np.minimum(change[1:], change[:-1], out=apart[1:-1])
-    floor = max(_COUNTS * (count or resolution_of(signal)), _ABOVE_ALL * usual(apart))
-    candidates = np.flatnonzero(apart > floor)
+    contrast = np.zeros(len(increment))
+    np.minimum(change[1:], change[:-1], out=contrast[1:-1])
+    threshold = max(_COUNTS * (count or resolution_of(signal)), _ABOVE_ALL * usual(contrast))
+    candidates = np.flatnonzero(contrast > threshold)
     if not 0 < len(candidates) <= _MOST:
         return []
     return [
         Jump(k + 1, _size(increment, k))
         for k in candidates.tolist()
-        if apart[k] > _ABOVE_NEAR * _about(apart, k)
+        if contrast[k] > _ABOVE_NEAR * _about(contrast, k)
     ]
 
 
 def _about(apart: FloatArray, k: int) -> float:
-    """What is usual on that side of a sample where more is: a motion that begins goes on."""
+    """Usual value near a sample: the larger one of both sides, because a motion can begin there."""
     sides = [apart[max(0, k - _NEAR) : max(0, k - _OWN)], apart[k + _OWN + 1 : k + 1 + _NEAR]]
     return max((float(np.partition(s, -4)[-4]) for s in sides if len(s) > _OWN), default=np.inf)
 
 
 def _size(increment: FloatArray, k: int) -> float:
+    """Difference of increment k from the median of the adjacent increments."""
     near = np.r_[increment[max(0, k - _OWN) : k], increment[k + 1 : k + 1 + _OWN]]
     return float(increment[k] - np.median(near))

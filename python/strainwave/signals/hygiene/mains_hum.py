@@ -1,4 +1,4 @@
-"""Hum: lines at the mains' frequency and its multiples, alike in all records."""
+"""Detection of mains hum: spectral lines at the mains frequency and its harmonics."""
 
 from __future__ import annotations
 
@@ -11,92 +11,88 @@ from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import NOISY, Defect, of_kinds
 
 MAINS = (50.0, 60.0)
-"""[Hz]"""
+"""Mains frequencies [Hz]."""
 
-_OFF = 0.006  # of it, by which the mains or the logger's clock may be off
+_OFF = 0.006  # relative tolerance of the mains frequency and of the clock of the logger
+# [Hz] fundamental and harmonics up to the fifth
 _LINES = tuple(sorted({k * hz for hz in MAINS for k in (1, 2, 3, 4, 5)}))
-_SHORTEST = 1.2  # [s] of a record that separates a line from a resonance
-_LONGEST = 1 << 16  # samples that are looked at
-_NEAR = 8.0  # [Hz] to either side, in which nothing may be nearly as high
-_ABOVE = 5.0  # times the highest amplitude there
-_WIDTH = 3  # lines of the spectrum that a Hann window makes of one, to either side
-_ALIKE = 2.0  # times, by which its amplitude may differ from record to record
+_SHORTEST = 1.2  # [s] minimum duration of a record to separate a line from a resonance
+_LONGEST = 1 << 16  # maximum number of samples for the spectrum
+_NEAR = 8.0  # [Hz] half-width of the band around a line for comparison
+_ABOVE = 5.0  # minimum ratio of a line to the largest amplitude in that band
+_WIDTH = 3  # half-width of a line with a Hann window, in spectral lines
+_ALIKE = 2.0  # maximum ratio of the amplitudes of a line in different records
 
 
 def detect(log: Log, _: Arm) -> list[Defect]:
-    """The mains' lines in the spectra of sensors, where they stand alone.
+    """Detect isolated lines at the mains frequency and its harmonics in the spectra of sensors.
 
-    A periodic excitation has lines as high beside any of its own; a resonance is wide.
+    A periodic excitation has other lines of similar amplitude nearby, and a resonance is wider than
+    a line.
     """
     if not _lasts(log):
         return []
-    found = []
+    detections = []
     for name, x in of_kinds(log, NOISY).items():
         spectrum, duration = _amplitudes(x[:_LONGEST]), _duration(log)
         for hz in _LINES:
-            at = _highest(spectrum, hz, duration)
-            if at is not None and spectrum[at] > _ABOVE * _beside(spectrum, at, duration):
-                size = float(spectrum[at])
-                found.append(Defect("mains-hum", name, 0, len(log), size, f"hum at {hz:.0f} Hz"))
-    return found
+            line = _highest(spectrum, hz, duration)
+            if line is not None and spectrum[line] > _ABOVE * _beside(spectrum, line, duration):
+                size = float(spectrum[line])
+                detections.append(
+                    Defect("mains-hum", name, 0, len(log), size, f"hum at {hz:.0f} Hz")
+                )
+    return detections
 
 
 def confirmed(logs: Sequence[Log], found: Sequence[Sequence[Defect]]) -> set[tuple[str, str]]:
-    """Lines that are the mains', since they are in all records, and alike: what an arm does is not.
+    """Hum lines (channel, description) that appear in all records with similar amplitude.
 
-    At least two records, or the only one, show a line of nearly one amplitude; in the others it, or
-    what it drowns in, is no lower.
-
-    Parameters
-    ----------
-    logs : sequence of Log
-    found : sequence of sequence of Defect
-        Of each log.
-
-    Returns
-    -------
-    set of (channel, words)
+    At least two records, or the only one, must have the line with similar amplitude. In the other
+    records, the line or the largest amplitude around it must not be smaller. This excludes the
+    motion of the arm. `found` are the defects of each log.
     """
     sizes: dict[tuple[str, str, float], list[float]] = {}
-    for each in (d for own in found for d in own if d.kind == "mains-hum"):
-        hz = next(hz for hz in _LINES if f"{hz:.0f} Hz" in each.words)
-        sizes.setdefault((each.channel, each.words, hz), []).append(each.size)
-    kept = set()
-    for (channel, words, hz), own in sizes.items():
-        able = [log for log in logs if channel in log.channels and _lasts(log)]
-        enough = len(own) > 1 or len(able) == 1
-        if not enough or max(own) > _ALIKE * min(own):
+    for defect in (d for record_defects in found for d in record_defects if d.kind == "mains-hum"):
+        hz = next(hz for hz in _LINES if f"{hz:.0f} Hz" in defect.words)
+        sizes.setdefault((defect.channel, defect.words, hz), []).append(defect.size)
+    lines = set()
+    for (channel, words, hz), amplitudes in sizes.items():
+        usable = [log for log in logs if channel in log.channels and _lasts(log)]
+        is_sufficient = len(amplitudes) > 1 or len(usable) == 1
+        if not is_sufficient or max(amplitudes) > _ALIKE * min(amplitudes):
             continue
-        heights = (_height(log, channel, hz) for log in able)
-        if min(heights) * _ALIKE > float(np.median(own)):
-            kept.add((channel, words))
-    return kept
+        upper_bounds = (_height(log, channel, hz) for log in usable)
+        if min(upper_bounds) * _ALIKE > float(np.median(amplitudes)):
+            lines.add((channel, words))
+    return lines
 
 
 def _height(log: Log, channel: str, hz: float) -> float:
-    """What a line is at most, or what it may drown in."""
+    """Upper bound of the amplitude of a line: its peak or the largest amplitude around it."""
     spectrum, duration = _amplitudes(log.channels[channel][:_LONGEST]), _duration(log)
-    at = _highest(spectrum, hz, duration)
-    return np.inf if at is None else max(float(spectrum[at]), _beside(spectrum, at, duration))
+    line = _highest(spectrum, hz, duration)
+    return np.inf if line is None else max(float(spectrum[line]), _beside(spectrum, line, duration))
 
 
 def _duration(log: Log) -> float:
+    """Duration [s] of the samples used for the spectrum."""
     return min(len(log), _LONGEST) * log.sample_time
 
 
 def _lasts(log: Log) -> bool:
-    """Whether a record is long enough to separate a line from what lies beside it."""
+    """Whether a record is long enough to separate a line from a resonance."""
     return _duration(log) >= _SHORTEST
 
 
 def _amplitudes(x: FloatArray) -> FloatArray:
-    """Of each line of the spectrum, in the channel's unit."""
+    """Amplitude spectrum in the unit of the channel."""
     window = np.hanning(len(x))
     return np.asarray(2.0 * np.abs(np.fft.rfft((x - x.mean()) * window)) / window.sum())
 
 
 def _highest(spectrum: FloatArray, hz: float, duration: float) -> int | None:
-    """The highest line about a frequency; None where the record has nothing there."""
+    """Index of the largest line near a frequency [Hz]; None if outside the spectrum."""
     off = max(1.0, hz * _OFF * duration)
     low, high = int(hz * duration - off), int(np.ceil(hz * duration + off)) + 1
     near = int(_NEAR * duration)
@@ -106,6 +102,7 @@ def _highest(spectrum: FloatArray, hz: float, duration: float) -> int | None:
 
 
 def _beside(spectrum: FloatArray, at: int, duration: float) -> float:
+    """Largest amplitude within `_NEAR` of a line, without the line itself."""
     near = int(_NEAR * duration)
     below, above = spectrum[at - near : at - _WIDTH], spectrum[at + _WIDTH + 1 : at + near + 1]
     return float(max(below.max(), above.max()))

@@ -1,4 +1,4 @@
-"""A record with defects -> one that may be used: bridged, masked, or without a channel."""
+"""Repair of records with defects: correction, interpolation, masks, exclusion of channels."""
 
 from __future__ import annotations
 
@@ -13,69 +13,49 @@ from strainwave.signals.hygiene.defects import INPUTS, Defect, count_of, kind_of
 from strainwave.signals.standstill import runs_of
 
 MOST = 0.2
-"""Share of a record that may be masked in a channel which is used."""
+"""Maximum share of masked samples in a channel that is used."""
 
-_LONGEST_INPUT = 0.01  # [s] for which what drives a joint may be unknown
-_MOST_STEPS = 20  # of an encoder in one record, but for wraps
-_REQUIRED = ("theta_m", *INPUTS)  # without which a record is of no use
+_LONGEST_INPUT = 0.01  # [s] maximum duration of a defective stretch of a motor input
+_MOST_STEPS = 20  # maximum number of encoder steps per record, without overflows
+_REQUIRED = ("theta_m", *INPUTS)  # channels that a record must have
 
 
 def mended(log: Log, arm: Arm, defects: Sequence[Defect]) -> tuple[Log | None, tuple[str, ...]]:
-    """Take a record's defects out.
+    """Correct, interpolate and mask the defects of a record.
 
-    An encoder's step is taken off all that follows. Other stretches are bridged: by a straight
-    line, or of a voltage by its last value. Each is masked, an encoder's step for one sample on
-    either side. Hum stays.
+    Each encoder step is subtracted from all subsequent samples. Other stretches are interpolated
+    linearly; a voltage keeps its last value. All are masked, an encoder step with one sample on
+    each side. Hum is not removed.
 
-    Parameters
-    ----------
-    log : Log
-    arm : Arm
-    defects : sequence of Defect
-        Of this record.
-
-    Returns
-    -------
-    log : Log or None
-        None where too much of an angle or an input is defective.
-    left_out : tuple of str
-        Channels that are not used.
+    Returns the record, or None if too much of a motor angle or input is defective, and the names of
+    the excluded channels.
     """
     by_channel: dict[str, list[Defect]] = {}
-    for each in defects:
-        if each.kind != "mains-hum":
-            by_channel.setdefault(each.channel, []).append(each)
+    for defect in defects:
+        if defect.kind != "mains-hum":
+            by_channel.setdefault(defect.channel, []).append(defect)
     if not by_channel:
         return log, ()
     channels, masked = dict(log.channels), dict(log.masked)
-    left_out = []
-    for name, own in by_channel.items():
-        bad = _mask(own, len(log))
-        if _too_much(name, own, bad, log.sample_time):
-            left_out.append(name)
+    excluded = []
+    for name, channel_defects in by_channel.items():
+        mask = _mask(channel_defects, len(log))
+        if _too_much(name, channel_defects, mask, log.sample_time):
+            excluded.append(name)
             del channels[name]
             continue
-        x = _unstepped(channels[name], own, count_of(name, arm))
-        channels[name] = bridged(x, bad, hold=name.startswith("u"))
-        masked[name] = bad
-    if any(kind_of(name) in _REQUIRED for name in left_out):
-        return None, tuple(left_out)
-    return replace(log, channels=channels, masked=masked), tuple(left_out)
+        x = _unstepped(channels[name], channel_defects, count_of(name, arm))
+        channels[name] = bridged(x, mask, hold=name.startswith("u"))
+        masked[name] = mask
+    if any(kind_of(name) in _REQUIRED for name in excluded):
+        return None, tuple(excluded)
+    return replace(log, channels=channels, masked=masked), tuple(excluded)
 
 
 def bridged(x: FloatArray, bad: BoolArray, *, hold: bool = False) -> FloatArray:
-    """A signal with straight lines, or its last value, where it is bad.
+    """Replace the samples of a signal, (n_samples,), where `bad` is True.
 
-    Parameters
-    ----------
-    x : (n_samples,)
-    bad : (n_samples,)
-        Not all True.
-    hold : bool
-
-    Returns
-    -------
-    (n_samples,)
+    Interpolation is linear, or holds the last value with `hold`. At least one sample must be good.
     """
     good = np.flatnonzero(~bad)
     if not hold:
@@ -85,14 +65,16 @@ def bridged(x: FloatArray, bad: BoolArray, *, hold: bool = False) -> FloatArray:
 
 
 def _mask(own: Sequence[Defect], n_samples: int) -> BoolArray:
-    bad = np.zeros(n_samples, dtype=bool)
-    for each in own:
-        bad[max(0, each.start - (each.kind == "encoder-steps")) : each.stop] = True
-    return bad
+    """Mask of all defective samples of a channel."""
+    mask = np.zeros(n_samples, dtype=bool)
+    for defect in own:
+        mask[max(0, defect.start - (defect.kind == "encoder-steps")) : defect.stop] = True
+    return mask
 
 
 def _too_much(name: str, own: Sequence[Defect], bad: BoolArray, sample_time: float) -> bool:
-    steps = sum(each.kind == "encoder-steps" and not each.wraps for each in own)
+    """Whether a channel has too many defects to be used."""
+    steps = sum(defect.kind == "encoder-steps" and not defect.wraps for defect in own)
     if bad.mean() > MOST or steps > _MOST_STEPS:
         return True
     runs = runs_of(bad)
@@ -101,13 +83,13 @@ def _too_much(name: str, own: Sequence[Defect], bad: BoolArray, sample_time: flo
 
 
 def _unstepped(x: FloatArray, own: Sequence[Defect], count: float) -> FloatArray:
-    """Without an encoder's steps, which are whole counts where these are known."""
-    steps = [each for each in own if each.kind == "encoder-steps"]
+    """Subtract encoder steps from a signal, rounded to whole counts if the count is known."""
+    steps = [step for step in own if step.kind == "encoder-steps"]
     if not steps:
         return x
     offset = np.zeros(len(x))
-    wrap = float(np.median([abs(each.size) for each in steps]))
-    for each in steps:
-        size = float(np.copysign(wrap, each.size)) if each.wraps else each.size
-        offset[each.start] += count * np.round(size / count) if count else size
+    overflow = float(np.median([abs(step.size) for step in steps]))
+    for step in steps:
+        size = float(np.copysign(overflow, step.size)) if step.wraps else step.size
+        offset[step.start] += count * np.round(size / count) if count else size
     return np.asarray(x - np.cumsum(offset))

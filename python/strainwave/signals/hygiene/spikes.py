@@ -1,4 +1,4 @@
-"""Spikes: a few samples far off, and back again."""
+"""Detection of spikes: outliers of a few samples."""
 
 from __future__ import annotations
 
@@ -12,40 +12,44 @@ from strainwave.signals.hygiene.defects import ENCODERS, NOISY, Defect, count_of
 from strainwave.signals.hygiene.isolated import LONGEST, spikes_and_steps
 from strainwave.signals.standstill import runs_of
 
-_RETURN = 0.35  # of its size, by which the signal behind it may differ from that before
-_BEYOND = {"open": 0.3, "servo": 1.0}  # ranges of all other voltages, by which a spike is outside
-_FEWEST = 1e-3  # share of a record that may be outside its usual range
+_RETURN = 0.35  # maximum residual offset after a spike, relative to its size
+# Minimum distance of a spike from the usual voltages, relative to their range.
+_BEYOND = {"open": 0.3, "servo": 1.0}
+_FEWEST = 1e-3  # share of samples on each side that the usual range excludes
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
-    """Spikes of sensors, which no motion explains, and of voltages, beyond all others.
+    """Detect spikes of sensors that motion cannot cause, and of voltages outside their usual range.
 
-    A voltage may step, so only what lies well outside the range of all others counts.
+    A voltage can step, so a spike must be well outside the range of the other samples.
     """
-    found = []
+    detections = []
     for name, x in of_kinds(log, (*ENCODERS, *NOISY)).items():
-        found += [_spike(name, x, *span) for span in spikes_and_steps(x, count_of(name, arm))[0]]
+        detections += [
+            _spike(name, x, *span) for span in spikes_and_steps(x, count_of(name, arm))[0]
+        ]
     for name, x in of_kinds(log, ("u",)).items():
-        beyond = _BEYOND[log.experiment.control[joint_of(name) - 1]]
-        found += [_spike(name, x, *span) for span in _beyond_range(x, beyond)]
-    return found
+        margin = _BEYOND[log.experiment.control[joint_of(name) - 1]]
+        detections += [_spike(name, x, *span) for span in _beyond_range(x, margin)]
+    return detections
 
 
 def _spike(name: str, x: FloatArray, start: int, stop: int) -> Defect:
-    around = 0.5 * (x[max(0, start - 1)] + x[min(len(x) - 1, stop)])
-    size = float(np.max(np.abs(x[start:stop] - around)))
+    """Defect record of a spike; its size is relative to the adjacent samples."""
+    baseline = 0.5 * (x[max(0, start - 1)] + x[min(len(x) - 1, stop)])
+    size = float(np.max(np.abs(x[start:stop] - baseline)))
     return Defect("spikes", name, start, stop, size, "a spike")
 
 
 def _beyond_range(x: FloatArray, beyond: float) -> Iterator[tuple[int, int]]:
-    """Short runs outside the range of nearly all other samples, by so many ranges."""
+    """Short runs outside the usual range by at least `beyond` times this range."""
     k = max(1, int(_FEWEST * len(x)))
     if len(x) <= 4 * k:
         return
     ordered = np.partition(x, (k, len(x) - 1 - k))
     low, high = float(ordered[k]), float(ordered[-1 - k])
-    allowed = beyond * (high - low)
-    for start, stop in runs_of((x > high + allowed) | (x < low - allowed)).tolist():
-        alone = start > 0 and stop < len(x) and stop - start <= LONGEST
-        if alone and abs(x[stop] - x[start - 1]) < _RETURN * abs(x[start] - x[start - 1]):
+    margin = beyond * (high - low)
+    for start, stop in runs_of((x > high + margin) | (x < low - margin)).tolist():
+        is_short = start > 0 and stop < len(x) and stop - start <= LONGEST
+        if is_short and abs(x[stop] - x[start - 1]) < _RETURN * abs(x[start] - x[start - 1]):
             yield start, stop
