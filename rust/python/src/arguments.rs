@@ -1,4 +1,4 @@
-//! What Python gives to the core's terms, checked.
+//! Conversion and checks of arguments from Python.
 
 use numpy::PyReadonlyArray2;
 use pyo3::exceptions::PyValueError;
@@ -10,12 +10,12 @@ use strainwave_core::joint::gear::{self, Law};
 use strainwave_core::plant::config::JointConfig;
 
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
-/// A joint of a chain: its type, position, roll, pitch and yaw, and axis.
+/// A joint of a chain: type; position; roll, pitch and yaw; axis.
 pub type Placed = (String, [f64; 3], [f64; 3], [f64; 3]);
-/// A number for each joint, each of which may be missing.
+/// An optional number for each joint.
 type Each = Option<Vec<Option<f64>>>;
 
-/// The known constants of an arm's joints, as lists.
+/// Known constants of an arm's joints, as lists.
 pub struct Joints {
     pub springs: Vec<String>,
     pub gear_ratio: Vec<f64>,
@@ -30,7 +30,7 @@ pub struct Joints {
 }
 
 impl Joints {
-    /// Joint by joint.
+    /// Constants joint by joint.
     pub fn configs(self) -> PyResult<Vec<JointConfig>> {
         let count = self.springs.len();
         let ratio = given(Some(self.gear_ratio), 1.0, count, "gear_ratio")?;
@@ -62,7 +62,7 @@ impl Joints {
     }
 }
 
-/// Joints of a chain with the distances of their accelerometers.
+/// Joints of a chain, with the distances of their accelerometers.
 pub fn chain_joints(joints: &[Placed], distances: &[f64]) -> PyResult<Vec<ChainJoint>> {
     let placed = |((name, position, attitude, axis), &distance): (&Placed, &f64)| {
         Ok(ChainJoint {
@@ -170,7 +170,8 @@ pub fn given<T: Clone>(
     Ok(values)
 }
 
-/// The rows of a matrix one after the other; at least so many, of so many columns.
+/// Values of a matrix, row by row. Raises ValueError unless it has `columns` columns and at least
+/// `least` rows.
 pub fn rows(matrix: &Matrix<'_>, name: &str, least: usize, columns: usize) -> PyResult<Vec<f64>> {
     let matrix = matrix.as_array();
     let (got, got_columns) = matrix.dim();
@@ -182,7 +183,8 @@ pub fn rows(matrix: &Matrix<'_>, name: &str, least: usize, columns: usize) -> Py
     Ok(matrix.iter().copied().collect())
 }
 
-/// The rows of a motion's angles, velocities and accelerations.
+/// Rows of angles, velocities and accelerations of a motion. Raises ValueError unless all have the
+/// same length.
 pub fn same_rows(motion: [&Matrix<'_>; 3], columns: usize) -> PyResult<[Vec<f64>; 3]> {
     let samples = motion[0].as_array().nrows();
     if motion.iter().any(|part| part.as_array().nrows() != samples) {
@@ -198,7 +200,7 @@ pub fn same_rows(motion: [&Matrix<'_>; 3], columns: usize) -> PyResult<[Vec<f64>
     ])
 }
 
-/// An error of the core as Python's ValueError.
+/// Converts an error of the core to ValueError.
 pub fn value_error(error: impl std::fmt::Display) -> PyErr {
     PyValueError::new_err(error.to_string())
 }

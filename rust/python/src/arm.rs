@@ -1,4 +1,4 @@
-//! The arm as a Python class.
+//! Python class of an arm.
 
 use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
@@ -20,9 +20,9 @@ use crate::arguments::{
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
-/// kp, ki, limit, the joints under servo, and the position loop's gains if there is one.
+/// kp, ki, limit, joints under servo, and the optional gains of the position loop.
 type ServoArguments = (Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>);
-/// A parameter's or an initial state's name, and its joint from 1 where it belongs to one.
+/// Name of a parameter or an initial state, and its joint from 1 if it belongs to a joint.
 type Direction = (String, Option<usize>);
 const TAPS: &str =
     "expected taps for each quantity recorded, all as many, and a multiple of samples_per_row";
@@ -365,7 +365,7 @@ impl Arm {
 }
 
 impl Arm {
-    /// An experiment of which all sizes are checked; `voltage` and `reference` have a row a tick.
+    /// An experiment with checked sizes; `voltage` and `reference` have a row per tick.
     fn experiment(
         &self,
         clock: Clock,
@@ -413,7 +413,7 @@ impl Arm {
         Ok(values)
     }
 
-    /// The parameters and initial states of these names.
+    /// Parameters and initial states with these names.
     fn sources(&self, directions: &[Direction]) -> PyResult<Vec<Source>> {
         let names = self.0.parameter_names();
         let source = |(name, joint): &Direction| {

@@ -16,7 +16,8 @@ pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(leave_out, module)?)
 }
 
-/// Right-hand sides without the unknowns of unit size that windows of rows bring in.
+/// Eliminates unknowns with unit prior variance from right-hand sides: solution, residuals and
+/// leverages.
 #[pyfunction]
 #[allow(clippy::type_complexity)]
 fn eliminate<'py>(
@@ -44,7 +45,7 @@ fn eliminate<'py>(
     ))
 }
 
-/// What the right-hand sides' products keep, the unknowns eliminated, without each block of rows.
+/// Products of the residuals after elimination, without each block of rows.
 #[pyfunction]
 fn leave_out<'py>(
     py: Python<'py>,
@@ -100,7 +101,7 @@ fn windows<'a>(
     Ok(windows)
 }
 
-/// Rows and sides.
+/// Numbers of rows and right-hand sides.
 fn checked_right(first: &[usize], right: &PyReadonlyArray2<'_, f64>) -> PyResult<(usize, usize)> {
     let (rows, sides) = (right.shape()[0], right.shape()[1]);
     if rows != first.len() || sides == 0 {

@@ -1,4 +1,4 @@
-//! Python's door to the core: convert, compute without the GIL, map the error. No arithmetic.
+//! Python bindings of the core: convert, compute without the GIL, map the error. No arithmetic.
 
 mod arguments;
 mod arm;

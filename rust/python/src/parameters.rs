@@ -1,4 +1,4 @@
-//! What the core declares of parameters and of the laws of gears.
+//! Tables of the parameters, gear laws and effects of the core.
 
 use pyo3::prelude::*;
 use pyo3::wrap_pyfunction;
@@ -33,7 +33,7 @@ fn row((owner, parameter): Declared) -> Row {
     (owner, name, symbol, meaning, (revolute, prismatic), range)
 }
 
-/// Every parameter that the core knows, once for each owner; see _core.pyi.
+/// All parameters of the core, once per owner; see _core.pyi.
 #[pyfunction]
 fn parameter_table() -> Vec<Row> {
     let of = |owner, own: &'static [Parameter]| own.iter().map(move |&one| (owner, one));
@@ -45,7 +45,7 @@ fn parameter_table() -> Vec<Row> {
         .collect()
 }
 
-/// The laws of gears: name, parameters, whether it gives way; see _core.pyi.
+/// The gear laws: name, parameters, whether the gear is elastic; see _core.pyi.
 #[pyfunction]
 fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
     let names = |law: &gear::Law| law.parameters.iter().map(|one| one.name).collect();
@@ -55,7 +55,7 @@ fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
         .collect()
 }
 
-/// The effects: name, parameters, how many of them are sizes, whether they take an elastic gear; see
+/// The effects: name, parameters, number of sizes, whether they require an elastic gear; see
 /// _core.pyi.
 #[pyfunction]
 fn joint_effects() -> Vec<(&'static str, Vec<&'static str>, usize, bool)> {

@@ -33,8 +33,8 @@ fn hankel_gram<'py>(
     Ok((gram.into_pyarray(py).reshape([size, size])?, rows))
 }
 
-/// Stacked records and the sizes of a model for them; `values` are A, B, C, D, K row-major and one
-/// initial state a record.
+/// Stacked records and the sizes of a model for them. `values` are A, B, C, D, K, row-major, and
+/// one initial state per record.
 #[pyclass(frozen, module = "strainwave._core")]
 struct Innovations {
     shape: Shape,
@@ -91,8 +91,8 @@ impl Innovations {
         e.into_pyarray(py).reshape([samples, p])
     }
 
-    /// d e / d values: (n_samples, n_outputs, n_entries + order); the last columns are those of
-    /// the initial state of the sample's own record.
+    /// d e / d values: (n_samples, n_outputs, n_entries + order); the last columns are those of the
+    /// initial state of the sample's record.
     fn jacobian<'py>(
         &self,
         py: Python<'py>,
@@ -111,7 +111,7 @@ impl Innovations {
         stacked.into_pyarray(py).reshape([samples, p, columns])
     }
 
-    /// e' W (d e / d values) of every sample: (n_samples, n_entries + order); W^-1 = L L'.
+    /// Scores e' W (d e / d values) of every sample: (n_samples, n_entries + order); W^-1 = L L'.
     fn scores<'py>(
         &self,
         py: Python<'py>,
@@ -151,7 +151,7 @@ impl Innovations {
         ))
     }
 
-    /// Prediction-error fit from a start whose predictor is stable.
+    /// Prediction-error fit from a starting model with a stable predictor.
     #[allow(clippy::too_many_arguments)]
     fn fit(
         &self,
@@ -232,7 +232,7 @@ impl Innovations {
     }
 }
 
-/// The end of a prediction-error fit.
+/// Result of a prediction-error fit.
 #[pyclass(frozen, module = "strainwave._core")]
 struct InnovationsFit {
     fit: Fit,
@@ -240,7 +240,7 @@ struct InnovationsFit {
 
 #[pymethods]
 impl InnovationsFit {
-    /// The best model found.
+    /// The best model.
     #[getter]
     fn values<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         PyArray1::from_slice(py, &self.fit.model.values)
@@ -253,7 +253,7 @@ impl InnovationsFit {
         PyArray1::from_slice(py, &self.fit.innovation_covariance).reshape([p, p])
     }
 
-    /// Covariance of `values`; None where the data leave a direction undetermined.
+    /// Covariance of `values`; None if the data do not determine a direction.
     #[getter]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyArray2<f64>>>> {
         let size = self.fit.model.values.len();
@@ -308,7 +308,7 @@ fn check_rows(name: &str, rows: usize, lengths: &[usize]) -> PyResult<()> {
     )))
 }
 
-/// The error of an array in another layout.
+/// The error for an array that is not contiguous.
 pub fn not_contiguous(name: &str) -> PyErr {
     PyValueError::new_err(format!("expected {name} row-major and contiguous"))
 }

@@ -1,10 +1,10 @@
-//! Prediction-error fit: the model whose innovations have the smallest determinant.
+//! Prediction-error method: minimises the determinant of the innovation covariance.
 //!
-//! Minimises (N/2) log det(E'E/N + F) + [`Barrier`], the negative log-likelihood of Gaussian innovations with
-//! their covariance concentrated out, by Levenberg-Marquardt in local coordinates. Its gradient is
-//! that of the least-squares sum weighted by the inverse of the present covariance (Ljung, System
-//! Identification, 2nd ed., (7.94) and 10.2), so one pass over the data gives both. The barrier
-//! keeps the predictor stable.
+//! The objective is (N/2) log det(E'E/N + F) + [`Barrier`]: the negative log-likelihood of Gaussian
+//! innovations, concentrated over their covariance. Levenberg-Marquardt minimises it in local
+//! coordinates. Its gradient is that of the sum of squares weighted by the inverse of the current
+//! covariance (Ljung, System Identification, 2nd ed., (7.94) and 10.2), so one pass over the data
+//! gives both. The barrier keeps the predictor stable.
 
 use crate::linalg::{cholesky, log_determinant, solve_lower, solve_lower_transposed};
 use crate::model::{Model, Record};
@@ -13,75 +13,76 @@ use crate::sensitivity::{NormalEquations, normal_equations};
 use crate::stability::{Barrier, predictor_change};
 use crate::tangent::Coordinates;
 
-/// What is estimated, and when to stop.
+/// Free entries and stopping criteria.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Whether K is estimated; otherwise it stays as it is.
+    /// Whether K is estimated; otherwise it is fixed.
     pub gain: bool,
-    /// For each input, whether its column of D is estimated.
+    /// For each input, whether its column of D is estimated; otherwise it is fixed.
     pub feedthrough: Vec<bool>,
     /// Whether the initial states are estimated.
     pub initial_states: bool,
-    /// F, (p,): variances below which an innovation counts as rounding, keeps exact data finite.
+    /// F, (p,): variances at the level of rounding, which keep the objective finite for exact data.
     pub floor: Vec<f64>,
-    /// Steps accepted at most.
+    /// Largest number of accepted steps.
     pub max_iterations: usize,
-    /// Largest fall of the negative log-likelihood still worth a step.
+    /// The fit has converged when the predicted decrease of the negative log-likelihood is at most
+    /// this.
     pub tolerance: f64,
 }
 
-/// How a fit ended.
+/// How the fit ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Status {
-    /// No direction promises more than the tolerance.
+    /// The predicted decrease of the cost is within the tolerance.
     Converged,
-    /// Steps ran out.
+    /// Iteration limit reached.
     IterationLimit,
-    /// A better model is promised, but no step reaches it: mostly at the edge of stability.
+    /// A decrease is predicted but no step reaches it; usually at the boundary of stability.
     Stalled,
 }
 
-/// The end of a fit.
+/// Result of a fit.
 #[derive(Clone, Debug)]
 pub struct Fit {
-    /// The best model found; its predictor is stable.
+    /// The best model; its predictor is stable.
     pub model: Model,
     /// E'E/N, (p, p).
     pub innovation_covariance: Vec<f64>,
     /// (N/2) log det.
     pub cost: f64,
     /// Covariance of all entries, (size, size), singular along similarity transformations. `None`
-    /// where the data leave a direction undetermined.
+    /// if the data do not determine a direction.
     pub covariance: Option<Vec<f64>>,
     /// Number of free directions.
     pub n_parameters: usize,
-    /// Fall of the cost that the last model's quadratic expansion promised.
+    /// Decrease of the cost predicted by the quadratic model at the last point.
     pub promised: f64,
-    /// Steps accepted.
+    /// Number of accepted steps.
     pub iterations: usize,
-    /// Passes over the data without derivatives.
+    /// Number of passes over the data without derivatives.
     pub evaluations: usize,
-    /// How it ended.
+    /// How the fit ended.
     pub status: Status,
 }
 
-/// Why a fit could not begin.
+/// Why a fit cannot start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BadStart {
-    /// The start's predictor, A - K C, is not stable.
+    /// The predictor of the starting model, A - K C, is not stable.
     Unstable,
-    /// The start's innovations are not finite.
+    /// The innovations of the starting model are not finite.
     NotFinite,
 }
 
-/// Damping, relative to the curvature, at the first step: close to Gauss-Newton, for the start
-/// comes from a subspace method.
+/// Initial damping relative to the curvature. Close to Gauss-Newton, because a subspace method
+/// gives a good starting model.
 const FIRST_DAMPING: f64 = 1e-4;
 
-/// Damping beyond which a step no longer changes the innovations.
+/// Damping above which a step no longer changes the innovations.
 const LAST_DAMPING: f64 = 1e12;
 
-/// A model on the data: its innovations' covariance and the cost.
+/// A model, its innovation covariance and its cost.
 struct Point {
     model: Model,
     covariance: Vec<f64>,
@@ -114,7 +115,7 @@ impl Point {
     }
 }
 
-/// Fits a model to records, from a start.
+/// Fits a model to records from a starting model.
 pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fit, BadStart> {
     if Barrier::at(&start).is_none() {
         return Err(BadStart::Unstable);
@@ -173,12 +174,12 @@ fn free_entries(model: &Model, options: &Options) -> Vec<usize> {
     free
 }
 
-/// The quadratic expansion of the cost at a point, in local coordinates.
+/// Quadratic model of the cost at a point, in local coordinates.
 struct Step {
     coordinates: Coordinates,
     gradient: Vec<f64>,
     hessian: Vec<f64>,
-    /// What the data tell of all entries of the model.
+    /// Information matrix of all entries of the model.
     information: Vec<f64>,
 }
 
@@ -226,14 +227,16 @@ impl Step {
         Some(step)
     }
 
-    /// Half the squared Newton decrement: what a full step would gain.
+    /// Half the squared Newton decrement: the predicted decrease of a full step.
     fn promised(&self) -> f64 {
-        // Undetermined directions promise nothing; a trace of damping leaves them out.
+        // Undetermined directions predict no decrease; slight damping excludes them.
         let step = self.direction(0.0).or_else(|| self.direction(1e-12));
         step.map_or(f64::INFINITY, |step| -0.5 * dot(&self.gradient, &step))
     }
 
-    /// Damps until the cost falls; Nielsen's rule for the damping (Report IMM-REP-1999-05).
+    /// Increases the damping until the cost decreases; Nielsen's rule (Report IMM-REP-1999-05).
+    ///
+    /// Returns `None` if no damping below [`LAST_DAMPING`] decreases the cost.
     fn take(
         &self,
         point: &Point,
@@ -264,7 +267,7 @@ impl Step {
         None
     }
 
-    /// Inverse of the information over all entries of the model, in orthonormal coordinates.
+    /// Inverse of the information over all free entries of the model, in orthonormal coordinates.
     fn covariance(&self, model: &Model, free: &[usize]) -> Option<Vec<f64>> {
         let coordinates = Coordinates::at(model, free, &vec![1.0; model.values.len()]);
         let mut information = coordinates.reduce_hessian(&self.information);
@@ -291,7 +294,7 @@ impl Step {
     }
 }
 
-/// Deviation of each parameter were the others known; one where the data do not see it.
+/// Standard deviation of each parameter if the others were known; 1 without information.
 fn deviations(information: &[f64]) -> Vec<f64> {
     let size = information.len().isqrt();
     (0..size)

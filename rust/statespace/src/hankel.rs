@@ -1,15 +1,15 @@
-//! Correlations of data with its own past: Z'Z of a block-Hankel matrix, without the matrix.
+//! Products Z'Z of block-Hankel matrices, computed without forming the matrix.
 
 use strainwave_numerics::products::{Part, Rows, add_products};
 
 /// Z'Z, where row k of Z is [z[k], z[k+1], ..., z[k+depth-1]], for rows z of `width` numbers.
 ///
-/// Only the first block row is summed over the data. Down each block diagonal the sums differ by
-/// one sample that enters and one that leaves: G[i+1, j+1] = G[i, j] + z[N+i] z[N+j]' - z[i] z[j]'
-/// (N rows of Z). That is n_samples width^2 depth products in place of depth times as many.
+/// Only the first block row is summed over the data. Successive blocks of a block diagonal differ
+/// by one sample that enters and one that leaves: G[i+1, j+1] = G[i, j] + z[N+i] z[N+j]' - z[i]
+/// z[j]' (N rows of Z). This takes n_samples width^2 depth products, a factor of depth fewer.
 ///
-/// Records are stacked and contribute n_samples - depth + 1 rows each; shorter ones none. Returns
-/// the (depth width, depth width) row-major matrix and the number of rows of Z.
+/// Records are stacked and contribute n_samples - depth + 1 rows each; shorter records contribute
+/// none. Returns the (depth width, depth width) row-major matrix and the number of rows of Z.
 ///
 /// # Panics
 /// The lengths do not add up to the rows of `data`.
@@ -54,7 +54,7 @@ fn add_record(total: &mut [f64], record: &[f64], width: usize, rows: usize, dept
         width: size,
     };
     add_products(&mut first, left, right, rows, Part::Whole);
-    // `first` becomes block row i: shifted one block to the right, and one sample updated.
+    // `first` becomes block row i: shifted right by one block, with one sample updated.
     for i in 0..depth {
         for a in 0..width {
             let columns = size - i * width;

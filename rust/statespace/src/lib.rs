@@ -7,10 +7,10 @@
 //! y[k]   = C x[k] + D u[k] +   e[k]
 //! ```
 //!
-//! [`model`] holds the nouns, [`predictor`] turns data into innovations e, [`sensitivity`] gives
-//! their exact derivatives with respect to every entry of every matrix, [`tangent`] the directions
-//! in which those entries change anything but the state's coordinates, and [`fit`] puts them
-//! together. [`hankel`] correlates data with its own past, for subspace methods.
+//! [`model`] defines models and records. [`predictor`] computes innovations e from data,
+//! [`sensitivity`] their exact derivatives with respect to every entry of every matrix. [`tangent`]
+//! parametrises models without the similarity transformations. [`fit`] is the prediction-error
+//! method. [`hankel`] computes the correlations that subspace methods use.
 //!
 //! Matrices are row-major slices; samples are rows.
 

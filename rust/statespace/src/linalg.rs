@@ -1,10 +1,10 @@
 //! Small dense linear algebra: Cholesky, triangular solves, an orthogonal complement.
 //!
-//! Sizes are numbers of parameters, tens; nothing here is worth a dependency.
+//! Sizes are numbers of parameters (tens), so a dependency is not justified.
 
-/// Lower Cholesky factor of a symmetric row-major matrix; `None` where it is not positive definite.
+/// Lower Cholesky factor of a symmetric row-major matrix; `None` if it is not positive definite.
 ///
-/// A pivot below rounding of its own diagonal entry counts as not positive.
+/// A pivot below the rounding of its diagonal entry counts as not positive.
 pub fn cholesky(matrix: &[f64], size: usize) -> Option<Vec<f64>> {
     let mut factor = vec![0.0; size * size];
     for i in 0..size {
@@ -43,14 +43,15 @@ pub fn solve_lower_transposed(factor: &[f64], size: usize, rhs: &mut [f64]) {
     }
 }
 
-/// log det of the matrix whose lower Cholesky factor this is.
+/// log det of a matrix, from its lower Cholesky factor.
 pub fn log_determinant(factor: &[f64], size: usize) -> f64 {
     2.0 * (0..size).map(|i| factor[i * size + i].ln()).sum::<f64>()
 }
 
-/// Inverse of a square matrix and log of its determinant, by Gauss-Jordan with row exchanges.
+/// Inverse of a square matrix and log of its determinant, by Gauss-Jordan elimination with row
+/// exchanges.
 ///
-/// `None` where it is singular or its determinant is not positive.
+/// Returns `None` if the matrix is singular or its determinant is not positive.
 pub fn inverse(mut matrix: Vec<f64>, size: usize) -> Option<(Vec<f64>, f64)> {
     let mut result = vec![0.0; size * size];
     for i in 0..size {
@@ -88,9 +89,9 @@ pub fn inverse(mut matrix: Vec<f64>, size: usize) -> Option<(Vec<f64>, f64)> {
     positive.then_some((result, log_determinant))
 }
 
-/// Orthonormal basis of what is orthogonal to every column of a (rows, columns) matrix.
+/// Orthonormal basis of the orthogonal complement of the columns of a (rows, columns) matrix.
 ///
-/// Householder reflections. Returns (rows, rows - columns), row-major.
+/// By Householder reflections. Returns (rows, rows - columns), row-major.
 pub fn orthogonal_complement(mut matrix: Vec<f64>, rows: usize, columns: usize) -> Vec<f64> {
     let mut reflections = Vec::with_capacity(columns);
     for j in 0..columns {
@@ -116,7 +117,7 @@ pub fn orthogonal_complement(mut matrix: Vec<f64>, rows: usize, columns: usize) 
     basis
 }
 
-/// Applies I - 2 v v' to the rows from `start` on.
+/// Applies I - 2 v v' to the rows from `start`.
 fn reflect(v: &[f64], matrix: &mut [f64], start: usize, columns: usize) {
     let mut sums = vec![0.0; columns];
     for (i, weight) in v.iter().enumerate() {

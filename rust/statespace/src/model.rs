@@ -1,11 +1,10 @@
-//! The nouns: the sizes of a model, its matrices in one vector, and records of data.
+//! Sizes and entries of a model, and records of data.
 
 use std::ops::Range;
 
-/// The sizes of a model, and where its matrices lie in the vector of all their entries.
+/// Sizes of a model, and the ranges of its matrices in the vector of all entries.
 ///
-/// The order is A, B, C, D, K, each row-major. Entries of initial states come after them, one state
-/// a record.
+/// The order is A, B, C, D, K, each row-major. The initial states follow, one state per record.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shape {
     /// Number of states, n.
@@ -17,30 +16,30 @@ pub struct Shape {
 }
 
 impl Shape {
-    /// Where A lies.
+    /// Range of A.
     pub fn a(&self) -> Range<usize> {
         0..self.order * self.order
     }
 
-    /// Where B lies.
+    /// Range of B.
     pub fn b(&self) -> Range<usize> {
         let start = self.a().end;
         start..start + self.order * self.inputs
     }
 
-    /// Where C lies.
+    /// Range of C.
     pub fn c(&self) -> Range<usize> {
         let start = self.b().end;
         start..start + self.outputs * self.order
     }
 
-    /// Where D lies.
+    /// Range of D.
     pub fn d(&self) -> Range<usize> {
         let start = self.c().end;
         start..start + self.outputs * self.inputs
     }
 
-    /// Where K lies.
+    /// Range of K.
     pub fn k(&self) -> Range<usize> {
         let start = self.d().end;
         start..start + self.order * self.outputs
@@ -51,7 +50,7 @@ impl Shape {
         self.k().end
     }
 
-    /// Where the initial state of record `index` lies.
+    /// Range of the initial state of record `index`.
     pub fn initial_state(&self, index: usize) -> Range<usize> {
         let start = self.entries() + index * self.order;
         start..start + self.order
@@ -61,9 +60,9 @@ impl Shape {
 /// A model and the initial state of every record, as one vector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Model {
-    /// The sizes.
+    /// Sizes.
     pub shape: Shape,
-    /// A, B, C, D, K and initial states, laid out as [`Shape`] says.
+    /// A, B, C, D, K and initial states in the order of [`Shape`].
     pub values: Vec<f64>,
 }
 
@@ -98,7 +97,7 @@ impl Model {
         &self.values[self.shape.initial_state(index)]
     }
 
-    /// A - K C, which the predictor's own memory obeys.
+    /// A - K C, the state matrix of the predictor.
     pub fn predictor_matrix(&self) -> Vec<f64> {
         let Shape {
             order: n,
@@ -118,7 +117,7 @@ impl Model {
     }
 }
 
-/// One uninterrupted stretch of data.
+/// One uninterrupted record.
 #[derive(Clone, Copy, Debug)]
 pub struct Record<'a> {
     /// (n_samples, m), row-major.

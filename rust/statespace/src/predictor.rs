@@ -1,8 +1,8 @@
-//! One-step prediction: data in, innovations out.
+//! One-step predictor: innovations from data.
 
 use crate::model::{Model, Record, Shape};
 
-/// Innovations e[k] = y[k] - C x[k] - D u[k] of record `index`, appended to `innovations`.
+/// Appends the innovations e[k] = y[k] - C x[k] - D u[k] of record `index` to `innovations`.
 pub fn append_innovations(
     model: &Model,
     record: &Record<'_>,
@@ -75,7 +75,7 @@ mod tests {
     use super::*;
     use crate::model::split;
 
-    /// A first-order model whose innovations can be written down.
+    /// A first-order model whose innovations are known in closed form.
     #[test]
     fn scalar_predictor_by_hand() {
         let shape = Shape {

@@ -7,25 +7,27 @@
 //! s[k+1] = (A - K C) s[k] + dA x[k] + dB u[k] + dK e[k] - K (dC x[k] + dD u[k])
 //! ```
 //!
-//! Every entry of A, B, K injects one signal into one state and every entry of an initial state
-//! starts one of these filters: they run side by side in vector lanes. Entries of C and D inject
-//! through K what those of A and B inject directly, so their derivatives are sums of those.
+//! Each entry of A, B and K drives a filter by one signal at one state, and each entry of an
+//! initial state starts a filter. These filters run side by side in vector lanes. Entries of C and
+//! D act on the state through K with the signals of A and B, so their derivatives are sums over the
+//! same filters.
 
 use crate::linalg::solve_lower;
 use crate::model::{Model, Record, Shape};
 use strainwave_numerics::products::{Part, Rows, add_products, multiply_add};
 
-/// Samples whose derivatives are held before they are summed: they fit the first cache.
+/// Number of samples whose derivatives are stored before they are summed; they fit into the
+/// first-level cache.
 const BLOCK: usize = 32;
 
-/// What is left of a unit initial state when it no longer counts: its square is a normal number
-/// still, and far below the rounding of any sum.
+/// Relative size of a unit initial state below which it is set to zero: its square is still a
+/// normal number, and far below the rounding of any sum.
 const FORGOTTEN: f64 = 1e-150;
 
-/// Lanes come in fours.
+/// Vectors have four lanes.
 const LANES: usize = 4;
 
-/// J'WJ, J'We and e'We of a fit, over all entries of the model and all initial states.
+/// Sums J'WJ, J'We and e'We over all entries of the model and all initial states.
 #[derive(Clone, Debug)]
 pub struct NormalEquations {
     /// (size, size), row-major.
@@ -36,7 +38,8 @@ pub struct NormalEquations {
     pub sum_of_squares: f64,
 }
 
-/// Normal equations of e -> L^-1 e, with L the lower Cholesky factor of the weighting covariance.
+/// Normal equations of the whitened innovations L^-1 e, with L the lower Cholesky factor of the
+/// weighting covariance.
 pub fn normal_equations(
     model: &Model,
     records: &[Record<'_>],
@@ -87,9 +90,9 @@ pub fn normal_equations(
     total
 }
 
-/// The derivatives themselves for record `index`: (n_samples, p, entries + n), row-major.
+/// Derivatives of the innovations of record `index`: (n_samples, p, entries + n), row-major.
 ///
-/// The last n columns are those of the record's own initial state.
+/// The last n columns are those of the record's initial state.
 pub fn jacobian(model: &Model, record: &Record<'_>, index: usize) -> Vec<f64> {
     let p = model.shape.outputs;
     let mut filters = Filters::new(model, index, &identity(p));
@@ -107,9 +110,9 @@ pub fn jacobian(model: &Model, record: &Record<'_>, index: usize) -> Vec<f64> {
     stacked
 }
 
-/// e'W psi of every sample, the score: (n_samples, entries + n), row-major.
+/// Scores e'W psi of every sample: (n_samples, entries + n), row-major.
 ///
-/// For covariances that hold where the innovations are not white.
+/// Used for covariances that remain valid if the innovations are not white.
 pub fn scores(model: &Model, record: &Record<'_>, index: usize, whitener: &[f64]) -> Vec<f64> {
     let p = model.shape.outputs;
     let mut filters = Filters::new(model, index, whitener);
@@ -136,7 +139,7 @@ pub fn scores(model: &Model, record: &Record<'_>, index: usize, whitener: &[f64]
     scores
 }
 
-/// What a derivative is a sum of: columns of a row, with weights.
+/// A derivative as a weighted sum of columns of a row: columns and weights.
 type Terms = Vec<(usize, f64)>;
 
 fn pairs<'a>(left: &'a Terms, right: &'a Terms) -> impl Iterator<Item = (usize, usize, f64)> + 'a {
@@ -144,8 +147,8 @@ fn pairs<'a>(left: &'a Terms, right: &'a Terms) -> impl Iterator<Item = (usize, 
         .flat_map(|&(a, v)| right.iter().map(move |&(b, w)| (a, b, v * w)))
 }
 
-/// Where things stand in a row: filters of A, B, K and the initial state, row-major each; what C
-/// and D add to the output at once, row-major each; the innovation.
+/// Layout of a row: the filters of A, B, K and the initial state; the direct terms of C and D; the
+/// innovation. Each part is row-major.
 #[derive(Clone, Copy)]
 struct Row {
     shape: Shape,
@@ -173,7 +176,7 @@ impl Row {
         }
     }
 
-    /// The derivative with respect to each entry, in the model's order, then the initial state.
+    /// Derivative with respect to each entry in the model's order, then to the initial state.
     fn terms(&self, model: &Model) -> Vec<Terms> {
         let Shape {
             order: n,
@@ -182,7 +185,7 @@ impl Row {
         } = self.shape;
         let k = model.k();
         let filter = |column: usize| vec![(column, 1.0)];
-        // An entry of C or D takes its signal from output i, and through K from every state.
+        // An entry of C or D acts directly on output i, and through K on every state.
         let output = |i: usize, direct: usize, first: usize, width: usize| {
             let mut terms = filter(direct);
             terms.extend((0..n).map(|l| (first + l * width, -k[l * p + i])));
@@ -200,7 +203,7 @@ impl Row {
     }
 }
 
-/// The predictor and, in lanes, its derivatives; outputs are whitened.
+/// The predictor, and its derivatives in lanes; outputs are whitened.
 struct Filters<'a> {
     model: &'a Model,
     row: Row,
@@ -243,7 +246,8 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// Hands out blocks of rows, p to a sample, and their number.
+    /// Computes the rows of a record in blocks; `take` receives each block, with p rows per sample,
+    /// and its number of rows.
     fn run(&mut self, record: &Record<'_>, mut take: impl FnMut(&[f64], usize)) {
         let Shape {
             inputs: m,
@@ -262,10 +266,10 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// Sets to zero what has died away of the initial state.
+    /// Sets decayed contributions of the initial state to zero.
     ///
-    /// A stable predictor forgets its start until numbers are subnormal, with which processors
-    /// calculate ten times as slowly.
+    /// The contributions of a stable predictor decay to subnormal numbers, on which processors
+    /// calculate about ten times slower.
     fn forget(&mut self) {
         let Shape {
             order: n,
@@ -281,11 +285,12 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// Rows of one block. The processor decides, at run time, about vectors.
+    /// Computes the rows of one block, with vector instructions if the processor has them (decided
+    /// at run time).
     fn fill(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
         #[cfg(target_arch = "x86_64")]
         if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
-            // SAFETY: the processor has just said that it has both.
+            // SAFETY: both features have just been detected.
             return unsafe { self.fill_avx2(u, y, rows) };
         }
         self.fill_body::<false>(u, y, rows);
@@ -297,7 +302,7 @@ impl<'a> Filters<'a> {
         self.fill_body::<true>(u, y, rows);
     }
 
-    /// The usual sizes are known to the compiler, which unrolls their loops.
+    /// Common sizes are compile-time constants, so that their loops are unrolled.
     #[inline(always)]
     fn fill_body<const FUSED: bool>(&mut self, u: &[f64], y: &[f64], rows: &mut [f64]) {
         let shape = self.model.shape;
@@ -311,7 +316,8 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// Sizes at compile time; an order of zero stands for those of the model.
+    /// Computes samples with sizes fixed at compile time; an order of zero selects the sizes of the
+    /// model.
     #[inline(always)]
     fn samples<const FUSED: bool, const N: usize, const M: usize, const P: usize>(
         &mut self,
@@ -337,7 +343,7 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// The innovation and its derivatives at the present sample.
+    /// Computes the innovation and its derivatives at the current sample.
     #[inline(always)]
     fn emit<const FUSED: bool>(&mut self, shape: Shape, u: &[f64], y: &[f64], rows: &mut [f64]) {
         let Shape {
@@ -377,7 +383,7 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// On to the next sample.
+    /// Advances states and derivatives to the next sample.
     #[inline(always)]
     fn step<const FUSED: bool>(&mut self, shape: Shape, u: &[f64]) {
         let Shape {

@@ -1,16 +1,16 @@
-//! Whether a matrix's powers die out, and a wall in front of those that do not.
+//! Stability of a matrix, and a barrier at the boundary of stability.
 
 use crate::linalg::inverse;
 use crate::model::{Model, Shape};
 
-/// Doublings after which the question is settled: 2^40 steps outlast any record.
+/// Largest number of squarings: 2^40 steps are longer than any record.
 const MOST_DOUBLINGS: usize = 40;
 
-/// Whether every eigenvalue of a square row-major matrix lies inside the unit circle.
+/// Whether every eigenvalue of a square row-major matrix is inside the unit circle.
 ///
-/// Powers A, A^2, A^4, ... by squaring: a Frobenius norm below one is proof that the spectral
-/// radius is. No eigenvalues are computed, so clustered ones, as of a finely sampled arm, cost no
-/// accuracy. Within 1e-12 of the circle counts as outside.
+/// Squares A repeatedly: a Frobenius norm of A^(2^k) below one proves that the spectral radius is
+/// below one. No eigenvalues are computed, so clustered eigenvalues, as of a finely sampled arm,
+/// lose no accuracy. Eigenvalues within 1e-12 of the circle count as outside.
 pub fn is_stable(matrix: &[f64], order: usize) -> bool {
     let mut power = matrix.to_vec();
     let mut square = vec![0.0; power.len()];
@@ -34,22 +34,23 @@ pub fn is_stable(matrix: &[f64], order: usize) -> bool {
     false
 }
 
-/// -(1/2) log det(I - F (x) F) of F = A - K C, with its first two derivatives over the entries of F.
+/// -(1/2) log det(I - F (x) F) of F = A - K C, with its first two derivatives with respect to the
+/// entries of F.
 ///
-/// In terms of eigenvalues, -(1/2) sum log(1 - l_i l_j): smooth, free of coordinates, infinite at
-/// the unit circle. The likelihood of a record whose initial state is fitted to it lacks what an
-/// exact one has, the loss of information as the predictor forgets more slowly; for one state that
-/// is this very term. Without it the best predictor of a short record is often an unstable one.
-/// Beside a likelihood that grows with the record it weighs nothing.
+/// In terms of eigenvalues this is -(1/2) sum log(1 - l_i l_j): smooth, invariant to coordinates,
+/// and infinite at the unit circle. A likelihood with fitted initial states lacks the loss of
+/// information of a predictor that forgets slowly; for one state the exact likelihood contains this
+/// term. Without it, the best predictor of a short record is often unstable. Relative to a
+/// likelihood that grows with the length of the record it is negligible.
 pub struct Barrier {
-    /// The term.
+    /// Value of the barrier.
     pub value: f64,
     slope: Vec<f64>,
     curvature: Vec<f64>,
 }
 
 impl Barrier {
-    /// At a model; `None` where F is unstable.
+    /// Barrier of a model; `None` if F is unstable.
     pub fn at(model: &Model) -> Option<Self> {
         let n = model.shape.order;
         let f = model.predictor_matrix();
@@ -64,7 +65,7 @@ impl Barrier {
             difference[row * size + column] = one - f[i * n + j] * f[k * n + l];
         }
         let (inverse, log_determinant) = inverse(difference, size)?;
-        // M^-1 dM of every entry of F, dM = -(E (x) F + F (x) E).
+        // M^-1 dM for each entry of F, dM = -(E (x) F + F (x) E).
         let relative: Vec<Vec<f64>> = pairs(n)
             .map(|e| relative_change(&inverse, &f, n, e))
             .collect();
@@ -83,10 +84,11 @@ impl Barrier {
         })
     }
 
-    /// Gradient and curvature along `directions`, each how F moves: (n^2,) row-major.
+    /// Gradient and curvature along `directions`, which are changes of F: (n^2,) row-major each.
     ///
-    /// The curvature leaves out what is of lower order near the unit circle. It may be indefinite;
-    /// then the square of the slope takes its place, which is right for a single eigenvalue.
+    /// The curvature omits terms of lower order near the unit circle, and may be indefinite. With
+    /// `definite`, twice the square of the slope replaces it, which is exact to that order for a
+    /// single eigenvalue.
     pub fn along(&self, directions: &[Vec<f64>], definite: bool) -> (Vec<f64>, Vec<f64>) {
         let size = self.slope.len();
         let dot = |l: &[f64], r: &[f64]| l.iter().zip(r).map(|(l, r)| l * r).sum::<f64>();
@@ -111,7 +113,7 @@ impl Barrier {
     }
 }
 
-/// How F = A - K C moves with the model's vector moving along `change`.
+/// Change of F = A - K C for a `change` of the model's vector.
 pub fn predictor_change(model: &Model, change: &[f64]) -> Vec<f64> {
     let Shape {
         order: n,
@@ -168,7 +170,7 @@ mod tests {
         assert!((barrier.value + 0.5 * (1.0 - pole * pole).ln()).abs() < 1e-14);
         let slope = pole / (1.0 - pole * pole);
         let mut change = vec![0.0; 6];
-        change[2] = 1.0; // of C
+        change[2] = 1.0; // entry of C
         let moved = predictor_change(&model, &change);
         for definite in [false, true] {
             let (gradient, curvature) = barrier.along(std::slice::from_ref(&moved), definite);

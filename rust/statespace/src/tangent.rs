@@ -1,19 +1,20 @@
-//! The directions in which a model's entries change the model, not only its coordinates.
+//! Local coordinates of a model without its similarity transformations.
 //!
-//! A -> T A T^-1, B -> T B, C -> C T^-1, K -> T K, x0 -> T x0 leaves every innovation as it is. At
-//! T = I + X the entries move along A -> X A - A X and so on: n^2 directions that no data can tell.
-//! Their orthogonal complement is a minimal parametrisation around the present model ("data-driven
-//! local coordinates", McKelvey, Helmersson and Ribarits, Automatica 40, 2004), as well conditioned
-//! as the data allow and without the gaps of canonical forms. Orthogonal are entries in units of what
-//! the data can tell of each, so that a step moves none further than the model's change asks for.
+//! The transformation A -> T A T^-1, B -> T B, C -> C T^-1, K -> T K, x0 -> T x0 does not change
+//! the innovations. At T = I + X the entries change along A -> X A - A X and so on: n^2 directions
+//! that the data cannot determine. Their orthogonal complement is a minimal parametrisation around
+//! the current model ("data-driven local coordinates", McKelvey, Helmersson and Ribarits,
+//! Automatica 40, 2004). It is as well conditioned as the data allow, without the singularities of
+//! canonical forms. Entries are scaled by their standard deviations before the complement is
+//! formed, so that no step moves an entry further than the change of the model requires.
 
 use crate::linalg::orthogonal_complement;
 use crate::model::{Model, Shape};
 
-/// Local coordinates over the entries that are free, orthonormal in the entries' units.
+/// Local coordinates over the free entries, orthonormal in the units of the entries.
 #[derive(Clone)]
 pub struct Coordinates {
-    /// Which entries of the model's vector move.
+    /// Indices of the free entries in the model's vector.
     free: Vec<usize>,
     /// (free, width), row-major.
     basis: Vec<f64>,
@@ -24,8 +25,8 @@ pub struct Coordinates {
 }
 
 impl Coordinates {
-    /// Around a model, for the entries listed in `free`; `unit` is how far each entry of the model
-    /// moves to count as one.
+    /// Coordinates around a model, for the entries listed in `free`; `unit` is the scale of each
+    /// entry of the model.
     pub fn at(model: &Model, free: &[usize], unit: &[f64]) -> Self {
         let n = model.shape.order;
         let directions = n * n;
@@ -76,7 +77,7 @@ impl Coordinates {
         reduced
     }
 
-    /// How the model's vector moves with coordinate `index`.
+    /// Change of the model's vector per unit of coordinate `index`.
     pub fn direction(&self, index: usize) -> Vec<f64> {
         let mut change = vec![0.0; self.size];
         for (row, &entry) in self.basis.chunks_exact(self.width).zip(&self.free) {
@@ -117,7 +118,7 @@ fn add_scaled(target: &mut [f64], weight: f64, source: &[f64]) {
         .for_each(|(t, s)| *t += weight * s);
 }
 
-/// (entries, n^2): how every entry moves with X = e_r e_s'.
+/// Change of every entry for X = e_r e_s': (entries, n^2).
 fn similarity_directions(model: &Model) -> Vec<f64> {
     let Shape {
         order: n,
@@ -127,7 +128,7 @@ fn similarity_directions(model: &Model) -> Vec<f64> {
     let columns = n * n;
     let mut directions = vec![0.0; model.values.len() * columns];
     let mut left = |start: usize, width: usize| {
-        // X M: row r gets row s of M.
+        // X M: row r is row s of M
         for r in 0..n {
             for s in 0..n {
                 for j in 0..width {
@@ -145,7 +146,7 @@ fn similarity_directions(model: &Model) -> Vec<f64> {
         left(model.shape.initial_state(index).start, 1);
     }
     let mut right = |start: usize, height: usize| {
-        // -M X: column s loses column r of M.
+        // -M X: column s is minus column r of M
         for r in 0..n {
             for s in 0..n {
                 for i in 0..height {

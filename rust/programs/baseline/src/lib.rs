@@ -1,13 +1,13 @@
-//! The programs for the baseline of the target, one of each arm.
+//! Programs for the baseline of the target, one per arm.
 //!
-//! On x86-64 only processors without AVX2 run them, so they are compiled for size.
+//! On x86-64 only processors without AVX2 use them, so they are compiled for size.
 
 use strainwave_core::arm::{OneLink, SerialChain, TwoLink};
 use strainwave_core::program::{Differentiation, baseline};
 
-/// The planar two-link arm.
+/// Planar two-link arm.
 pub static TWO_LINK: Differentiation<TwoLink<true>, 2> = baseline::<TwoLink<true>, 2>;
-/// The single joint.
+/// Single joint.
 pub static ONE_LINK: Differentiation<OneLink, 1> = baseline::<OneLink, 1>;
 
 macro_rules! chains {

@@ -1,4 +1,4 @@
-//! The programs of serial chains of one to four joints, for every gear law and effect.
+//! Programs of serial chains of one to four joints, for every gear law and effect.
 
 use strainwave_core::arm::SerialChain;
 use strainwave_core::program::GeneralPrograms;

@@ -1,4 +1,4 @@
-//! The programs of the serial chain of 5 joints.
+//! Programs of the serial chain of 5 joints.
 
 use strainwave_core::arm::SerialChain;
 use strainwave_core::program::GeneralPrograms;

@@ -1,4 +1,4 @@
-//! The programs of the serial chain of 6 joints.
+//! Programs of the serial chain of 6 joints.
 
 use strainwave_core::arm::SerialChain;
 use strainwave_core::program::GeneralPrograms;

@@ -1,4 +1,4 @@
-//! The programs of the single joint.
+//! Programs of the single joint.
 
 use strainwave_core::arm::OneLink;
 use strainwave_core::joint::gear::Slopes;
@@ -7,7 +7,8 @@ use strainwave_core::program::{FastPrograms, GeneralPrograms, forward_avx512, si
 /// For every gear law and effect.
 pub static GENERAL: GeneralPrograms<OneLink, 1> = GeneralPrograms::compile();
 
-/// For linear and three-slope gears. On AVX2 the general derivatives cost less than a tenth more.
+/// Programs for linear and three-slope gears. Derivatives on AVX2 use the general program, which
+/// takes less than 10 % longer.
 pub static FAST: FastPrograms<OneLink, 1> = FastPrograms {
     simulation: simulate::<OneLink, Slopes, 1, false>,
     forward: GENERAL.forward,

@@ -1,4 +1,4 @@
-//! The programs of the horizontal two-link arm.
+//! Programs of the horizontal two-link arm.
 
 use strainwave_core::arm::TwoLink;
 use strainwave_core::experiment::{Diverged, Member, Record, Task};
@@ -9,7 +9,7 @@ use strainwave_core::sensitivity::Sensitivities;
 type Arm = TwoLink<true>;
 type LevelArm = TwoLink<false>;
 
-/// For linear and three-slope gears without gravity.
+/// Programs for linear and three-slope gears without gravity.
 pub static FAST: FastPrograms<Arm, 2> = FastPrograms {
     simulation: level_simulate,
     forward: level_forward,

@@ -1,4 +1,4 @@
-//! The programs of the planar two-link arm.
+//! Programs of the planar two-link arm.
 
 use strainwave_core::arm::TwoLink;
 use strainwave_core::joint::gear::Slopes;
@@ -9,7 +9,8 @@ type Arm = TwoLink<true>;
 /// For every gear law and effect.
 pub static GENERAL: GeneralPrograms<Arm, 2> = GeneralPrograms::compile();
 
-/// For linear and three-slope gears. On AVX2 the general derivatives cost less than a tenth more.
+/// Programs for linear and three-slope gears. Derivatives on AVX2 use the general program, which
+/// takes less than 10 % longer.
 pub static FAST: FastPrograms<Arm, 2> = FastPrograms {
     simulation: simulate::<Arm, Slopes, 2, false>,
     forward: GENERAL.forward,
