@@ -1,4 +1,4 @@
-"""Log files -> Log: the study's channels on a uniform time base, in SI units."""
+"""Read log files: the study's channels on a uniform time base, in SI units."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
-_HELD = ("u", "ref")  # commanded by a clock, constant between its ticks
-_SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")  # a dead one is constant
+_HELD = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
+# prefixes of sensor channels; a failed sensor is constant
+_SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")
 
 
 def read_logs(
@@ -31,75 +32,46 @@ def read_logs(
     *,
     data: Data | None = None,
 ) -> tuple[Log, ...]:
-    """The logs of several experiments, of all by default.
+    """Read the logs of several experiments; all experiments by default.
 
-    Parameters
-    ----------
-    study : Study
-    experiments : sequence of Experiment, optional
-    data : mapping, optional
-        Experiment's name -> its log, a table in memory or a path, in place of the study's file.
-
-    Returns
-    -------
-    tuple of Log
-
-    Raises
-    ------
-    InvalidInput
-        A log is at fault, or a column that the study maps is in none of them, or `data` name an
-        experiment that the study does not have.
+    `data` maps the name of an experiment to a table in memory or a path that replaces the study's
+    file. Raises InvalidInput if a log is invalid, if no log has a column that the study maps, or if
+    `data` names an unknown experiment.
     """
-    chosen = study.experiments if experiments is None else experiments
-    given = dict(data or {})
+    selected = study.experiments if experiments is None else experiments
+    replacements = dict(data or {})
     names = [each.name for each in study.experiments]
-    for name in given:
+    for name in replacements:
         if name not in names:
             raise InvalidInput(
                 f"the study has no experiment {name!r}",
                 where="data",
                 remedy=f"name one of its experiments: {', '.join(names)}",
             )
-    jobs = [partial(read_log, study, each, given.get(each.name)) for each in chosen]
-    found = tuple(side_by_side(jobs))
-    _check_mapped(study, found, given)
-    return found
+    jobs = [partial(read_log, study, each, replacements.get(each.name)) for each in selected]
+    logs = tuple(side_by_side(jobs))
+    _check_mapped(study, logs, replacements)
+    return logs
 
 
 def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
-    """One experiment's log: columns to channels, window, uniform time.
+    """Read the log of one experiment: channels in SI units, cut to its window, on uniform time.
 
-    A channel's value is scale * column + offset; a column that `add` names is taken in the
-    channel's own unit: value = scale * (column + added) + offset. A mapped column that this log
-    lacks means that the channel is absent here, if the log can do without.
-
-    Parameters
-    ----------
-    study : Study
-    experiment : Experiment
-    data : table or path, optional
-        In place of the study's file.
-
-    Returns
-    -------
-    Log
-        With a warning for every doubtful thing that was done or seen.
-
-    Raises
-    ------
-    InvalidInput
-        The file, a column or a value is at fault.
+    value = scale * (column + added) + offset, where `added` is the column that `add` names, if any.
+    If the log lacks the column of an optional channel, the channel is absent. `data`, a table or a
+    path, replaces the study's file. The log carries a warning for each correction and each
+    doubtful value. Raises InvalidInput if the file, a column or a value is invalid.
     """
     table, path = _open(study, experiment, data)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
-    time, columns, found = one_clock(tracks, _held(sources, experiment), experiment, path)
+    time, columns, clock_warnings = one_clock(tracks, _held(sources, experiment), experiment, path)
     channels = {
         name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
         for name, channel in sources.items()
         if name != "t"
     }
-    warnings += found + _constants(channels, study, experiment, path)
+    warnings += clock_warnings + _constants(channels, study, experiment, path)
     del columns, tracks
     release_readers_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
@@ -107,7 +79,7 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
 
 
 def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag, Path]:
-    """An experiment's table, and what a person knows it by."""
+    """Return an experiment's table, and the path or name for messages."""
     if data is not None and not is_path(data):
         name = f"data[{experiment.name!r}]"
         return table_of(data, name), Path(name)
@@ -118,20 +90,22 @@ def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag,
 def _tracks(
     table: Table | Bag, sources: dict[str, Channel], experiment: Experiment
 ) -> tuple[list[Track], list[Diagnostic]]:
-    """What was asked for with its stamps, the motor angle's first."""
+    """Return the required columns with their time stamps; the track of the motor angle is first."""
     angle = sources["theta_m1"].column
-    wanted = {channel.column for channel in sources.values()} | set(experiment.add.values())
+    required_columns = {channel.column for channel in sources.values()} | set(
+        experiment.add.values()
+    )
     if isinstance(table, Bag):
-        tracks, warnings = table.tracks(sorted(wanted))
+        tracks, warnings = table.tracks(sorted(required_columns))
         return sorted(tracks, key=lambda track: angle not in track.columns), warnings
-    columns = table.read(sorted(wanted))
+    columns = table.read(sorted(required_columns))
     channel = sources["t"]
     time = channel.scale * _with_added("t", channel, experiment, columns) + channel.offset
     return [Track("", time, columns, table.row_name)], []
 
 
 def _held(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
-    """Columns of channels that a clock commands."""
+    """Return the columns of commanded channels."""
     held = {channel.column for name, channel in sources.items() if name.startswith(_HELD)}
     return held | {column for name, column in experiment.add.items() if name.startswith(_HELD)}
 
@@ -139,12 +113,12 @@ def _held(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
 def _sources(
     study: Study, experiment: Experiment, table: Table | Bag, path: Path
 ) -> dict[str, Channel]:
-    """Which column each channel comes from; the required ones must be there."""
+    """Return the source column of each channel; required channels must have one."""
     sources = {}
     for name in channel_names(study.arm.n_joints):
         channel = study.channels.get(name)
         if channel is not None and channel.column not in table.names:
-            # a recorded topic without the field is no missing sensor, but a wrong field
+            # a recorded topic without the field indicates a wrong field, not a missing sensor
             misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
             if name == "t" or name.startswith("theta_m") or misnamed:
                 raise _no_mapped(name, channel, table, path)
@@ -161,7 +135,7 @@ def _sources(
 
 
 def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
-    """A mapped column may be missing from some logs, not from all."""
+    """Check that each mapped column is in at least one log."""
     for name, channel in study.channels.items():
         if name == "t" or not read or any(name in log.channels for log in read):
             continue
@@ -212,12 +186,12 @@ def _check_required(
 def _no_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
     if isinstance(table, Bag):
         return table.no_column(column, what)
-    shown = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
-    shown += nearest(column, table.names)
+    available = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
+    available += nearest(column, table.names)
     return InvalidInput(
         f"there is no column '{column}', {what}",
         where=str(path),
-        remedy=f"map it in [channels] of the study; the file has: {shown}",
+        remedy=f"map it in [channels] of the study; the file has: {available}",
     )
 
 
@@ -233,16 +207,16 @@ def _with_added(
 def _constants(
     channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
 ) -> list[Diagnostic]:
-    """A log in which nothing moves is an error; a sensor that never changes is doubtful."""
+    """Raise InvalidInput if nothing moves; return a warning for each constant sensor channel."""
     joints = range(1, study.arm.n_joints + 1)
-    moved = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
+    moving = [i for i in joints if np.ptp(channels[f"theta_m{i}"]) > 0.0]
     excited = experiment.joint
-    if not moved or (excited is not None and excited not in moved):
+    if not moving or (excited is not None and excited not in moving):
         name = f"theta_m{excited or 1}"
         problem = f"the channel '{name}' never changes: the joint did not move"
         remedy = "check the encoder's wiring, the channel map and the amplitude"
-        if moved:
-            other = f"theta_m{moved[0]}"
+        if moving:
+            other = f"theta_m{moving[0]}"
             problem += f", though '{other}' does and the record is to excite joint {excited}"
             remedy = (
                 f"exchange '{name}' and '{other}' in [channels], or correct joint; else {remedy}"

@@ -1,7 +1,7 @@
-"""ROS 2 bags (directories, .mcap, .db3) and ROS 1 bags -> tracks: numbers with their stamps.
+"""Read ROS 2 bags (directories, .mcap, .db3) and ROS 1 bags into tracks.
 
-A number in a bag is named `/topic.field`, with `[index]` for an element of an array, or `[joint]`
-where the message names its joints.
+A column of a bag is named `/topic.field`, with `[index]` for an element of an array, or `[joint]`
+if the message contains joint names.
 """
 
 from __future__ import annotations
@@ -24,48 +24,42 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 BAGS = (".mcap", ".db3", ".bag")
-_LOOKED_AT = 20  # messages of a topic; several nodes may publish their joints on one
-_SHOWN = 24  # names in a message of ours
-_NANO = 1e-9
-_OTHER_CLOCK = 1.0  # [s] between header and recorder that no network explains
+_LOOKED_AT = 20  # messages per topic that are inspected; several nodes may share a topic
+_SHOWN = 24  # maximum number of names in an error message
+_NANO = 1e-9  # [s] per ns
+_OTHER_CLOCK = 1.0  # [s] between header and recorder stamps; network delay is shorter
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a log is a bag: a directory, or a file with a bag's ending."""
+    """Whether a log is a bag: a directory, or a file with a suffix in BAGS."""
     return path.is_dir() or path.name.lower().endswith(BAGS)
 
 
 @dataclass(frozen=True, slots=True)
 class _Topic:
-    """What is known of a topic without reading all of it."""
+    """Summary of a topic from its first messages."""
 
     kind: str
     count: int
-    names: tuple[str, ...]  # of its numbers; empty where there are no messages
-    unreadable: str | None = None  # why
+    names: tuple[str, ...]  # names of columns; empty if the topic has no messages
+    unreadable: str | None = None  # reason
 
 
 @dataclass(slots=True)
 class _Found:
-    """A topic's messages, as far as they were asked for."""
+    """Requested content of a topic's messages."""
 
-    headers: list[int] = field(default_factory=list)  # [ns], 0 where there is none
+    headers: list[int] = field(default_factory=list)  # [ns], 0 if a message has no stamp
     recorded: list[int] = field(default_factory=list)  # [ns]
     values: dict[str, list[float]] = field(default_factory=dict)
-    rows: dict[str, list[int]] = field(default_factory=dict)  # messages that have the number
+    rows: dict[str, list[int]] = field(default_factory=dict)  # indices of messages with a value
 
 
 class Bag:
-    """A bag's numbers, by name, read when asked for.
+    """Columns of a bag by name, read on demand.
 
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    InvalidInput
-        It is no bag, it is damaged, or the library for bags is not installed.
+    Raises InvalidInput if the path is not a bag, if the bag is damaged, or if rosbags is not
+    installed.
     """
 
     def __init__(self, path: Path) -> None:
@@ -74,7 +68,7 @@ class Bag:
         self.names = tuple(name for topic in self._topics.values() for name in topic.names)
 
     def _look(self) -> dict[str, _Topic]:
-        found = {}
+        topics = {}
         with _opened(self.path) as reader:
             for name, info in sorted(reader.topics.items()):
                 names: dict[str, None] = {}
@@ -82,74 +76,62 @@ class Bag:
                 try:
                     for raw, kind in _first(reader, info.connections):
                         names |= dict.fromkeys(numbers(reader.deserialize(raw, kind)))
-                except Exception as error:  # another's definitions can be wrong in any way
+                # foreign definitions can be invalid in any way
+                except Exception as error:
                     unreadable = f"{type(error).__name__}: {error}".splitlines()[0][:100]
                 columns = tuple(f"{name}.{each}" for each in names)
-                found[name] = _Topic(info.msgtype or "mixed", info.msgcount, columns, unreadable)
-        return found
+                topics[name] = _Topic(info.msgtype or "mixed", info.msgcount, columns, unreadable)
+        return topics
 
     def tracks(self, wanted: Iterable[str]) -> tuple[list[Track], list[Diagnostic]]:
-        """The numbers asked for; those that came together are one track.
+        """Return the requested columns; columns of the same messages form one track.
 
-        Stamps are those of the headers where all of a topic's messages have one, else the
-        recorder's; zero is the earliest.
-
-        Parameters
-        ----------
-        wanted : iterable of str
-
-        Returns
-        -------
-        list of Track
-        list of Diagnostic
-
-        Raises
-        ------
-        InvalidInput
-            The bag is damaged, or header and recorder keep different time.
+        Time stamps are those of the headers if all messages of a topic have one, else the
+        recorder's; zero is the earliest. Raises InvalidInput if the bag is damaged or if header and
+        recorder clocks differ.
         """
         topics: dict[str, list[str]] = {}
         for column in wanted:
             topics.setdefault(topic_of(column), []).append(column)
         with _opened(self.path) as reader:
-            found = _collect(reader, topics)
-        stamped = {name for name, each in found.items() if all(each.headers)}
-        warnings = self._check_clocks(found, stamped)
+            contents = _collect(reader, topics)
+        stamped = {name for name, each in contents.items() if all(each.headers)}
+        warnings = self._check_clocks(contents, stamped)
         stamps = {
             name: np.array(each.headers if name in stamped else each.recorded, dtype=np.int64)
-            for name, each in found.items()
+            for name, each in contents.items()
         }
         zero = min(int(each.min()) for each in stamps.values())
         tracks = []
-        for name, each in found.items():
+        for name, each in contents.items():
             tracks += self._split(name, each, stamps[name] - zero, warnings)
         return tracks, warnings
 
     def _split(
         self, topic: str, found: _Found, stamps: IntArray, warnings: list[Diagnostic]
     ) -> list[Track]:
-        """A topic's columns by the messages that have them, in the order of their stamps."""
-        together: dict[tuple[int, ...], list[str]] = {}
-        for column, having in found.rows.items():
-            together.setdefault(tuple(having), []).append(column)
+        """Split a topic into tracks of columns that share their messages, sorted by time stamp."""
+        columns_by_rows: dict[tuple[int, ...], list[str]] = {}
+        for column, message_rows in found.rows.items():
+            columns_by_rows.setdefault(tuple(message_rows), []).append(column)
         tracks = []
-        for shared, columns in together.items():
-            rows = np.array(shared)
-            order, said = _in_order(stamps[rows], topic)
-            if said:
-                warnings.append(Diagnostic("reordered", self.path.name, said))
+        for row_tuple, columns in columns_by_rows.items():
+            rows = np.array(row_tuple)
+            order, message = _in_order(stamps[rows], topic)
+            if message:
+                warnings.append(Diagnostic("reordered", self.path.name, message))
             time = stamps[rows][order] * _NANO
             values = {column: np.array(found.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
         return tracks
 
     def _check_clocks(self, found: dict[str, _Found], stamped: set[str]) -> list[Diagnostic]:
-        bare = sorted(set(found) - stamped)
-        if not bare or not stamped:
+        unstamped = sorted(set(found) - stamped)
+        if not unstamped or not stamped:
             return []
-        late = [np.median(np.subtract(found[n].recorded, found[n].headers)) for n in stamped]
-        delay = float(np.median(late)) * _NANO
-        names = ", ".join(bare)
+        delays = [np.median(np.subtract(found[n].recorded, found[n].headers)) for n in stamped]
+        delay = float(np.median(delays)) * _NANO
+        names = ", ".join(unstamped)
         if abs(delay) > _OTHER_CLOCK:
             raise InvalidInput(
                 f"headers and recorder keep different time, {delay:.6g} s apart, and the messages "
@@ -166,40 +148,23 @@ class Bag:
         return [Diagnostic("recorder-stamps", self.path.name, message)]
 
     def has_topic_of(self, column: str) -> bool:
-        """Whether the topic of a number is in the bag, be the number itself there or not.
-
-        Parameters
-        ----------
-        column : str
-
-        Returns
-        -------
-        bool
-        """
+        """Whether the bag has the topic of a column."""
         return topic_of(column) in self._topics
 
     def no_column(self, column: str, what: str) -> InvalidInput:
-        """What to say where a number is not there.
+        """Return the error for a missing column.
 
-        Parameters
-        ----------
-        column : str
-        what : str
-            What it is needed for.
-
-        Returns
-        -------
-        InvalidInput
+        `what` states the purpose of the column.
         """
         where = str(self.path)
         name = topic_of(column)
         topic = self._topics.get(name)
         if topic is None:
-            shown = ", ".join(f"{n} ({t.kind}, {t.count})" for n, t in self._topics.items())
+            available = ", ".join(f"{n} ({t.kind}, {t.count})" for n, t in self._topics.items())
             problem = f"there is no topic '{name}'" if "." in column else f"there is no '{column}'"
             remedy = (
                 'map it in [channels] of the study, as { topic = "/joint_states", field = '
-                f'"position", name = "joint1" }}; the bag has: {shown or "nothing"}'
+                f'"position", name = "joint1" }}; the bag has: {available or "nothing"}'
                 + nearest(name, self._topics)
             )
         elif topic.unreadable:
@@ -209,17 +174,19 @@ class Bag:
             problem = f"the topic '{name}' has no messages"
             remedy = "check that its node was running, and record again"
         else:
-            wrong = column[len(name) + 1 :]
-            known = [each[len(name) + 1 :] for each in topic.names]
-            problem = f"there is no field '{wrong}' in the topic '{name}'"
-            more = ", ..." if len(known) > _SHOWN else ""
-            shown = ", ".join(known[:_SHOWN]) + more
-            remedy = f"its messages have: {shown or 'no numbers'}{nearest(wrong, known)}"
+            missing_field = column[len(name) + 1 :]
+            fields = [each[len(name) + 1 :] for each in topic.names]
+            problem = f"there is no field '{missing_field}' in the topic '{name}'"
+            more = ", ..." if len(fields) > _SHOWN else ""
+            available = ", ".join(fields[:_SHOWN]) + more
+            remedy = (
+                f"its messages have: {available or 'no numbers'}{nearest(missing_field, fields)}"
+            )
         return InvalidInput(f"{problem}, {what}", where=where, remedy=remedy)
 
 
 def topic_of(column: str) -> str:
-    """The topic in a number's name; names of topics have no dots."""
+    """Return the topic in a column name; topic names contain no dots."""
     return column.partition(".")[0]
 
 
@@ -240,17 +207,17 @@ def _opened(path: Path) -> Iterator[AnyReader]:
             where=str(path),
             remedy="name the .mcap or .db3 file in it, or run `ros2 bag reindex`",
         )
-    # bags from before ROS 2 Iron do not hold their messages' definitions
-    known = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_HUMBLE)
+    # bags from before ROS 2 Iron do not contain message definitions
+    typestore = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_HUMBLE)
     try:
-        with AnyReader([path], default_typestore=known) as reader:
+        with AnyReader([path], default_typestore=typestore) as reader:
             yield reader
     except InvalidInput:
         raise
-    except Exception as error:  # a damaged bag makes the readers below raise almost anything
-        said = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+    except Exception as error:  # damaged bags raise arbitrary exceptions
+        cause = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InvalidInput(
-            f"is no bag, or a damaged one ({said})",
+            f"is no bag, or a damaged one ({cause})",
             where=str(path),
             remedy="if the recorder was stopped hard, run `mcap recover` or `ros2 bag reindex`",
         ) from error
@@ -264,28 +231,28 @@ def _first(reader: AnyReader, connections: Any) -> Iterator[tuple[bytes, str]]:
 
 
 def _collect(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _Found]:
-    """Every message of the topics once; what a message does not have is left out."""
+    """Read every message of the topics once; missing values are skipped."""
     paths = {
         name: {column: parse(column[len(name) + 1 :]) for column in columns}
         for name, columns in topics.items()
     }
-    found = {
+    contents = {
         name: _Found(values={c: [] for c in columns}, rows={c: [] for c in columns})
         for name, columns in topics.items()
     }
     connections = [each for each in reader.connections if each.topic in topics]
     for connection, recorded, raw in reader.messages(connections):
         message = reader.deserialize(raw, connection.msgtype)
-        into = found[connection.topic]
-        row = len(into.recorded)
-        into.recorded.append(recorded)
-        into.headers.append(stamp(message))
+        content = contents[connection.topic]
+        row = len(content.recorded)
+        content.recorded.append(recorded)
+        content.headers.append(stamp(message))
         for column, path in paths[connection.topic].items():
             value = number(message, path)
             if value is not None:
-                into.values[column].append(value)
-                into.rows[column].append(row)
-    return found
+                content.values[column].append(value)
+                content.rows[column].append(row)
+    return contents
 
 
 def _message_name(rows: IntArray, sample: int) -> str:
@@ -293,13 +260,16 @@ def _message_name(rows: IntArray, sample: int) -> str:
 
 
 def _in_order(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
-    """The rows by stamp, of several with one stamp the last; and what had to be done."""
+    """Return the rows sorted by time stamp, and a message on corrections.
+
+    Of several rows with the same stamp, the last is kept.
+    """
     order = np.argsort(stamps, kind="stable")
-    late = int(np.count_nonzero(np.diff(stamps) < 0))
-    last = np.append(np.diff(stamps[order]) > 0, True)
-    doubled = len(stamps) - int(np.count_nonzero(last))
-    said = (
-        f"{late} message(s) of {topic} came late and {doubled} had the stamp of another: they were "
-        "put in order, and of several with one stamp only the last was taken"
+    n_late = int(np.count_nonzero(np.diff(stamps) < 0))
+    is_last = np.append(np.diff(stamps[order]) > 0, True)
+    n_equal = len(stamps) - int(np.count_nonzero(is_last))
+    message = (
+        f"{n_late} message(s) of {topic} came late and {n_equal} had the stamp of another: they "
+        "were put in order, and of several with one stamp only the last was taken"
     )
-    return order[last], said if late or doubled else ""
+    return order[is_last], message if n_late or n_equal else ""

@@ -1,7 +1,8 @@
-"""Stamped columns -> one uniform clock.
+"""Resample time-stamped columns to one uniform clock.
 
-A table's columns share their stamps: one track. A bag's topics have each their own: several tracks,
-of which the first, the motor angle's, sets the clock, because it is differentiated most.
+The columns of a table share their time stamps and form one track. Each topic of a bag has its own
+time stamps; the first track, with the motor angle, sets the clock, because the motor angle is
+differentiated most often.
 """
 
 from __future__ import annotations
@@ -18,61 +19,42 @@ from strainwave.io.logs.tables import first_impossible
 from strainwave.numerics.filters import noise_deviation
 
 FEWEST_ROWS = 16
-"""Fewer samples cannot even be filtered."""
+"""Minimum number of samples that the filters need."""
 LARGEST_GAP = 10.0
-"""[periods] What was between two samples further apart is beyond interpolation."""
+"""[periods] Largest distance of two samples across which values are interpolated."""
 JITTER_STD = 0.2
-"""[periods] Standard deviation of stamps about a clock's ticks, up to which each belongs to one."""
+"""[periods] Largest standard deviation of stamps about the ticks of a clock."""
 MOST_JITTER = 0.4
-"""[periods] Distance by which a track's ends may miss those of the grid."""
+"""[periods] Largest distance between the ends of a track and of the grid."""
 NEARLY = 1e-3
-"""Relative distance of a clock's estimated period from a round number that is tried for it."""
+"""Largest relative distance of an estimated period from a round number that may replace it."""
 NOMINAL = 0.02
-"""Relative distance of the median step from the nominal period; random walks gave up to 1 %."""
-_SAME_PERIOD = 4.0  # deviations of a period that stamps give
-_SMOOTHER = float(np.log(2.0))  # noise over noise; interpolation alone takes up to 0.3 of it
+"""Largest relative distance of the median step from the nominal period; random walks: 1 %."""
+_SAME_PERIOD = 4.0  # standard deviations of a period estimated from stamps
+_SMOOTHER = float(np.log(2.0))  # log of a noise ratio; interpolation alone explains up to 0.3 of it
 ROUNDING = 0.02
-"""[periods] Stamps this close to a uniform grid are one, written with few digits."""
+"""[periods] Largest distance of rounded stamps from a uniform grid."""
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Columns that share their stamps."""
+    """Columns that share their time stamps."""
 
     name: str  # the topic; empty for a table
     time: FloatArray  # (n_samples,) [s]
     columns: Mapping[str, FloatArray]  # name -> (n_samples,)
-    row_name: Callable[[int], str]  # number of a sample, from 0 -> where a person finds it
+    row_name: Callable[[int], str]  # index of a sample, from 0 -> its location for messages
 
 
 def one_clock(
     tracks: Sequence[Track], held: Collection[str], experiment: Experiment, path: Path
 ) -> tuple[FloatArray, dict[str, FloatArray], list[Diagnostic]]:
-    """All columns at the same, uniform instants, within the experiment's window.
+    """Resample all columns to one uniform time base within the experiment's window.
 
-    Measured columns are interpolated by monotone cubics, which neither ring nor flatten; commanded
-    ones are held, as the drive held them.
-
-    Parameters
-    ----------
-    tracks : sequence of Track
-        The first sets the clock.
-    held : collection of str
-        Columns that are commanded.
-    experiment : Experiment
-    path : Path
-        For the messages.
-
-    Returns
-    -------
-    (n_samples,) [s]
-    dict of str to (n_samples,)
-    list of Diagnostic
-
-    Raises
-    ------
-    InvalidInput
-        Stamps or values are at fault.
+    The first track sets the clock. Measured columns are interpolated by monotone cubics, which
+    neither overshoot nor flatten; commanded columns, `held`, are held constant between samples.
+    Returns time (n_samples,) [s], columns (n_samples,) and warnings. Raises InvalidInput if time
+    stamps or values are invalid.
     """
     for track in tracks:
         _check_time(track, path)
@@ -82,20 +64,20 @@ def one_clock(
         if not set(track.columns) <= set(held):
             _check_gaps(track, path)
     windowed = _overlap(windowed, held, path)
-    grid, ticks, found = _grid(windowed[0].time)
-    if found:
-        warnings.append(Diagnostic("resampled", path.name, found))
+    grid, ticks, resampling = _grid(windowed[0].time)
+    if resampling:
+        warnings.append(Diagnostic("resampled", path.name, resampling))
     columns: dict[str, FloatArray] = {}
-    foreign = []
+    off_grid = []
     for track in windowed:
         rows = _rows_on(grid, track.time)
         if rows is None:
-            foreign.append(track)
-            own = ticks if track is windowed[0] else None
-            columns |= _resampled(grid, track, held, own)
+            off_grid.append(track)
+            track_ticks = ticks if track is windowed[0] else None
+            columns |= _resampled(grid, track, held, track_ticks)
         else:
             columns |= _cut(track, rows).columns
-    others = [track for track in foreign if track is not windowed[0]]
+    others = [track for track in off_grid if track is not windowed[0]]
     if others:
         warnings.append(_foreign_found(windowed[0], others, path))
         warnings += _silence_found(others, held, grid, path)
@@ -123,9 +105,9 @@ def _check_time(track: Track, path: Path) -> None:
             where=f"{path}, {track.row_name(row)}",
             remedy="cut the log there",
         )
-    back = np.flatnonzero(np.diff(time) <= 0.0)
-    if back.size:
-        row = int(back[0]) + 1
+    backward = np.flatnonzero(np.diff(time) <= 0.0)
+    if backward.size:
+        row = int(backward[0]) + 1
         raise InvalidInput(
             f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
             where=f"{path}, {track.row_name(row)}",
@@ -142,7 +124,7 @@ def _too_few(rows: int, path: Path, what: str) -> InvalidInput:
 
 
 def _window(track: Track, held: Collection[str], experiment: Experiment, path: Path) -> Track:
-    """What lies between start and stop; of a command, also what was set before."""
+    """Return the samples between start and stop; for a command, also the last before start."""
     of = f" of {track.name}" if track.name else ""
     commanded = set(track.columns) <= set(held)
     time = track.time
@@ -186,7 +168,7 @@ def _check_gaps(track: Track, path: Path) -> None:
 
 
 def _overlap(tracks: list[Track], held: Collection[str], path: Path) -> list[Track]:
-    """The clock's track, cut to where every track has something to say."""
+    """Cut the first track to the time span that all tracks cover."""
     clock, *others = tracks
     if not others:
         return tracks
@@ -206,7 +188,7 @@ def _overlap(tracks: list[Track], held: Collection[str], path: Path) -> list[Tra
 
 
 def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
-    """The rows whose stamps are the grid's; None: they are not."""
+    """Return the rows whose time stamps coincide with the grid, or None."""
     tolerance = ROUNDING * float(grid[1] - grid[0])
     first = int(np.searchsorted(time, grid[0] - tolerance))
     rows = slice(first, first + len(grid))
@@ -216,48 +198,45 @@ def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
 
 
 def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
-    """A uniform grid, each stamp's tick where it has one, and what to say of uneven stamps."""
+    """Return a uniform grid, the tick of each stamp if available, and a text on uneven stamps."""
     grid = np.linspace(time[0], time[-1], len(time))
     if _rows_on(grid, time) is not None:
         start, period = _regressed(time, np.arange(len(time), dtype=np.float64))
-        fine = start + period * np.arange(len(time), dtype=np.float64)
-        return (fine if _rows_on(fine, time) is not None else grid), None, ""
+        regressed_grid = start + period * np.arange(len(time), dtype=np.float64)
+        return (regressed_grid if _rows_on(regressed_grid, time) is not None else grid), None, ""
     ticks: FloatArray | None = None
     jitter = _jitter(time)
     if jitter is None:
-        # interpolation at the stamps allows any period: the nominal one is a servo's or a drive's
+        # interpolation allows any period; use the nominal period of the servo or drive
         period = _round_period(float(np.median(np.diff(time))), NOMINAL)
         grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
-        how = f"resampled to {len(grid)} samples every {period:.6g} s"
+        method = f"resampled to {len(grid)} samples every {period:.6g} s"
     else:
-        start, period, number, off = jitter
+        start, period, number, offset = jitter
         grid = start + period * np.arange(number[-1] + 1.0)
         ticks = start + period * number
-        how = (
-            f"they lie up to {100.0 * off:.2g} % of a period beside a clock of {period:.6g} s: "
-            f"resampled to its {len(grid)} ticks"
+        method = (
+            f"they lie up to {100.0 * offset:.2g} % of a period beside a clock of "
+            f"{period:.6g} s: resampled to its {len(grid)} ticks"
         )
     steps = np.diff(time) / period
     message = (
         f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): {how}; what happens faster than the widest step is lost. Log with a fixed "
+        f"periods): {method}; what happens faster than the widest step is lost. Log with a fixed "
         "clock if you can"
     )
     return grid, ticks, message
 
 
 def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
-    """The clock about which stamps jitter, where they do by less than half a period.
+    """Estimate the clock about which stamps jitter by less than half a period.
 
-    Stamps are regressed on the whole numbers of periods between them.
-
-    Returns
-    -------
-    start, period, (n_samples,) numbers of the ticks, largest distance in periods; or None
+    Regresses the stamps on integer numbers of periods. Returns start, period, tick numbers
+    (n_samples,) and the largest distance in periods, or None if there is no such clock.
     """
     steps = np.diff(time)
-    counted = float(np.sum(np.round(steps / np.median(steps))))  # rows may be missing
-    for ticks in (len(steps), counted):
+    counted_ticks = float(np.sum(np.round(steps / np.median(steps))))  # rows may be missing
+    for ticks in (len(steps), counted_ticks):
         start, period = float(time[0]), float(time[-1] - time[0]) / ticks
         for _ in range(3):
             number = np.round((time - start) / period)
@@ -265,35 +244,39 @@ def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
             if not np.any(number):
                 break
             start, period = _regressed(time, number)
-        off = (time - start - period * number) / period
-        is_white = float(off[1:] @ off[:-1]) < 0.5 * float(off @ off)  # else the rate varies
-        if np.std(off) < JITTER_STD and is_white and np.all(np.diff(number) >= 1.0):
-            return start, period, number, float(np.max(np.abs(off)))
+        offsets = (time - start - period * number) / period
+        # otherwise the rate varies
+        is_white = float(offsets[1:] @ offsets[:-1]) < 0.5 * float(offsets @ offsets)
+        if np.std(offsets) < JITTER_STD and is_white and np.all(np.diff(number) >= 1.0):
+            return start, period, number, float(np.max(np.abs(offsets)))
     return None
 
 
 def _regressed(time: FloatArray, number: FloatArray) -> tuple[float, float]:
-    """Start and period of the clock that stamps follow, by least squares.
+    """Estimate start and period of a clock from its stamps by least squares.
 
-    A period that is a round number within its own uncertainty is taken as that: drives, loggers and
-    servos have clocks of round numbers, and a simulation needs a step that all are multiples of.
+    The period is rounded to a round number within its uncertainty: drives, loggers and servos use
+    round clock periods, and a simulation needs a time step of which all periods are multiples.
     """
     centred = number - number.mean()
     weight = float(centred @ centred)
     period = float(centred @ (time - time.mean())) / weight
-    off = time - time.mean() - period * centred
-    uncertain = float(np.sqrt(off @ off / (len(time) * weight)))
-    near = _round_period(period, NEARLY)
-    if abs(near - period) < _SAME_PERIOD * uncertain:
-        period = near
+    residuals = time - time.mean() - period * centred
+    period_std = float(np.sqrt(residuals @ residuals / (len(time) * weight)))
+    rounded = _round_period(period, NEARLY)
+    if abs(rounded - period) < _SAME_PERIOD * period_std:
+        period = rounded
     return float(np.mean(time - period * number)), period
 
 
 def _round_period(period: float, tolerance: float) -> float:
-    """The period of fewest digits, or of a rate of fewest digits, within a relative tolerance."""
+    """Round a period within a relative tolerance.
+
+    Returns the period or rate with the fewest digits, or the period itself if none is near.
+    """
     for digits in range(3):
-        near = float(f"{period:.{digits}e}"), 1.0 / float(f"{1.0 / period:.{digits}e}")
-        best = min(near, key=lambda each: abs(each / period - 1.0))
+        candidates = float(f"{period:.{digits}e}"), 1.0 / float(f"{1.0 / period:.{digits}e}")
+        best = min(candidates, key=lambda each: abs(each / period - 1.0))
         if abs(best / period - 1.0) < tolerance:
             return best
     return period
@@ -302,28 +285,28 @@ def _round_period(period: float, tolerance: float) -> float:
 def _resampled(
     grid: FloatArray, track: Track, held: Collection[str], ticks: FloatArray | None
 ) -> dict[str, FloatArray]:
-    """A track's columns on a grid.
+    """Resample the columns of a track to a grid.
 
-    Where stamps jitter about a clock, either the samples do too, and are interpolated, or only the
-    stamps do, written by a busy computer, and the samples are the ticks': interpolation would then
-    add what it is to take away. The column that one of the two makes smoother by most decides.
+    Jittering stamps have two causes. If the samples jitter too, they are interpolated. If only the
+    stamps jitter, because a busy computer wrote them, the samples belong to the ticks, and
+    interpolation would add noise. The column with the largest noise ratio decides.
     """
     rates = {name: np.diff(v) / np.diff(track.time) for name, v in track.columns.items()}
-    # the stamps are a column as well, and smooth by themselves
+    # a column of stamps is smooth by itself and is excluded
     measured = [n for n, r in rates.items() if n not in held and np.ptp(r) > 1e-6 * abs(r.mean())]
-    found = {name: _at(grid, track, name, name in held) for name in track.columns}
+    interpolated = {name: _at(grid, track, name, name in held) for name in track.columns}
     if ticks is None:
-        return found
-    punctual = replace(track, time=ticks)
-    on_ticks = {name: _at(grid, punctual, name, name in held) for name in track.columns}
-    smoother = 0.0
+        return interpolated
+    on_time = replace(track, time=ticks)
+    on_ticks = {name: _at(grid, on_time, name, name in held) for name in track.columns}
+    max_gain = 0.0
     for name in measured:
-        noise = noise_deviation(found[name]), noise_deviation(on_ticks[name])
+        noise = noise_deviation(interpolated[name]), noise_deviation(on_ticks[name])
         if min(noise) > 0.0:
             gain = float(np.log(noise[0] / noise[1]))
-            smoother = gain if abs(gain) > abs(smoother) else smoother
+            max_gain = gain if abs(gain) > abs(max_gain) else max_gain
     commands = {name: on_ticks[name] for name in track.columns if name in held}
-    return found | commands if smoother < -_SMOOTHER else on_ticks
+    return interpolated | commands if max_gain < -_SMOOTHER else on_ticks
 
 
 def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
@@ -334,7 +317,7 @@ def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
         return np.asarray(values[np.maximum(rows, 0)])
     from scipy.interpolate import PchipInterpolator
 
-    # the track's ends may miss the grid's by what its stamps jitter or are rounded
+    # jitter or rounding of stamps can move the track's ends off the grid's
     slack = MOST_JITTER * (grid[1] - grid[0])
     inside = np.clip(grid, track.time[0] - slack, track.time[-1] + slack)
     return np.asarray(PchipInterpolator(track.time, values)(inside))
@@ -344,9 +327,9 @@ def _foreign_found(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     def rate(track: Track) -> str:
         return f"{1.0 / np.median(np.diff(track.time)):.4g} Hz" if len(track.time) > 1 else "once"
 
-    listed = ", ".join(dict.fromkeys(f"{track.name} ({rate(track)})" for track in others))
+    topics = ", ".join(dict.fromkeys(f"{track.name} ({rate(track)})" for track in others))
     message = (
-        f"{listed}: brought to the stamps of {clock.name} ({rate(clock)}), measured values by "
+        f"{topics}: brought to the stamps of {clock.name} ({rate(clock)}), measured values by "
         "monotone cubics, commands held; what a slower topic missed is lost. Publish all from one "
         "clock if you can"
     )
@@ -356,19 +339,19 @@ def _foreign_found(clock: Track, others: list[Track], path: Path) -> Diagnostic:
 def _silence_found(
     tracks: list[Track], held: Collection[str], grid: FloatArray, path: Path
 ) -> list[Diagnostic]:
-    """Commands that stop coming: held may be meant, or a node that died."""
-    found = []
+    """Warn of commands that stop: the value may be held on purpose, or a node failed."""
+    warnings = []
     for track in tracks:
         if not set(track.columns) <= set(held):
             continue
         ends = np.append(track.time, max(grid[-1], track.time[-1]))
         steps = np.diff(ends)
-        usual = float(np.median(steps[:-1])) if len(steps) > 1 else float(grid[1] - grid[0])
+        usual_step = float(np.median(steps[:-1])) if len(steps) > 1 else float(grid[1] - grid[0])
         k = int(np.argmax(steps))
-        if steps[k] > LARGEST_GAP * usual:
+        if steps[k] > LARGEST_GAP * usual_step:
             message = (
                 f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: its last "
                 "value is held. Check that this is what the drive did"
             )
-            found.append(Diagnostic("silent-command", path.name, message))
-    return found
+            warnings.append(Diagnostic("silent-command", path.name, message))
+    return warnings

@@ -1,4 +1,4 @@
-"""Tables in memory -> named float64 columns: pandas, polars, Arrow, or dictionaries of arrays."""
+"""Read tables in memory into float64 columns: pandas, polars, Arrow, or dictionaries of arrays."""
 
 from __future__ import annotations
 
@@ -13,41 +13,19 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import Table
 
 Data = Mapping[str, Any]
-"""Experiment -> its log: a table in memory, or the path of a file."""
+"""Name of an experiment -> its log: a table in memory, or the path of a file."""
 
 
 def is_path(data: object) -> bool:
-    """Whether data are the name of a file in place of a table.
-
-    Parameters
-    ----------
-    data : object
-
-    Returns
-    -------
-    bool
-    """
+    """Whether data are a path instead of a table."""
     return isinstance(data, str | Path)
 
 
 def table_of(data: Any, where: str) -> Table:
-    """Look at a table in memory: which columns it has.
+    """Open a table in memory: pandas, polars, Arrow, or a mapping of str to (n_samples,).
 
-    Parameters
-    ----------
-    data : pandas.DataFrame, polars.DataFrame, pyarrow.Table or mapping of str to (n_samples,)
-    where : str
-        What a person knows it by.
-
-    Returns
-    -------
-    Table
-        Columns are float64; they are copied only where they are not already.
-
-    Raises
-    ------
-    InvalidInput
-        It is no table. A column that is no vector of numbers is refused when it is read.
+    `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
+    is not a table; a column that is not a numeric vector raises when it is read.
     """
     names = _names(data)
     if names is None:

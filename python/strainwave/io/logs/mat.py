@@ -1,9 +1,9 @@
-"""MAT files up to version 7: what lies in them, found before SciPy reads it.
+"""Inspect MAT files up to version 7 before SciPy reads them.
 
-SciPy's reader crashes the process on some damaged files of level 5 (an element of unknown type is
-looked up beyond the end of a table). So types are checked here first, and only real numeric arrays
-are handed to it. The layout is that of MathWorks' "MAT-File Format". Level 4 knows nothing but
-arrays and is SciPy's alone.
+SciPy's reader crashes the process on some damaged level 5 files, because it looks up an unknown
+element type beyond the end of a table. This module therefore checks the types first and passes
+only real numeric arrays to SciPy. The layout follows MathWorks, "MAT-File Format". Level 4 files
+contain only arrays and go directly to SciPy.
 """
 
 from __future__ import annotations
@@ -18,67 +18,42 @@ import numpy as np
 from strainwave.domain import FloatArray
 
 _HEADER = 128  # bytes of text, version and byte order
-_MATRIX, _COMPRESSED = 14, 15
+_MATRIX, _COMPRESSED = 14, 15  # types of elements
 _FLAGS, _DIMENSIONS, _NAME = 6, 5, 1  # types of a matrix's first three parts
-_NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # types of data that numbers are stored in
+_NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # data types of numbers
 _NUMERIC = range(6, 16)  # classes from double to uint64
-_COMPLEX = 0x800
+_COMPLEX = 0x800  # flag of a complex array
 _HEAD = 4096  # bytes of a compressed matrix that hold its flags, dimensions and name
 
 
 def variables(data: bytes) -> dict[str, bool]:
-    """Names in a file, each with whether it is an array of real numbers.
+    """Return the variables of a file, and whether each is a real numeric array.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-
-    Returns
-    -------
-    dict of str to bool
-
-    Raises
-    ------
-    ValueError
-        The file is damaged.
+    `data` is the content of the file. Raises ValueError if the file is damaged.
     """
     if 0 in data[:4]:
         return _of_level_4(data)
     if len(data) < _HEADER:
         raise ValueError("it ends within its header")
     order = "<" if data[126:128] == b"IM" else ">"
-    found = {}
+    is_real = {}
     for head in _matrices(data, order):
         name, real = _described(head, order)
         if name and not name.startswith("__"):
-            found[name] = real
-    return found
+            is_real[name] = real
+    return is_real
 
 
 def read(data: bytes, names: Sequence[str]) -> dict[str, FloatArray]:
-    """Real arrays by name, in their own types, without dimensions of one.
+    """Read real arrays by name in their stored types, without singleton dimensions.
 
-    Parameters
-    ----------
-    data : bytes
-        The whole file.
-    names : sequence of str
-        Those that `variables` says are arrays of real numbers.
-
-    Returns
-    -------
-    dict of str to array
-
-    Raises
-    ------
-    Exception
-        Of almost any kind, from SciPy's reader on a damaged file.
+    `data` is the content of the file; `names` are real numeric arrays according to `variables`.
+    SciPy's reader raises arbitrary exceptions on a damaged file.
     """
     import scipy.io
 
-    found = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, variable_names=list(names))
-    return {name: np.asarray(found[name]) for name in names}
+    arrays = scipy.io.loadmat(io.BytesIO(data), squeeze_me=True, variable_names=list(names))
+    return {name: np.asarray(arrays[name]) for name in names}
 
 
 def _of_level_4(data: bytes) -> dict[str, bool]:
@@ -86,12 +61,12 @@ def _of_level_4(data: bytes) -> dict[str, bool]:
 
     try:
         return {name: kind != "char" for name, _, kind in scipy.io.whosmat(io.BytesIO(data))}
-    except Exception as error:  # SciPy's reader raises almost anything
+    except Exception as error:  # SciPy's reader raises arbitrary exceptions
         raise ValueError(str(error)) from error
 
 
 def _matrices(data: bytes, order: str) -> Iterator[bytes]:
-    """The beginning of each matrix, unpacked."""
+    """Yield the decompressed beginning of each matrix."""
     at = _HEADER
     while at < len(data):
         if at + 8 > len(data):
@@ -113,13 +88,13 @@ def _matrices(data: bytes, order: str) -> Iterator[bytes]:
 
 
 def _described(head: bytes, order: str) -> tuple[str, bool]:
-    """A matrix's name, and whether it holds real numbers that SciPy reads safely."""
+    """Return a matrix's name, and whether it contains real numbers that SciPy reads safely."""
     kind, start, size, at = _part(head, 0, order)
     if kind != _FLAGS or size != 8:
         raise ValueError("a matrix without its flags")
     flags = unpack_from(order + "I", head, start)[0]
     if flags & 0xFF not in _NUMERIC:
-        # of opaque classes not even the order of parts is known; no channel is among them
+        # the order of parts of opaque classes is undocumented; they contain no channels
         return _name_of_other(head, at, order), False
     kind, _, _, at = _part(head, at, order)
     if kind != _DIMENSIONS:
@@ -144,7 +119,7 @@ def _name_of_other(head: bytes, at: int, order: str) -> str:
 
 
 def _part(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
-    """Type of the part at a place, where its data begin, their size, and the next part's place."""
+    """Return a part's type, data position and data size, and the position of the next part."""
     if at + 8 > len(head):
         raise ValueError("a matrix that ends within its description")
     kind, size = unpack_from(order + "II", head, at)

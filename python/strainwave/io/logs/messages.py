@@ -1,4 +1,4 @@
-"""Numbers in ROS messages: what they are called, and how to get at them."""
+"""Name and access the numbers in ROS messages."""
 
 from __future__ import annotations
 
@@ -10,41 +10,21 @@ from typing import Any
 import numpy as np
 
 Path = tuple[str, ...]
-"""Steps into a message: a field's name, or an index or a joint's name after `[`."""
+"""Access path in a message: field names, and indices or joint names after `[`."""
 
-_LONGEST = 64  # elements of an array that are named one by one
-_NOT_MEASURED = ("header", "layout")
+_LONGEST = 64  # maximum number of array elements that become columns
+_NOT_MEASURED = ("header", "layout")  # fields that are not columns
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
-_ELEMENT = "["
+_ELEMENT = "["  # prefix of an index or joint name in a path
 
 
 def parse(text: str) -> Path:
-    """A field as written, taken apart.
-
-    Parameters
-    ----------
-    text : str
-        "position[joint1]", "data[0]" or "linear_acceleration.y"
-
-    Returns
-    -------
-    Path
-    """
+    """Parse a field such as "position[joint1]", "data[0]" or "linear_acceleration.y"."""
     return tuple(name or _ELEMENT + inside for name, inside in _STEP.findall(text))
 
 
 def number(message: Any, path: Path) -> float | None:
-    """The number at a path, or None where this message has none there.
-
-    Parameters
-    ----------
-    message : a deserialised message
-    path : Path
-
-    Returns
-    -------
-    float or None
-    """
+    """Return the number at a path, or None if the message has none."""
     value = message
     try:
         for step in path:
@@ -63,27 +43,18 @@ def _index(message: Any, array: Any, inside: str) -> int:
 
 
 def numbers(message: Any) -> list[str]:
-    """The names of all numbers in a message.
-
-    Parameters
-    ----------
-    message : a deserialised message
-
-    Returns
-    -------
-    list of str
-    """
+    """Return the names of all numbers in a message."""
     return list(_leaves(message, "", joint_names(message)))
 
 
 def joint_names(message: Any) -> list[str]:
-    """The joints' names, of a message that has them beside its arrays."""
+    """Return the joint names that a message contains, or an empty list."""
     names = getattr(message, "name", None) or getattr(message, "joint_names", None) or []
     return [str(name) for name in names] if isinstance(names, (list, tuple)) else []
 
 
 def stamp(message: Any) -> int:
-    """The header's stamp [ns]; 0 where there is none, or nobody set it."""
+    """Return the stamp of the header [ns], or 0 if it is missing or not set."""
     header = getattr(message, "header", None)
     if header is None:
         return 0

@@ -1,7 +1,7 @@
-"""Files of columns: CSV, gzip CSV, Parquet, MAT and HDF5 -> named float64 arrays, and back.
+"""Read and write tables of float64 columns: CSV, gzip CSV, Parquet, MAT and HDF5.
 
-The good path is fast; only a file that fails it is read again, slowly, to find the row and column
-at fault.
+Only a file that the fast reader rejects is read again line by line, to locate the invalid row and
+column.
 """
 
 from __future__ import annotations
@@ -25,21 +25,15 @@ from strainwave.io.logs import mat
 
 DELIMITERS = (",", ";", "\t")
 LARGEST = 1e60
-"""In any unit. Squares and sums of squares of smaller numbers do not overflow."""
-_PROBE = 1 << 16  # bytes in which a header and the first row must end
+"""Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
+_PROBE = 1 << 16  # [bytes] that must contain the header and the first row
 
 
 class Table:
-    """A file's columns, by name, read when asked for.
+    """Columns of a file by name, read on demand.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Of all columns.
-    read : callable
-        Names -> arrays.
-    row_name : callable
-        Number of a sample, from 0 -> where a person finds it.
+    `read` maps names to arrays (n_samples,); `row_name` maps the index of a sample, from 0, to its
+    location for messages.
     """
 
     def __init__(
@@ -54,21 +48,9 @@ class Table:
 
 
 def open_table(path: Path) -> Table:
-    """Look at a file: which columns it has.
+    """Open a .csv, .csv.gz, .parquet, .mat, .h5 or .hdf5 file.
 
-    Parameters
-    ----------
-    path : Path
-        .csv, .csv.gz, .parquet, .mat, .h5 or .hdf5
-
-    Returns
-    -------
-    Table
-
-    Raises
-    ------
-    InvalidInput
-        The file is missing, of no known kind, or not what its name says.
+    Raises InvalidInput if the file is missing, has an unknown suffix, or does not match its suffix.
     """
     name = path.name.lower()
     for suffix, opener in _OPENERS.items():
@@ -82,17 +64,9 @@ def open_table(path: Path) -> Table:
 
 
 def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
-    """Write columns to a CSV, gzip CSV or Parquet file; it appears whole or not at all.
+    """Write columns (n_samples,) to a .csv, .csv.gz or .parquet file in one atomic step.
 
-    Parameters
-    ----------
-    path : Path
-    columns : mapping of str to (n_samples,)
-
-    Raises
-    ------
-    InvalidInput
-        The file's ending is none of those, or it cannot be written.
+    Raises InvalidInput if the suffix is unknown or the file cannot be written.
     """
     import pyarrow as pa
     import pyarrow.csv
@@ -114,7 +88,7 @@ def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
 
 
 def release_readers_memory() -> None:
-    """Give back what reading tables took beside the columns: more than these themselves."""
+    """Release the unused memory of Arrow's readers, which exceeds that of the columns."""
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
         arrow.default_memory_pool().release_unused()
@@ -157,7 +131,7 @@ def _csv_table(data: bytes, path: Path) -> Table:
 
 
 def _header_line(data: bytes, path: Path) -> tuple[int, str]:
-    """Lines before the header (empty, or comments after #), and the header."""
+    """Return the number of lines before the header (empty or # comments), and the header."""
     lines = data[:_PROBE].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
     for number, line in enumerate(lines):
         if line.strip() and not line.lstrip().startswith(b"#"):
@@ -233,10 +207,10 @@ def _read_csv(
 
 
 def _reader(data: bytes) -> Any:
-    """What Arrow reads bytes from: a copy in its own memory.
+    """Copy bytes into Arrow's own memory and return a reader of them.
 
-    Arrow's threads may let go of what they read after its result is here, and of an object of
-    Python's they would have to ask an interpreter that may be gone: the process then dies.
+    Arrow's threads can release their input after the result is available. Releasing a Python object
+    requires the interpreter; if it has shut down by then, the process crashes.
     """
     import pyarrow as pa
 
@@ -259,7 +233,7 @@ def _find_fault(
     skipped: int,
     point: str,
 ) -> None:
-    """Read line by line until the fault shows, and name it."""
+    """Read line by line, and raise InvalidInput at the first invalid line."""
     lines = data.decode("utf-8", errors="replace").splitlines()
     columns = {name: names.index(name) for name in wanted}
     last = len(lines)
@@ -272,12 +246,12 @@ def _find_fault(
         where = f"{path}, line {number}"
         fields = _split(line, delimiter)
         if len(fields) != len(names):
-            cut = number == last
+            is_cut_off = number == last
             raise InvalidInput(
-                f"{'the log is cut off: ' if cut else ''}{len(fields)} values where the header "
-                f"names {len(names)} columns",
+                f"{'the log is cut off: ' if is_cut_off else ''}{len(fields)} values where the "
+                f"header names {len(names)} columns",
                 where=where,
-                remedy="delete that line" if cut else "mend that line",
+                remedy="delete that line" if is_cut_off else "mend that line",
             )
         for name, index in columns.items():
             _check_number(fields[index].replace(point, "."), f"{where}, column {name!r}")
@@ -293,7 +267,7 @@ def _check_number(text: str, where: str) -> None:
 
 
 def _line_of_row(data: bytes, row: int, skipped: int) -> int:
-    """The line of a sample; empty lines hold none."""
+    """Return the line number of a sample; empty lines contain none."""
     lines = data.splitlines()
     count = -1
     for number in range(skipped + 1, len(lines)):
@@ -352,7 +326,10 @@ def _numbers(column: Any, where: str) -> FloatArray:
 
 
 def _values(column: Any) -> FloatArray:
-    """The numbers of an Arrow column without nulls; its `to_numpy` would import pandas (0.3 s)."""
+    """Return the numbers of an Arrow column without nulls.
+
+    Arrow's `to_numpy` would import pandas (0.3 s).
+    """
     return np.concatenate([np.zeros(0), *(np.from_dlpack(chunk) for chunk in column.chunks)])
 
 
@@ -373,10 +350,10 @@ def _open_mat(path: Path) -> Table:
             if not names[name]:
                 raise _no_vector("not an array of real numbers", name, path)
         try:
-            found = mat.read(data, wanted)
-        except Exception as error:  # a damaged file makes SciPy's reader raise almost anything
+            variables = mat.read(data, wanted)
+        except Exception as error:  # SciPy's reader raises arbitrary exceptions on a damaged file
             raise _damaged_mat(error, path) from error
-        return _vectors(found, path)
+        return _vectors(variables, path)
 
     return Table(list(names), read, _element)
 
@@ -399,22 +376,24 @@ def _open_hdf5(path: Path) -> Table:
             remedy="pip install 'strainwave[hdf5]'",
         ) from error
     data = read_bytes(path, "the log")
-    found: dict[str, Any] = {}
+    datasets: dict[str, Any] = {}
 
     def visit(name: str, node: Any) -> None:
         if isinstance(node, h5py.Dataset) and not name.startswith("#"):
-            found[name] = np.squeeze(np.asarray(node[()]))
+            datasets[name] = np.squeeze(np.asarray(node[()]))
 
     try:
         with h5py.File(io.BytesIO(data), "r") as file:
             file.visititems(visit)
-    except Exception as error:  # a damaged file makes the HDF5 library raise almost anything
+    except Exception as error:  # HDF5 raises arbitrary exceptions on a damaged file
         raise InvalidInput(
             f"is no HDF5 file, or a damaged one ({str(error)[:100]})",
             where=str(path),
             remedy="write it anew",
         ) from error
-    return Table(list(found), lambda names: _vectors({n: found[n] for n in names}, path), _element)
+    return Table(
+        list(datasets), lambda names: _vectors({n: datasets[n] for n in names}, path), _element
+    )
 
 
 def _element(row: int) -> str:
@@ -430,7 +409,7 @@ def _no_vector(what: str, name: str, path: Path) -> InvalidInput:
 
 
 def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
-    """Variables of a file that need not be columns: those asked for must be vectors of numbers."""
+    """Convert the variables of a MAT or HDF5 file to columns; each must be a numeric vector."""
     columns = {}
     for name, variable in variables.items():
         value = np.asarray(variable)
@@ -448,18 +427,9 @@ def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
 
 
 def first_impossible(values: FloatArray) -> int | None:
-    """Index of the first NaN, infinity or number beyond all measurement.
-
-    Parameters
-    ----------
-    values : (n_samples,)
-
-    Returns
-    -------
-    int or None
-    """
-    possible = np.abs(values) < LARGEST
-    return None if possible.all() else int(np.argmin(possible))
+    """Return the index of the first NaN, infinity or value of at least LARGEST, or None."""
+    is_valid = np.abs(values) < LARGEST
+    return None if is_valid.all() else int(np.argmin(is_valid))
 
 
 _OPENERS: dict[str, Callable[[Path], Table]] = {
