@@ -247,10 +247,10 @@ def model_defects(found: Identification) -> Iterator[Diagnostic]:
             yield Diagnostic("not-predicted", check.experiment, _not_predicted(found, check))
     worst_residual = _worst_residual(found)
     if worst_residual is not None:
-        relative_residual, test = worst_residual
+        ratio, test = worst_residual
         text = (
             f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
-            f" sensor's noise and {100.0 * relative_residual:.2g} % of the signal, so the model does not"
+            f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
             f" describe the record{_harder_spring(found) or _causes(found.tuned)}"
         )
         yield Diagnostic("not-described", test.experiment, text)

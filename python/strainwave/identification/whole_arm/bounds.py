@@ -1,4 +1,4 @@
-"""Parameters that a fit left at the end of their ranges."""
+"""Parameters at a bound of their range after a fit."""
 
 from __future__ import annotations
 
@@ -11,22 +11,14 @@ from strainwave.identification.whole_arm.parametrisation import (
     Key,
 )
 
-_EDGE = 0.01  # of half its range, so near to which a parameter counts as at its bound
+_EDGE = 0.01  # distance to a bound, relative to half the range, that counts as at the bound
 
 
 def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
-    """Parameters that ended at the end of their range, and inertias that such ones are part of.
+    """Yield the parameters at a bound, and the inertias that contain them, as (name, joint).
 
-    A joint's total viscous friction is known where its split is not, and is spared.
-
-    Parameters
-    ----------
-    fit : Fit
-    arm : Arm
-
-    Yields
-    ------
-    (name, joint)
+    The total viscous friction of a joint is omitted, because it can be identifiable although its
+    parts are not.
     """
     keys = fit.objective.space.keys
     ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
@@ -38,17 +30,8 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
 
 
 def at_bounds(fit: Fit) -> list[bool]:
-    """Which unknowns ended at the end of their range.
-
-    Parameters
-    ----------
-    fit : Fit
-
-    Returns
-    -------
-    list of bool
-    """
+    """Whether each unknown is at a bound of its range."""
     space = fit.objective.space
-    edge = 0.5 * _EDGE * (space.upper - space.lower)
-    near: list[bool] = ((fit.z < space.lower + edge) | (fit.z > space.upper - edge)).tolist()
-    return near
+    margin = 0.5 * _EDGE * (space.upper - space.lower)
+    is_near: list[bool] = ((fit.z < space.lower + margin) | (fit.z > space.upper - margin)).tolist()
+    return is_near

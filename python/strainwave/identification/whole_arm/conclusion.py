@@ -1,4 +1,4 @@
-"""A fit of the whole arm -> `ArmModel`: its parameters, how sure they are, and what it leaves."""
+"""Result of the whole-arm fit: parameters, covariance, warnings and residual analysis."""
 
 from __future__ import annotations
 
@@ -52,54 +52,50 @@ from strainwave.signals.recorded_input import missing_recorded_input
 
 
 def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
-    """What a fit means: parameters with intervals, warnings, what it explains and what it does not.
+    """Build the result of a whole-arm fit.
 
-    Parameters
-    ----------
-    fit : Fit
-    start : Start
-        That the fit went on from.
-    selection : Selection
-        The arm of the study, and its options.
-
-    Returns
-    -------
-    ArmModel
+    `start` holds the starting values of the fit, `selection` the arm of the study and the options.
     """
     arm = selection.arm
-    before = start.coarse.fits(start.initial)
-    first = start.coarse.space.values(start.initial)
-    at_once = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
-    values = at_once | fit.objective.space.values(fit.z)
+    initial_fit_percent = start.coarse.fits(start.initial)
+    initial_values = start.coarse.space.values(start.initial)
+    instant_settling = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
+    values = instant_settling | fit.objective.space.values(fit.z)
     gear_loads = gear_torque_samples(fit.objective.records, values)
-    largest = largest_of(gear_loads).tolist()
-    parameters, covariance = parameters_of(fit, arm, largest)
+    largest_torque = largest_of(gear_loads).tolist()
+    parameters, covariance = parameters_of(fit, arm, largest_torque)
     status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
     if np.any(at_bounds(fit)):
         status = "at-bounds"
     if not fit.converged:
         status = "iteration-limit"
-    ended = tuple(parameters_at_bounds(fit, arm))
+    keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
-    tested = score_tests_of(fit, arm)
-    refits = refits_of(fit, tested, arm, selection.options)
+    score_tests = score_tests_of(fit, arm)
+    refits = refits_of(fit, score_tests, arm, selection.options)
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
-        tuple(one.test for one in tested),
+        tuple(one.test for one in score_tests),
         tuple(causes_of(refits.fits, arm)),
     )
-    doubtful = any(test.is_far_above_noise for test in criticism.residuals)
+    is_far_above_noise = any(test.is_far_above_noise for test in criticism.residuals)
     suspects = (
-        suspects_of(fit, arm, criticism.causes) if doubtful or is_disagreement(agreement) else ()
+        suspects_of(fit, arm, criticism.causes)
+        if is_far_above_noise or is_disagreement(agreement)
+        else ()
     )
-    repeated = [
+    servo_logs = [
         log
         for log in start.logs
         if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
     ]
-    ends = (values, first)
-    repeats = side_by_side(
-        [partial(predict_closed_loop, end, log, arm) for end in ends for log in repeated]
+    value_sets = (values, initial_values)
+    predictions = side_by_side(
+        [
+            partial(predict_closed_loop, value_set, log, arm)
+            for value_set in value_sets
+            for log in servo_logs
+        ]
     )
     public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
     return ArmModel(
@@ -107,15 +103,15 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         values=values,
         covariance=covariance[np.ix_(public, public)],
         fit_percent=fit.objective.fits(fit.z),
-        initial_fit_percent=before,
-        simulated=tuple(repeats[: len(repeated)]),
-        initial=tuple(repeats[len(repeated) :]),
+        initial_fit_percent=initial_fit_percent,
+        simulated=tuple(predictions[: len(servo_logs)]),
+        initial=tuple(predictions[len(servo_logs) :]),
         iterations=fit.iterations,
         status=status,
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
-            *motor_side_limits(fit, arm, parameters, ended),
+            *motor_side_limits(fit, arm, parameters, keys_at_bounds),
             *disagreement(differences, agreement, suspects),
             *left_out(fit.objective.space, arm),
             *taken_up(fit, arm),
@@ -127,7 +123,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
-        at_bounds=ended,
+        at_bounds=keys_at_bounds,
         differences=differences,
         agreement=agreement,
         suspects=suspects,
