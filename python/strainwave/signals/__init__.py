@@ -1,1 +1,1 @@
-"""Logs -> signals for the equations: motors, links, delays, and whether channels agree."""
+"""Logs -> signals for identification: motor side, link side, channel delays and consistency."""

@@ -15,7 +15,7 @@ from strainwave.numerics.filters import differentiate, low_pass
 _LOWEST = 2.0  # [Hz] lower band edge; friction and drift dominate below it
 _SMOOTH_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
 _SHARE = 0.9  # share of the power of the link velocity that defines its band
-_REACH = 1.1  # upper band edge relative to the frequency below which _SHARE of the power lies
+_REACH = 1.1  # upper band edge over the frequency below which `_SHARE` of the power lies
 _DRIVE_REACH = 0.5  # upper band edge of the drive relative to the band of the encoder
 _FEW_LINES = 12  # minimum number of spectral lines minus the number of coefficients
 _MOST_STANDING = 0.2  # maximum share of a record at standstill; stiction resembles a delay

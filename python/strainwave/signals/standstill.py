@@ -1,7 +1,7 @@
-"""Where a motor certainly slides, which way, and what may be said where it may stand.
+"""Sliding direction of a motor, and shape functions of the friction torque where it is unknown.
 
-Coulomb friction is f sgn(dq) only while the motor slides. Around each reversal, and while it
-stands, the friction torque is anywhere in [-f, f]: there it is an unknown of its own, not a sign.
+Coulomb friction is f sgn(dq) only while the motor slides. Around each reversal and at standstill,
+the friction torque has any value in [-f, f] and is a separate unknown.
 """
 
 from __future__ import annotations
@@ -19,25 +19,15 @@ Value = TypeVar("Value", np.bool_, np.float64)
 
 
 def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> FloatArray:
-    """Direction in which the motor certainly slides.
+    """Direction in which the motor certainly slides: +1, -1, or 0 if uncertain, (n_samples,).
 
-    A direction is certain once the angle has left its last extreme by more than the resolution;
-    from there back to the extreme, and on the way into it, it is not. Stretches of at least
-    `standing` samples within the resolution count as standing still.
+    A direction is certain if the angle differs from the last and from the next turning point by
+    more than the resolution. At least `standing` consecutive samples within the resolution are
+    standstill.
 
-    Parameters
-    ----------
-    angle : (n_samples,)
-        As measured, not smoothed: smoothing moves the instants of reversal.
-    resolution : float
-        What the sensor resolves: an encoder count, or a few deviations of its noise.
-    standing : int
-        Samples.
-
-    Returns
-    -------
-    (n_samples,)
-        +1, -1, or 0 where it is uncertain.
+    `angle` is the unfiltered measurement, because a filter shifts the times of reversal.
+    `resolution` is an encoder count or a few standard deviations of the noise, in the unit of the
+    angle.
     """
     direction = np.zeros(len(angle))
     for start, stop, sign in _monotone_runs(angle, resolution):
@@ -49,7 +39,7 @@ def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> Fl
 
 
 def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int, int]]:
-    """(start, stop, sign) between turning points that are further apart than the resolution."""
+    """(start, stop, sign) between turning points that differ by more than the resolution."""
     runs: list[tuple[int, int, int]] = []
     start, extreme, sign = 0, 0, 0
     low = high = 0
@@ -73,89 +63,63 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
 
 
 def _turns(angle: FloatArray) -> list[int]:
-    """The first sample, the last that differs, and between them each that the angle turns at."""
+    """The first sample, the last change of the angle, and all turning points between them."""
     steps = np.diff(angle)
     moving = np.flatnonzero(steps)
-    back = np.diff(np.sign(steps[moving])) != 0.0
-    return [0, *(moving[np.r_[back, True][: len(moving)]] + 1).tolist()]
+    reverses = np.diff(np.sign(steps[moving])) != 0.0
+    return [0, *(moving[np.r_[reverses, True][: len(moving)]] + 1).tolist()]
 
 
 def _stands(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
-    """Samples inside a window of `standing` ones over which the angle keeps within resolution."""
+    """Samples in a window of `standing` samples in which the angle stays within the resolution."""
     width = max(2, standing)
     spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
     return running(np.logical_or, spread <= resolution, width)
 
 
 def running(extreme: np.ufunc, values: NDArray[Value], width: int) -> NDArray[Value]:
-    """The largest, or the least, of `width` values about each one.
+    """Running maximum or minimum over `width` values centred on each value, (n,).
 
-    Parameters
-    ----------
-    extreme : ufunc
-        `np.maximum`, `np.minimum`, `np.logical_or` or `np.logical_and`.
-    values : (n,)
-    width : int
-        Of an even number, one more lies before than behind; at the ends there are fewer.
-
-    Returns
-    -------
-    (n,)
+    `extreme` is `np.maximum`, `np.minimum`, `np.logical_or` or `np.logical_and`. If the width is
+    even, the window has one more value before than after. It is truncated at both ends.
     """
-    found = np.pad(values, (width // 2, (width - 1) // 2), mode="edge")
-    reach = 1  # of each value found so far; two of them make one of up to twice the reach
+    result = np.pad(values, (width // 2, (width - 1) // 2), mode="edge")
+    reach = 1  # current window width; two windows combine to up to twice the width
     while reach < width:
         step = min(reach, width - reach)
-        found = extreme(found[:-step], found[step:])
+        result = extreme(result[:-step], result[step:])
         reach += step
-    return found
+    return result
 
 
 def runs_of(at: BoolArray) -> IntArray:
-    """First sample and the one behind the last of each run of True.
-
-    Parameters
-    ----------
-    at : (n_samples,)
-
-    Returns
-    -------
-    (n_runs, 2)
-    """
+    """Runs of True as (n_runs, 2): the first sample and the index after the last sample."""
     return np.flatnonzero(np.diff(np.r_[False, at, False].astype(np.int8))).reshape(-1, 2)
 
 
 def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatArray]]:
-    """Shapes that span the friction torque where the direction is uncertain.
+    """Shape functions, as (first sample, shape), of the friction torque at uncertain directions.
 
-    One shape a stretch that is shorter than the spacing: seen through the low-pass filter only its
-    area matters. Longer stretches take overlapping triangles that sum to one.
-
-    Parameters
-    ----------
-    direction : (n_samples,)
-        From `sliding_direction`.
-    spacing : int
-        Samples between the triangles' centres.
-
-    Returns
-    -------
-    list of (first sample, shape)
+    A stretch shorter than `spacing` [samples] has one constant shape, because only its area affects
+    the low-pass filtered torque. Longer stretches have overlapping triangles that sum to one, with
+    centres about `spacing` apart. `direction`, (n_samples,), is from `sliding_direction`.
     """
     uncertain = np.r_[False, direction == 0.0, False]
     edges = np.flatnonzero(np.diff(uncertain.astype(np.int8)))
     shapes: list[tuple[int, FloatArray]] = []
-    known: dict[int, list[tuple[int, FloatArray]]] = {}  # stretches of one length share theirs
+    shapes_by_length: dict[
+        int, list[tuple[int, FloatArray]]
+    ] = {}  # stretches of equal length share their shapes
     for first, stop in edges.reshape(-1, 2).tolist():
         length = stop - first
-        if length not in known:
-            known[length] = _shapes_of(length, spacing)
-        shapes += [(first + start, shape) for start, shape in known[length]]
+        if length not in shapes_by_length:
+            shapes_by_length[length] = _shapes_of(length, spacing)
+        shapes += [(first + start, shape) for start, shape in shapes_by_length[length]]
     return shapes
 
 
 def _shapes_of(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
-    """(first sample, shape) of one stretch."""
+    """Shape functions, as (first sample, shape), of one stretch."""
     n_knots = max(1, round(length / spacing)) + (length > spacing)
     if n_knots == 1:
         return [(0, np.ones(length))]
@@ -171,50 +135,43 @@ def _shapes_of(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
 def responses(
     shapes: Sequence[tuple[int, FloatArray]], rows: IntArray, kernel: FloatArray
 ) -> Banded:
-    """Each shape through a filter, at some samples.
+    """Responses of a filter to all shape functions at selected samples, (n_rows, n_shapes).
 
-    Parameters
-    ----------
-    shapes : sequence of (first sample, shape)
-        As `free_friction` gives them: none begins or ends before the one before it.
-    rows : (n_rows,)
-        Samples wanted, in rising order.
-    kernel : (2 reach + 1,)
-        The filter's answer to an impulse at its middle; it must have died away at both ends.
-
-    Returns
-    -------
-    Banded
-        (n_rows, n_shapes): a row has the shapes within reach of it.
+    `shapes` are from `free_friction`, ordered by their first and last samples. `rows` are ascending
+    sample indices, (n_rows,). `kernel`, (2 reach + 1,), is the impulse response centred on the
+    impulse and must decay to zero at both ends. Each row of the banded result has the shapes within
+    reach.
     """
     reach = len(kernel) // 2
     begin = np.array([first for first, _ in shapes], dtype=np.int64)
     length = np.array([len(shape) for _, shape in shapes], dtype=np.int64)
-    distinct = {id(shape): shape for _, shape in shapes}  # stretches of one length share theirs
+    distinct = {id(shape): shape for _, shape in shapes}  # stretches of equal length share shapes
     constant = {name for name, shape in distinct.items() if shape.min() == 1.0}
-    flat = np.array([id(shape) in constant for _, shape in shapes], dtype=bool)
-    # the samples that a shape reaches, and the shapes that reach a row
+    is_constant = np.array([id(shape) in constant for _, shape in shapes], dtype=bool)
+    # Rows within reach of each shape, and shapes within reach of each row.
     low = np.searchsorted(rows, begin - reach)
     high = np.searchsorted(rows, begin + length + reach)
     earliest = np.searchsorted(high, np.arange(len(rows)), side="right")
-    behind = np.searchsorted(low, np.arange(len(rows)), side="right")
-    width = int(np.max(behind - earliest, initial=0))
+    past_last = np.searchsorted(low, np.arange(len(rows)), side="right")
+    width = int(np.max(past_last - earliest, initial=0))
     entries = np.zeros((len(rows), width))
-    answers: dict[int, FloatArray] = {}
-    for c in np.flatnonzero(~flat).tolist():
+    response_by_shape: dict[int, FloatArray] = {}
+    for c in np.flatnonzero(~is_constant).tolist():
         name = id(shapes[c][1])
-        if name not in answers:
-            answers[name] = np.convolve(shapes[c][1], kernel)
-        response = answers[name]
-        near = np.arange(low[c], high[c])
-        entries[near, c - earliest[near]] = response[rows[near] - (begin[c] - reach)]
-    # most shapes are constant: their answers are differences of the answer to a step
+        if name not in response_by_shape:
+            response_by_shape[name] = np.convolve(shapes[c][1], kernel)
+        response = response_by_shape[name]
+        reached = np.arange(low[c], high[c])
+        entries[reached, c - earliest[reached]] = response[rows[reached] - (begin[c] - reach)]
+    # Most shapes are constant: their responses are differences of the step response.
     step = np.concatenate([[0.0], np.cumsum(kernel)])
-    for k in range(width if flat.any() else 0):
-        near = np.flatnonzero(earliest + k < behind)
-        shape = earliest[near] + k
-        near, shape = near[flat[shape]], shape[flat[shape]]
-        since = rows[near] + (reach + 1) - begin[shape]
-        before = since - length[shape]
-        entries[near, k] = step.take(since, mode="clip") - step.take(before, mode="clip")
+    for k in range(width if is_constant.any() else 0):
+        reached = np.flatnonzero(earliest + k < past_last)
+        shape = earliest[reached] + k
+        reached, shape = reached[is_constant[shape]], shape[is_constant[shape]]
+        since_start = rows[reached] + (reach + 1) - begin[shape]
+        since_end = since_start - length[shape]
+        entries[reached, k] = step.take(since_start, mode="clip") - step.take(
+            since_end, mode="clip"
+        )
     return Banded(earliest, entries, len(shapes))
