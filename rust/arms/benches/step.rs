@@ -1,7 +1,8 @@
-//! Price of one step of the integrator [ns] on one core, by program.
+//! Time of one step of the integrator [ns] on one core, per program.
 //!
-//! The arm is the built-in SCARA-type arm with 5 kg at its tip, joint 1 under a random telegraph
-//! voltage. Each figure is the least of many runs, because other work slows some of them down.
+//! The arm is the built-in SCARA-type arm with 5 kg at its tip, with a random telegraph voltage on
+//! joint 1. Each figure is the minimum of many runs, because other processes slow some of them
+//! down.
 
 use std::time::Instant;
 
@@ -16,23 +17,27 @@ use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::program::{Request, Width};
 use strainwave_core::sensors::decimation::Decimation;
 
-/// Half a second: short, so that some of many runs are undisturbed.
+/// Half a second of motion: short, so that some of many runs are undisturbed.
 const STEPS: usize = 4000;
+/// Runs per figure, of which the fastest counts.
 const RUNS: usize = 400;
+/// Steps of 0.125 ms per voltage of the random telegraph signal.
 const STEPS_PER_TICK: usize = 8;
 
-/// Taps of the low-pass per sample, as in a whole-arm fit.
+/// Taps of the low-pass per row, as in a whole-arm fit.
 const TAPS_PER_ROW: usize = 14;
 
-/// glibc keeps freed memory below the size [bytes] of the largest block freed so far, and `identify`
-/// makes use of it. Otherwise every run would include clearing the pages of its results.
+/// Size [bytes] of a block that is allocated and freed first. glibc keeps freed memory below the
+/// size of the largest block freed so far, as in `identify`. Otherwise every run would include
+/// clearing the pages of its results.
 const KEPT_MEMORY: usize = 31 << 20;
 
-/// A chain's steps take fifty times as long.
+/// Fewer runs for chains, because their steps take fifty times as long.
 const CHAIN_RUNS: usize = 20;
+/// Joints of the chain.
 const CHAIN: usize = 6;
 
-/// Parameters of the motors and gears, in the order of their names.
+/// Parameters of motors and gears, in the order of their names.
 const DRIVES: [[f64; 12]; 2] = [
     [
         1.5e-4, 2e-4, 0.06, 0.0, 0.5, 16e3, 25e3, 29e3, 7.0, 25.0, 20.0, 0.0,
@@ -126,7 +131,7 @@ fn bench_chain(width: Width) {
     );
 }
 
-/// An arm in an experiment.
+/// An arm and its experiment.
 struct Bench<A, const N: usize> {
     task: Task<A, N>,
     parameters: Vec<f64>,
@@ -135,7 +140,7 @@ struct Bench<A, const N: usize> {
 }
 
 impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
-    /// The arm under a random telegraph voltage on joint 1.
+    /// The arm with a random telegraph voltage on joint 1.
     fn new(arm: A, parameters: &[f64], steps_per_sample: usize, record: &[Quantity]) -> Self {
         let joint = |i: usize| JointConfig {
             gear: ThreeSlope::LAW,
@@ -178,7 +183,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
         }
     }
 
-    /// All parameters that change the motion, but for those of some names.
+    /// All parameters that change the motion, except those in `without`.
     fn directions(&self, without: &[&str]) -> Vec<Source> {
         let names = self.task.config.parameter_names();
         let varies =
@@ -226,7 +231,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
         self.least(|| assert!(programs.differentiate(&request, width).is_ok()))
     }
 
-    /// The least time of a step [ns].
+    /// Minimum time of a step [ns].
     fn least(&self, run: impl Fn()) -> f64 {
         let time = |_| {
             let begin = Instant::now();

@@ -1,7 +1,7 @@
 //! Arms of every kind behind one interface, [`CompiledArm`].
 //!
-//! Their programs take seconds each to compile. They are in crates of their own under
-//! `rust/programs`, which cargo compiles side by side.
+//! Each program takes seconds to compile. Programs are in crates of their own under
+//! `rust/programs`, which cargo compiles in parallel.
 
 use strainwave_baseline as baseline;
 use strainwave_core::arm::{Arm, ChainJoint, OneLink, SerialChain, TwoLink};
@@ -9,34 +9,34 @@ use strainwave_core::compiled::{CompiledArm, compiled};
 use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::program::{Programs, Width};
 
-/// The joints of an arm, from the base.
+/// Joints of an arm, from the base.
 #[derive(Clone, Copy, Debug)]
 pub struct Drives<'a> {
     /// Known constants of each joint.
     pub joints: &'a [JointConfig],
-    /// Half width [rad] over which the knees of three-slope gears are rounded; positive.
+    /// Half width [rad] of the rounded knees of three-slope gears; positive.
     pub corner: f64,
 }
 
-/// An arm that cannot be made.
+/// Error in the description of an arm.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ArmError {
-    /// The number of joints does not fit the arm.
+    /// The number of joints does not match the arm.
     Joints {
-        /// The number of joints that the arm has.
+        /// Number of joints of the arm.
         expected: usize,
-        /// The number of joints with constants.
+        /// Number of joints with constants.
         got: usize,
     },
-    /// A chain has more joints than there are programs, or none.
+    /// The number of joints of a chain is zero or exceeds [`MAX_CHAIN_JOINTS`].
     ChainLength(usize),
-    /// The axis of a joint, from 0, has length zero.
+    /// The axis of a joint, numbered from 0, has length zero.
     Axis(usize),
-    /// The rounding of the knees is not positive.
+    /// The half width of the rounded knees is not positive.
     Corner(f64),
 }
 
-/// The largest number of joints of a serial chain.
+/// Largest number of joints of a serial chain, limited by the compiled programs.
 pub const MAX_CHAIN_JOINTS: usize = 7;
 
 impl std::fmt::Display for ArmError {
@@ -71,9 +71,9 @@ impl Drives<'_> {
     }
 }
 
-/// An arm that has compiled programs.
+/// An arm with compiled programs.
 pub trait WithPrograms<const N: usize>: Arm<N> {
-    /// Its programs.
+    /// Programs of the arm.
     fn programs(&self) -> Programs<Self, N>;
 }
 
@@ -100,7 +100,7 @@ impl WithPrograms<1> for OneLink {
     }
 }
 
-/// [`WithPrograms`] of chains, and [`serial_chain`].
+/// Implements [`WithPrograms`] for chains, and defines [`serial_chain`].
 macro_rules! chains {
     ($($joints:literal: $general:expr, $baseline:expr;)*) => {
         $(
@@ -115,7 +115,7 @@ macro_rules! chains {
             }
         )*
 
-        /// A chain of rigid links on joints placed anywhere in space, under an acceleration of
+        /// A chain of rigid links with joints placed anywhere in space, under an acceleration of
         /// gravity [m/s^2] in the base frame.
         ///
         /// # Errors
@@ -152,10 +152,10 @@ chains! {
     7: strainwave_chain_7::GENERAL, baseline::CHAIN_7;
 }
 
-/// An arm with its drives: a planar one, or a chain of a known number of joints.
+/// An arm with its drives: a planar arm, or a chain with a fixed number of joints.
 ///
 /// # Errors
-/// The number of joints does not fit, or the corner is not positive.
+/// The number of joints does not match the arm, or the corner is not positive.
 ///
 /// # Panics
 /// The processor has no registers of that width.

@@ -24,6 +24,7 @@ type Vector<'py> = PyReadonlyArray1<'py, f64>;
 type ServoArguments = (Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>);
 /// Name of a parameter or an initial state, and its joint from 1 if it belongs to a joint.
 type Direction = (String, Option<usize>);
+/// Message for taps of a wrong shape.
 const TAPS: &str =
     "expected taps for each quantity recorded, all as many, and a multiple of samples_per_row";
 

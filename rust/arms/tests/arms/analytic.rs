@@ -1,8 +1,9 @@
-//! Motions whose solution is known in closed form.
+//! Motions with a solution in closed form.
 
 use crate::common::{LINEAR, RIGID, Run, at_rest, level_joint};
 use strainwave_core::experiment::{Initial, Quantity};
 
+/// Gear ratio.
 const N: f64 = 0.01;
 
 /// link inertia, G1, motor inertia, d_M, f_M, f_0, d_L, gear stiffness, gear damping, settling time
@@ -34,7 +35,7 @@ fn two_inertias_on_a_spring_ring_at_their_mode() {
     for step in 0..=run.steps {
         let t = step as f64 * run.step;
         let delta = N * record[0][step][0] - record[1][step][0];
-        // Runge-Kutta's phase error (omega h)^5 / 120 a step: 5e-11 rad, 8000 times.
+        // Phase error of Runge-Kutta per step: (omega h)^5 / 120 = 5e-11 rad, over 8000 steps.
         assert!((delta - twist * (omega * t).cos()).abs() < 1e-6 * twist);
     }
 }
@@ -60,18 +61,19 @@ fn a_rigid_joint_follows_its_lagging_torque() {
     for step in 0..=run.steps {
         let t = step as f64 * run.step;
         let exact = acceleration * (t - lag * (1.0 - (-t / lag).exp()));
-        // Simpson's rule over an exponential: (h / lag)^4 / 2880 of the transient.
+        // Simpson's rule for an exponential: error (h / lag)^4 / 2880 of the transient.
         assert!((velocity[step][0] - exact).abs() < 1e-6 * acceleration * lag + 1e-12);
     }
 }
 
-/// The link is so heavy that it is a wall: the motor swings on the spring against dry friction. Each
-/// half swing loses 2 f / k; it ends where the spring is weaker than the friction.
+/// Free swing of a motor on its gear with Coulomb friction; the link is so heavy that it stands
+/// still. Each half swing loses an amplitude of 2 f / k. The motion ends where the spring torque is
+/// below the friction limit.
 #[test]
 fn dry_friction_ends_a_swing_inside_the_dead_band() {
     let (motor, k, f) = (1.5e-4, 20e3, 0.06);
     let parameters = one_joint(1e12, motor, f, k);
-    let band = f / (N * N * k); // [rad] at the motor: friction's torque over the spring's stiffness
+    let band = f / (N * N * k); // [rad] motor side: friction torque over spring stiffness
     let begin = 10.5 * band;
     let run = Run {
         config: level_joint(LINEAR),
@@ -108,8 +110,8 @@ fn dry_friction_ends_a_swing_inside_the_dead_band() {
     }
 }
 
-/// The link is pulled at constant speed: the motor stands until the spring is as strong as friction,
-/// then follows with v (1 - cos).
+/// A link that moves at constant velocity: its motor sticks until the spring torque reaches the
+/// friction limit, then follows with v (1 - cos).
 #[test]
 fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
     let (motor, k, f, pull) = (1.5e-4, 20e3, 0.06, 0.05);
@@ -130,7 +132,7 @@ fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
     let velocity = &run.record(&[Quantity::MotorVelocity])[0];
     let omega = (N * N * k / motor).sqrt();
     let release = f / (N * k * pull);
-    let again = release + std::f64::consts::TAU / omega; // it just touches rest: a graze
+    let again = release + std::f64::consts::TAU / omega; // the velocity touches zero
     for step in 0..=run.steps {
         let t = step as f64 * run.step;
         if t < release {
@@ -145,7 +147,7 @@ fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
 
 #[test]
 fn a_ramp_of_torque_moves_a_standing_motor_at_the_right_instant() {
-    // Voltage steps of 1 mV per step: friction of 0.06 N m lets go at 0.6 V.
+    // The voltage rises by 1 mV per step; friction of 0.06 N m breaks away at 0.6 V.
     let parameters = [0.0, 0.0, 1.5e-4, 0.0, 0.06, 0.0, 0.0];
     let voltage: Vec<[f64; 1]> = (0..2000).map(|k| [1e-3 * f64::from(k)]).collect();
     let run = Run {

@@ -1,4 +1,4 @@
-//! Arms and runs that the tests share.
+//! Arms and runs shared by the tests.
 
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
@@ -33,7 +33,7 @@ pub fn joint(gear: Law) -> JointConfig {
     }
 }
 
-/// An arm with a geometry for the tests.
+/// An arm with geometry for the tests.
 pub trait BuiltIn {
     fn built_in() -> Self;
 }
@@ -57,7 +57,7 @@ impl BuiltIn for OneLink {
     }
 }
 
-/// No two axes parallel, and the second of three or more joints prismatic.
+/// No two axes are parallel; the second joint of three or more is prismatic.
 impl<const N: usize> BuiltIn for SerialChain<N> {
     fn built_in() -> Self {
         let joint = |i: usize| {
@@ -96,7 +96,7 @@ pub fn at_rest<const N: usize>(motor_angle: [f64; N]) -> Initial<N> {
     }
 }
 
-/// A sample, a voltage and a servo's reading at every eighth step of 0.125 ms.
+/// A clock with steps of 0.125 ms, and a sample, a tick and a servo reading every eighth step.
 pub fn clock(samples: usize) -> Clock {
     Clock {
         step: 1.25e-4,
@@ -107,21 +107,21 @@ pub fn clock(samples: usize) -> Clock {
     }
 }
 
-/// The two-link arm without gravity in its plane.
+/// The two-link arm without gravity.
 pub fn level(gears: [Law; 2]) -> Config<TwoLink<true>, 2> {
     let mut config = config::<TwoLink<true>, 2>(gears);
     config.arm.gravity = 0.0;
     config
 }
 
-/// The single joint without gravity in its plane.
+/// The single joint without gravity.
 pub fn level_joint(gear: Law) -> Config<OneLink, 1> {
     let mut config = config::<OneLink, 1>([gear]);
     config.arm.gravity = 0.0;
     config
 }
 
-/// Simulates by the programs of the arm.
+/// Simulates with the arm's programs.
 pub fn simulate<A: WithPrograms<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
@@ -130,7 +130,7 @@ pub fn simulate<A: WithPrograms<N>, const N: usize>(
     task.config.arm.programs().simulate(task, member, width)
 }
 
-/// Derivatives by the programs of the arm.
+/// Derivatives with the arm's programs.
 pub fn sensitivities<A: WithPrograms<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
@@ -146,7 +146,7 @@ pub fn sensitivities<A: WithPrograms<N>, const N: usize>(
     task.config.arm.programs().differentiate(&request, width)
 }
 
-/// Derivatives by dual numbers alone: slower, for every arm, and the reference for the others.
+/// Derivatives over dual numbers only: slower, for every arm; the reference for the other programs.
 pub fn by_duals<A: WithPrograms<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
@@ -161,7 +161,7 @@ pub fn by_duals<A: WithPrograms<N>, const N: usize>(
     (task.config.arm.programs().general.duals)(&request)
 }
 
-/// One run: samples every step, voltage held for `steps_per_tick` steps.
+/// One run: a sample every step, voltages held for `steps_per_tick` steps.
 pub struct Run<'a, A, const N: usize> {
     pub config: Config<A, N>,
     pub parameters: &'a [f64],
@@ -173,7 +173,7 @@ pub struct Run<'a, A, const N: usize> {
 }
 
 impl<A: WithPrograms<N>, const N: usize> Run<'_, A, N> {
-    /// The recorded quantities, one row a step.
+    /// The recorded quantities, one row per step.
     pub fn record(&self, quantities: &[Quantity]) -> Record<N> {
         self.record_on(quantities, Width::detect())
     }
@@ -227,7 +227,8 @@ pub fn scara(coulomb: f64, gravity: f64) -> Vec<f64> {
     values
 }
 
-/// Values of a size 20 gear for the effects that each joint of an arm has, put behind its own.
+/// Appends typical values of a size 20 gear for the effects of each joint to the joint's
+/// parameters.
 pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A, N>) -> Vec<f64> {
     let mut plain = plain.iter();
     let value = |(name, _): &(&'static str, Option<usize>)| match *name {

@@ -1,5 +1,4 @@
-//! Every controller: its law against what it should be in closed form, and derivatives of whole
-//! experiments in its loop.
+//! Controllers: control laws against closed forms, and derivatives of experiments in closed loop.
 
 use std::iter::zip;
 
@@ -11,6 +10,7 @@ use strainwave_core::arm::{OneLink, TwoLink};
 use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::program::Width;
 
+/// Servo period [s].
 const PERIOD: f64 = 1e-3;
 
 fn pi_velocity<const N: usize>(kp: f64, ki: f64) -> PiVelocity<N> {
@@ -23,7 +23,7 @@ fn pi_velocity<const N: usize>(kp: f64, ki: f64) -> PiVelocity<N> {
     }
 }
 
-/// Both kinds.
+/// Both kinds of servo.
 fn servos<const N: usize>() -> [Servo<N>; 2] {
     let velocity = pi_velocity(0.6, 9.0);
     let position_gain = [8.0; N];
@@ -69,7 +69,7 @@ fn a_limited_output_leaves_the_integral_as_it_is() {
         velocity.command(&mut memory, &[1e6], &[0.0], &[0.0]),
         [12.0]
     );
-    // as if that reading had not been: what held the arm before still does
+    // the limited reading has not changed the integral: the output holds the arm as before
     assert_eq!(velocity.command(&mut memory, &[0.0], &[0.0], &[0.0]), [5.0]);
 }
 
@@ -96,9 +96,9 @@ fn at_rest<const N: usize>() -> Initial<N> {
     }
 }
 
-/// A rigid joint with inertia J and viscous friction d under a constant reference r: the velocity
-/// loop ends at the velocity r; the position loop also ends on the path, with no lag but the one
-/// period that the encoder difference and the path differ by.
+/// A rigid joint with inertia J and viscous friction d under a constant reference r. The velocity
+/// loop settles at velocity r. The position loop also settles on the path, except for the delay of
+/// one period between encoder difference and path.
 #[test]
 fn loops_end_where_they_should() {
     let samples = 4000;
@@ -119,11 +119,11 @@ fn loops_end_where_they_should() {
         assert!((record[1][last][0] - 20.0).abs() < 1e-6);
         lags.push(1.0 + 20.0 * PERIOD * last as f64 - record[0][last][0]);
     }
-    assert!(lags[0] > 1e-3, "{lags:?}"); // a velocity loop does not catch up
+    assert!(lags[0] > 1e-3, "{lags:?}"); // a velocity loop does not remove the position error
     assert!(lags[1].abs() < 1e-5, "{lags:?}");
 }
 
-/// Derivatives through the loop, by the variational equations and by numbers with derivatives.
+/// Derivatives through the loop, by the variational equations and over dual numbers.
 #[test]
 fn derivatives_go_through_the_loop() {
     let samples = 300;
@@ -180,8 +180,8 @@ fn derivatives_go_through_the_loop() {
     }
 }
 
-/// By joint 1's stiffness, which no event of friction comes near at this step: a central difference
-/// of the plain experiment.
+/// Compares derivatives with respect to the stiffness of joint 1 with central differences of the
+/// plain experiment. No friction event is near the end of a step for these step sizes.
 fn by_differences(task: &Task<TwoLink<true>, 2>, member: &Member<'_, 2>, tangents: &[Vec<f64>]) {
     let size = 1e-4 * member.parameters[10];
     let [up, down] = [size, -size].map(|by| {

@@ -1,4 +1,4 @@
-//! What real gears and motors add, against what is known of it in closed form.
+//! Effects of gears and motors against closed forms.
 
 use crate::common::{
     Draw, LINEAR, RIGID, Run, at_rest, by_duals, clock, config, is_size, level, level_joint, scara,
@@ -12,7 +12,9 @@ use strainwave_core::joint::gear::Law;
 use strainwave_core::plant::config::Config;
 use strainwave_core::program::Width;
 
+/// Gear ratio.
 const N: f64 = 0.01;
+/// All effects at once.
 const ALL: EffectKinds = EffectKinds::ALL;
 
 fn none() -> EffectKinds {
@@ -25,7 +27,8 @@ fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink, 1> {
     config
 }
 
-/// A link so heavy that it is a wall, no damping: the motor alone moves, on its gear's spring.
+/// A link so heavy that it stands still, without damping: only the motor moves, on the spring of
+/// its gear.
 fn against_a_wall(effect: &[f64]) -> Vec<f64> {
     let (motor, k) = (1.5e-4, 20e3);
     [
@@ -35,7 +38,7 @@ fn against_a_wall(effect: &[f64]) -> Vec<f64> {
     .concat()
 }
 
-/// The first torque [N m] that breaks a motor away, raised by tenths of a percent.
+/// Smallest torque [N m] at which the motor breaks away, in steps of 0.1 %.
 fn break_away(gear: Law, effects: EffectKinds, friction: [f64; 2]) -> f64 {
     let spring: &[f64] = if gear.elastic { &[20e3, 5.0, 0.0] } else { &[] };
     let extra: &[f64] = if effects.stribeck {
@@ -74,7 +77,7 @@ fn a_motor_breaks_away_beyond_both_frictions_together() {
         assert!((found - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {found}");
         let plain = break_away(gear, none(), [0.06, 0.0]);
         assert!((plain - 0.06).abs() < 1.1e-3 * 0.06, "{gear:?} {plain}");
-        // with no Coulomb friction at all it is the motor's only hold
+        // without Coulomb friction, Stribeck friction alone holds the motor
         let alone = break_away(gear, stribeck, [0.0, 0.02]);
         assert!((alone - 0.02).abs() < 1.1e-3 * 0.02, "{gear:?} {alone}");
     }
@@ -87,7 +90,8 @@ fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
         ..none()
     };
     let (viscous, coulomb, more, speed) = (1e-2, 0.06, 0.02, 3.0);
-    // enough viscous friction for the whole to rise with speed, so that one speed balances
+    // enough viscous friction for the total to increase with speed, so that the equilibrium is
+    // unique
     let parameters = [1.5, 0.0, 1.5e-4, viscous, coulomb, 0.0, 0.0, more, speed];
     for torque in [0.085, 0.09, 0.12] {
         let run = Run {
@@ -115,7 +119,7 @@ proptest! {
         ..ProptestConfig::default()
     })]
 
-    /// Between two reversals z(delta) = s - (s - z0) exp(-|delta - delta0| / delta_h).
+    /// Between two reversals, z(delta) = s - (s - z0) exp(-|delta - delta0| / delta_h).
     #[test]
     fn the_gear_draws_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, twist in 0.5e-3..2e-3f64) {
         let effects = EffectKinds { hysteresis: true, ..none() };
@@ -137,7 +141,7 @@ proptest! {
         for k in 1..=run.steps {
             let ends = [record[1][k - 1][0], record[1][k][0]];
             if ends[0] * ends[1] < 0.0 {
-                // The motion turned in between: a parabola tells where.
+                // the motion reversed within the step: locate the reversal with a parabola
                 let part = ends[0] / (ends[0] - ends[1]);
                 let top = delta(k - 1) + 0.5 * N * ends[0] * part * run.step;
                 let sign = ends[0].signum();
@@ -146,8 +150,8 @@ proptest! {
             }
             let sign = ends[1].signum();
             let closed = sign - (sign - branch.1) * (-(delta(k) - branch.0).abs() / width).exp();
-            // The parabola is off by h^3 / 12 of the twist's third derivative, 1e-10 rad: 3e-6 of
-            // the least width, for a gear that hysteresis stiffens a little.
+            // The error of the parabola is h^3 / 12 times the third derivative of the torsion,
+            // 1e-10 rad: 3e-6 of the smallest width, for a gear that hysteresis stiffens slightly.
             prop_assert!((z(k) - closed).abs() < 1e-5, "{k}: {} {closed}", z(k));
         }
         prop_assert!(reversals >= 10, "{reversals}");
@@ -181,7 +185,7 @@ proptest! {
         let acceleration = twisted[1][1][0] / 1e-7;
         let expected = -(N + slope) * 20e3 * twist / 1.5e-4;
         prop_assert!((acceleration - expected).abs() < 1e-6 * expected.abs());
-        // left to itself the link lies where the gear is not twisted, and nothing moves
+        // by default the link starts at zero torsion, and nothing moves
         let left = start(None);
         prop_assert!((left[2][0][0] - N * theta - off).abs() < 1e-15);
         prop_assert!(left[1][1][0].abs() < 1e-12);
@@ -207,8 +211,9 @@ fn telegraph(seed: u64, ticks: usize) -> Vec<[f64; 2]> {
         .collect()
 }
 
-/// Slope of the last state's error against step size, from 0.5 ms to 0.125 ms, on the mean over some
-/// voltages: in one of them an event of friction may be close to a step's end.
+/// Order of accuracy: slope of the final error over the step size from 0.5 ms to 0.125 ms, averaged
+/// over several voltages, because a friction event of one of them may be close to the end of a
+/// step.
 fn order(arm: &TwoLinks) -> f64 {
     let slopes: Vec<f64> = (1..=8).map(|seed| order_at(arm, seed)).collect();
     println!("{slopes:?}");
@@ -253,7 +258,7 @@ fn the_order_stays_four_but_for_the_hysteresis_reversals() {
         "{}",
         order(&two_links(smooth))
     );
-    // The stages within a step see a reversal at the accuracy of a stage: order three.
+    // The stages of a step resolve a reversal with the accuracy of a stage only: order three.
     let reversals = EffectKinds {
         hysteresis: true,
         ..smooth
@@ -265,7 +270,7 @@ fn the_order_stays_four_but_for_the_hysteresis_reversals() {
     );
 }
 
-/// A voltage that lags acts by its mean over a step.
+/// A drive lag acts through the mean voltage of a step.
 #[test]
 fn the_order_of_a_lag_is_two_between_the_events_of_friction() {
     let lag = EffectKinds {
@@ -329,7 +334,7 @@ fn the_baseline_gives_arms_with_effects_the_same_motion() {
     let [fused, portable] = [Width::detect(), Width::Portable]
         .map(|width| simulate(&task, &member, width).expect("finite").remove(0));
     for (a, b) in fused.as_flattened().iter().zip(portable.as_flattened()) {
-        assert!((a - b).abs() < 1e-8 * (1.0 + a.abs())); // rounding, grown over 0.1 s
+        assert!((a - b).abs() < 1e-8 * (1.0 + a.abs())); // rounding, amplified over 0.1 s
     }
 }
 
@@ -363,7 +368,7 @@ fn impossible_effects_are_refused() {
     }
 }
 
-/// Every effect alone: derivatives by its parameters, by numbers with derivatives, against central
+/// Each effect alone: derivatives with respect to its parameters over dual numbers, against central
 /// differences of the plain simulation.
 #[test]
 fn derivatives_by_every_effects_parameters_are_differences() {
@@ -413,7 +418,7 @@ fn derivatives_by_every_effects_parameters_are_differences() {
     }
 }
 
-/// Derivatives by the sizes of effects that are not there, against a little of the effect.
+/// Derivatives with respect to effect sizes of zero, against one-sided differences.
 #[test]
 fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
     for effect in effects::DECLARED {
@@ -471,7 +476,7 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
     }
 }
 
-/// A rigid joint on a ground spring swings about where the spring and its preload balance.
+/// A rigid joint on a ground spring oscillates about the equilibrium of spring and preload.
 #[test]
 fn a_ground_spring_swings_about_its_balance() {
     let effects = EffectKinds {
@@ -479,7 +484,7 @@ fn a_ground_spring_swings_about_its_balance() {
         ..none()
     };
     let (inertia, stiffness, preload) = (0.5, 8.0, -2.0);
-    let motor = 1e-4; // reflected by the square of 0.01: 1 kg m^2
+    let motor = 1e-4; // times the inverse gear ratio squared, 1e4: 1 kg m^2
     let parameters = [inertia, 0.0, motor, 0.0, 0.0, 0.0, 0.0, stiffness, preload];
     let run = Run {
         config: one_link(RIGID, effects),
@@ -498,7 +503,7 @@ fn a_ground_spring_swings_about_its_balance() {
     }
 }
 
-/// An arm without gravity whose links are tilted upright is the upright arm.
+/// An arm without gravity but with `tilt` effects moves as the upright arm.
 #[test]
 fn a_tilt_of_a_right_angle_is_gravity() {
     let tilted = EffectKinds {
@@ -542,14 +547,14 @@ fn a_tilt_of_a_right_angle_is_gravity() {
         for (k, scale) in [1.0, 50.0].into_iter().enumerate() {
             let rows = found[k].as_flattened().iter();
             for (own, other) in rows.zip(expected[k].as_flattened()) {
-                // rounding, grown over 0.1 s
+                // rounding, amplified over 0.1 s
                 assert!((own - other).abs() < 1e-8 * scale, "{own} {other}");
             }
         }
     }
 }
 
-/// A rigid joint and a part on a spring, pushed by a constant torque, have one mode in closed form.
+/// A rigid joint with a flexible part under a constant torque has one mode in closed form.
 #[test]
 fn a_flexible_link_rings_beside_its_joint() {
     let flexible = EffectKinds {
@@ -557,7 +562,7 @@ fn a_flexible_link_rings_beside_its_joint() {
         ..none()
     };
     let (own, part, hz) = (1.5, 0.6, 25.0);
-    let motor = 1e-4; // reflected by the square of 0.01: 1 kg m^2
+    let motor = 1e-4; // times the inverse gear ratio squared, 1e4: 1 kg m^2
     let parameters = [own - 1.0, 0.0, motor, 0.0, 0.0, 0.0, 0.0, part, hz, 1e-12];
     let run = Run {
         config: one_link(RIGID, flexible),
@@ -579,11 +584,11 @@ fn a_flexible_link_rings_beside_its_joint() {
         let swung = 0.5 * t * t - (1.0 - (omega * t).cos()) / (omega * omega);
         let expected = pushed * (0.5 * t * t - share * swung);
         let off = (record[0][k][0] - expected).abs();
-        assert!(off < 1e-8, "{k}: {off:e}"); // (w h)^4 of the mode's 2e-4 rad
+        assert!(off < 1e-8, "{k}: {off:e}"); // (w h)^4 times the mode's amplitude of 2e-4 rad
     }
 }
 
-/// A part that hardly gives way is inertia of its link, felt by both joints.
+/// A stiff flexible part acts as inertia of its link, at both joints.
 #[test]
 fn a_stiff_part_is_inertia_of_its_link() {
     let flexible = EffectKinds {
@@ -619,13 +624,13 @@ fn a_stiff_part_is_inertia_of_its_link() {
             let off = one.iter().zip(other).map(|(a, b)| (a[i] - b[i]).abs());
             off.fold(0.0, f64::max)
         };
-        // the gears' modes, at 30 Hz, are some thousandth of its own squared
+        // the squared frequency of the gears' modes, 30 Hz, is a few thousandths of the part's
         assert!(apart(&stiff, &heavy) < 0.01 * apart(&light, &heavy), "{i}");
     }
 }
 
-/// A link on a gear whose motor does not move rings with its base: two modes in closed form, from
-/// where the base bears the gear's torque at rest.
+/// A link on its gear, with the motor at rest, oscillates with its base: two modes in closed form,
+/// starting with the base in equilibrium with the gear torque.
 #[test]
 fn a_soft_base_rings_with_its_link() {
     let soft = EffectKinds {
@@ -649,7 +654,8 @@ fn a_soft_base_rings_with_its_link() {
         steps: 4000,
     };
     let record = run.record(&[Quantity::LinkAngle, Quantity::GearTorque]);
-    // angles of link and base times the roots of their inertias obey x'' = -[[a, b], [b, d]] x
+    // angles of link and base, scaled by the roots of their inertias, obey x'' = -[[a, b], [b, d]]
+    // x
     let base = 1.0 / (compliance * (std::f64::consts::TAU * hz).powi(2));
     let (a, b) = (k / link, -k / (link * base).sqrt());
     let d = (k + 1.0 / compliance) / base;
@@ -666,14 +672,14 @@ fn a_soft_base_rings_with_its_link() {
         let [one, other] = [slow, fast].map(|square| (square.sqrt() * t).cos());
         let x = [0, 1].map(|i| of_slow[i] * (one - other) + scaled[i] * other);
         let [psi, phi] = [x[0] / link.sqrt(), x[1] / base.sqrt()];
-        // (w h)^4 of 0.4 s at 60 Hz
+        // error (w h)^4 over 0.4 s at 60 Hz
         assert!((record[0][step][0] - psi).abs() < 1e-6 * begin, "{step}");
         let torque = k * (phi - psi);
         assert!((record[1][step][0] - torque).abs() < 1e-5, "{step}");
     }
 }
 
-/// A base that turns without delay is compliance of its gear, at rest and in motion.
+/// A light base acts as compliance of the gear, at rest and in motion.
 #[test]
 fn a_light_base_is_compliance_of_its_gear() {
     let soft = EffectKinds {
@@ -684,11 +690,11 @@ fn a_light_base_is_compliance_of_its_gear() {
     let mut standing = plain;
     standing.joints[0].effects = soft;
     let mut stiff = scara(0.0, 1.0);
-    stiff[11] = 2.0; // gear_damping: so little that both dampers make one to first order
+    stiff[11] = 2.0; // gear_damping: small, so that both dampings add to first order
     let compliance = 1e-5;
     let mut softer = stiff.clone();
     softer[10] = 1.0 / (1.0 / stiff[10] + compliance);
-    // of the torsion's rate a share is the gear's, the rest that of the base
+    // the torsion rate is divided between gear and base
     let (hz, damping) = (1500.0, 0.5);
     let of_base = 2.0 * damping / (std::f64::consts::TAU * hz * compliance);
     let share = softer[10] / stiff[10];
@@ -719,8 +725,8 @@ fn a_light_base_is_compliance_of_its_gear() {
     assert!(apart(&light, &softer) < 0.01 * apart(&stiff, &softer));
 }
 
-/// Torque [N m] of a motor whose drive makes 0.1 N m of a volt, but for one effect, at voltages that
-/// are commanded one after the other.
+/// Motor torque [N m] at voltages commanded in succession, with one effect of the drive and a
+/// torque of 0.1 N m per volt.
 fn driven<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K] {
     let mut effects = none();
     assert!(effects.add(name));
@@ -761,7 +767,7 @@ fn a_drive_makes_less_or_more_of_a_voltage() {
     }
 }
 
-/// A motion does not depend on how often a voltage that stays the same is commanded.
+/// The motion does not depend on how often a constant voltage is commanded.
 #[test]
 fn a_lag_knows_no_ticks() {
     let lag = EffectKinds {
@@ -787,7 +793,8 @@ fn a_lag_knows_no_ticks() {
     assert_eq!(run(16), run(4));
 }
 
-/// A lag of one tick leaves 1/e of every jump, and 1 - 1/e of it on the mean.
+/// A lag of one tick leaves 1/e of each step of the voltage at the end of the tick, and 1 - 1/e of
+/// it on average.
 #[test]
 fn a_drive_follows_its_voltage_late() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
@@ -800,7 +807,7 @@ fn a_drive_follows_its_voltage_late() {
     }
 }
 
-/// A gear with a dead band passes its damping's torque alone within it.
+/// Within its dead band a gear transmits only the torque of its damping.
 #[test]
 fn a_dead_band_is_felt_by_nothing() {
     let effects = EffectKinds {
@@ -836,14 +843,15 @@ fn a_dead_band_is_felt_by_nothing() {
     assert!(within > 5 && beyond > 5);
 }
 
-/// Dry friction that the gear's load raises: what breaks a loaded motor away.
+/// Break-away torque of a loaded motor with load-dependent friction.
 #[test]
 fn a_load_holds_its_motor() {
     let effects = EffectKinds {
         load_friction: true,
         ..none()
     };
-    // the link is a wall 0.02 rad of the motor away, 20 kN m/rad: 4 N m, at the motor 0.04
+    // torsion 0.02 rad motor side of a gear with 20 kN m/rad: 4 N m at the link, 0.04 N m at the
+    // motor
     let parameters = [1e12, 0.0, 1.5e-4, 0.0, 0.01, 0.0, 0.0, 20e3, 0.0, 0.0, 0.5];
     let breaks = |torque: f64| {
         let mut initial = at_rest([0.02]);

@@ -1,5 +1,5 @@
-//! A law of gears that the crate does not know, as a user of the crate would add one: it simulates
-//! and has its derivatives without a change anywhere else.
+//! A gear law defined outside the core crate, as a user would add one. Simulation and derivatives
+//! work without changes to the crate.
 
 use std::iter::zip;
 
@@ -70,8 +70,9 @@ impl<R: Real> Spring<R> for QuadraticSpring<R> {
     }
 }
 
+/// Integrator step [s].
 const STEP: f64 = 2e-5;
-/// link_inertia, gravity; motor; k, c, damping, settling time.
+/// link_inertia, gravity torque; motor; k, c, damping, settling time.
 const PARAMETERS: [f64; 11] = [0.2, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0, 9e3, 400.0, 0.0, 0.0];
 
 fn task() -> Task<OneLink, 1> {
@@ -94,7 +95,7 @@ fn task() -> Task<OneLink, 1> {
     }
 }
 
-/// Let go with the gear twisted.
+/// Release from a twisted gear.
 fn member<'a>(parameters: &'a [f64], still: &'a [[f64; 1]]) -> Member<'a, 1> {
     Member {
         parameters,

@@ -1,5 +1,4 @@
-//! Every law of gears: its torque against its energy, its derivatives and its inverse, and whole
-//! experiments with it.
+//! Gear laws: torque against energy, derivatives, inverse, and whole experiments.
 
 use std::iter::zip;
 
@@ -19,7 +18,7 @@ fn elastic() -> impl Iterator<Item = Law> {
     gear::known().into_iter().filter(|law| law.elastic)
 }
 
-/// Values that a size 20 gear might have, off by some tens of percent.
+/// Typical values of a size 20 gear, varied by some tens of percent.
 fn drawn(law: &Law, draw: &mut Draw) -> [f64; MOST_OF_A_LAW] {
     let mut values = [0.0; MOST_OF_A_LAW];
     for (value, parameter) in zip(&mut values, law.parameters) {
@@ -94,8 +93,8 @@ proptest! {
     }
 }
 
-/// An arm with every pair of laws, rigid gears among them: derivatives of what is recorded by the
-/// variational equations, where there are any, against numbers with derivatives all along.
+/// An arm with every pair of gear laws, including rigid gears: derivatives by the variational
+/// equations, where available, against dual numbers.
 #[test]
 fn arms_of_every_pair_of_laws_have_their_derivatives() {
     for first in gear::known() {

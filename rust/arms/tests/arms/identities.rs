@@ -1,4 +1,5 @@
-//! Laws that hold for every arm: energy, order of accuracy, one result at every width.
+//! Identities of every arm: energy balance, order of accuracy, and equal results at every register
+//! width.
 
 use crate::common::{
     BuiltIn, Draw, LINEAR, RIGID, Run, at_rest, config, level, scara, simulate, with_effects,
@@ -15,6 +16,7 @@ use strainwave_core::plant::rigid::{base_regressor, inverse_dynamics};
 use strainwave_core::plant::{Modes, Plant, State};
 use strainwave_core::program::Width;
 
+/// Quantities of the state of motors and links.
 const STATE: [Quantity; 4] = [
     Quantity::MotorAngle,
     Quantity::MotorVelocity,
@@ -29,7 +31,7 @@ fn telegraph<const N: usize>(seed: u64, ticks: usize, volts: f64) -> Vec<[f64; N
         .collect()
 }
 
-/// Largest relative distance of the last states at two step sizes.
+/// Largest relative difference of the final states for two step sizes.
 fn distance<A: WithPrograms<2>>(
     config: Config<A, 2>,
     parameters: &[f64],
@@ -68,7 +70,7 @@ impl<const N: usize> Last for Vec<Vec<[f64; N]>> {
     }
 }
 
-/// Slope of error against step size, from 0.5 ms to 0.125 ms.
+/// Order of accuracy: slope of the error over the step size, from 0.5 ms to 0.125 ms.
 fn order<A: WithPrograms<2>>(config: Config<A, 2>, parameters: &[f64]) -> f64 {
     let fine = 256;
     let coarse = distance(config, parameters, 4, fine);
@@ -95,7 +97,7 @@ fn the_order_is_four_through_sticking_and_slipping() {
     settling[20] = 1e-3;
     let found = order(config, &settling);
     assert!(found > 3.7, "{found}");
-    // The case does stick and slip.
+    // the case contains sticking and sliding
     let voltage = telegraph::<2>(7, 40, 8.0);
     let run = Run {
         config,
@@ -143,9 +145,9 @@ fn a_motor_that_settles_faster_and_faster_stops_at_once() {
 
 #[test]
 fn torques_that_jump_turn_settling_motors_within_the_step() {
-    // Without a current loop a voltage's change is a jump: a motor that slides one way is pushed the
-    // other, past all that friction holds, at the very beginning of a step. No torque here makes
-    // more than 3000 rad/s^2 at motor 1 and 9000 at motor 2.
+    // Without a current loop the torque jumps with the voltage. A sliding motor may be pushed in
+    // the other direction beyond the friction limit at the start of a step. The torques of this
+    // test cause at most 3000 rad/s^2 at motor 1 and 9000 rad/s^2 at motor 2.
     let mut config = level([LINEAR; 2]);
     config.joints[0].torque_per_volt = 0.08;
     config.joints[1].torque_per_volt = 0.03;
@@ -168,7 +170,8 @@ fn torques_that_jump_turn_settling_motors_within_the_step() {
     }
 }
 
-/// Energy now = energy at the start + work of the motors - losses, over a run sampled every step.
+/// Relative error of the energy balance: final energy = initial energy + work of the motors -
+/// dissipation, over a run sampled every step.
 fn energy_error<A: WithPrograms<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 {
     let mut quantities = STATE.to_vec();
     quantities.extend([
@@ -226,7 +229,7 @@ fn drawn_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
             .zip(&factors)
             .map(|(v, f)| v * f)
             .collect();
-        // gamma within what alpha and beta allow
+        // limit gamma to the range allowed by alpha and beta
         values[2] = values[2].min(0.8 * (values[0] * values[1]).sqrt());
         (values, seed)
     })
@@ -242,7 +245,7 @@ proptest! {
     #[test]
     fn energy_is_kept_by_smooth_arms((mut values, seed) in drawn_two_link()) {
         for joint in [5, 13] {
-            values[joint + 2] = 0.0; // no Coulomb friction: the power has no kinks
+            values[joint + 2] = 0.0; // no Coulomb friction, so the power has no kinks
         }
         let voltage = telegraph::<2>(seed, 1, 6.0);
         let run = Run {
@@ -267,8 +270,8 @@ proptest! {
                 parameters: &values, voltage: &voltage, steps_per_tick: 64,
                 initial: at_rest([10.0, 20.0]), step: 1.25e-4 / 4.0, steps: 6400,
             };
-            // Simpson's rule sees the kinks of friction's power and the jumps of an ideal current
-            // loop at the sampled instants only: hence the short step.
+            // Simpson's rule resolves kinks of the friction power and jumps of an ideal current
+            // loop at sampled instants only, so the step is short.
             let error = energy_error(&run);
             prop_assert!(error < 0.02, "{:?} {}", gears, error);
         }
@@ -276,8 +279,8 @@ proptest! {
 
     #[test]
     fn energy_is_kept_by_arms_with_every_effect((mut values, seed) in drawn_two_link(), few in any::<bool>()) {
-        // Hysteresis kept out, the power is smooth but for friction's jumps; the kinematic error
-        // must then neither give nor take.
+        // Without hysteresis the power is smooth except for friction jumps; the kinematic error
+        // must neither add nor remove energy.
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         for (i, joint) in config.joints.iter_mut().enumerate() {
             joint.effects = EffectKinds::ALL;
@@ -285,8 +288,8 @@ proptest! {
             joint.effects.hysteresis = !few;
             joint.effects.load_friction = !few;
             joint.effects.backlash = !few;
-            joint.effects.drive_lag = !few; // its torque goes by steps
-            // no record has the motion of the link's part or of the base
+            joint.effects.drive_lag = !few; // its torque is piecewise constant
+            // recordings do not contain the motion of the flexible part or the base
             joint.effects.flexible_link = false;
             joint.effects.soft_base = false;
             values[5 + 8 * i + 2] *= f64::from(u8::from(!few));
@@ -301,8 +304,7 @@ proptest! {
         prop_assert!(error < if few { 1e-6 } else { 0.02 }, "{}", error);
     }
 
-    /// A free arm on soft bases of whose links parts swing by themselves: its energy goes into all
-    /// their dampers.
+    /// A free arm on soft bases with flexible links: all energy is dissipated in the dampers.
     #[test]
     fn energy_is_kept_by_flexible_links_and_soft_bases((mut values, seed) in drawn_two_link()) {
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
@@ -335,7 +337,7 @@ proptest! {
             let now = plant.instant(&x, &none, &modes);
             x = plant.runge_kutta(&x, &now, &torque, &modes, step, &mut ());
             let power = plant.dissipation(&x, &modes);
-            // Simpson's rule over pairs of steps: middle 4/3, ends 1/3 each
+            // Simpson's rule over pairs of steps: weight 4/3 in the middle, 1/3 at each end
             lost += step / 3.0 * if k % 2 == 1 { before + 4.0 * power } else { power };
             before = power;
         }
@@ -389,7 +391,7 @@ proptest! {
         let [portable, fused] = [Width::Portable, Width::detect()]
             .map(|width| simulate(&task, &member, width).expect("finite").map_last());
         for (a, b) in portable.iter().zip(&fused) {
-            // Rounding differs (fused or not), and grows little over 0.1 s.
+            // Rounding differs (fused or not) and is amplified little over 0.1 s.
             prop_assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()));
         }
     }
@@ -399,7 +401,8 @@ proptest! {
         factors in prop::collection::vec(-1.0..1.0f64, 21), seed in any::<u64>(),
         kinds in prop::array::uniform2(0usize..2), volts in 0.0..20.0f64,
     ) {
-        // Every parameter within a factor of ten of a real one; friction up to a hundred times.
+        // Parameters are within a factor of ten of typical values; friction is up to a hundred
+        // times larger.
         let mut values: Vec<f64> = scara(1.0, 1.0).iter().zip(&factors).map(|(v, f)| v * 10f64.powf(*f)).collect();
         values[2] = values[2].min(0.9 * (values[0] * values[1]).sqrt());
         for joint in [5, 13] {
@@ -457,7 +460,8 @@ fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
 
 #[test]
 fn friction_holds_an_arm_up_for_good() {
-    // A single vertical link whose gravity torque, 0.3 N m at the motor's side, is below friction.
+    // A link in a vertical plane whose gravity torque, 0.3 N m at the motor, is below the friction
+    // limit.
     let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0, 0.0];
     let run = Run {
         config: config::<OneLink, 1>([LINEAR]),
@@ -471,7 +475,7 @@ fn friction_holds_an_arm_up_for_good() {
     let record = run.record(&STATE);
     for k in 0..=run.steps {
         assert_eq!((record[0][k][0], record[1][k][0]), (0.0, 0.0));
-        assert!(record[3][k][0].abs() < 1e-12); // the link hangs on its spring, at rest
+        assert!(record[3][k][0].abs() < 1e-12); // the link is at rest on its spring
     }
     let sag = -record[2][0][0];
     assert!((sag * 20e3 - 30.0 * sag.cos()).abs() < 1e-10);

@@ -1,6 +1,6 @@
 //! Compiled arms against closed forms, identities and differences.
 //!
-//! One binary: programs are linked once.
+//! The tests are one binary, so that the programs are linked once.
 
 mod analytic;
 mod common;

@@ -1,4 +1,4 @@
-//! Derivatives of whole experiments against differences of the plain simulation.
+//! Derivatives of experiments against differences of the plain simulation.
 
 use std::iter::zip;
 
@@ -16,6 +16,7 @@ use strainwave_core::plant::config::Config;
 use strainwave_core::program::Width;
 use strainwave_core::sensitivity::Sensitivities;
 
+/// Quantities whose derivatives are checked.
 const RECORDED: [Quantity; 17] = [
     Quantity::MotorAngle,
     Quantity::MotorVelocity,
@@ -35,13 +36,14 @@ const RECORDED: [Quantity; 17] = [
     Quantity::AngularRate,
     Quantity::Sliding,
 ];
+/// Index of the friction modes in [`RECORDED`].
 const SLIDING: usize = 16;
 
-/// An experiment that a test draws.
+/// A random experiment.
 struct Case<A, const N: usize> {
     task: Task<A, N>,
     parameters: Vec<f64>,
-    /// How large each parameter is as a rule, where it is not nothing.
+    /// Typical size of each parameter if it is not zero.
     usual: Vec<f64>,
     initial: Initial<N>,
     voltage: Vec<[f64; N]>,
@@ -49,13 +51,13 @@ struct Case<A, const N: usize> {
 }
 
 impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
-    /// A drawn arm: a two-link or one-link arm of the built-in one's size, off by some tens of
+    /// A random arm: a two-link or one-link arm with the built-in parameters varied by some tens of
     /// percent, under random telegraph voltages or a servo.
     fn drawn(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
         Self::drawn_with(EffectKinds::default(), gears, seed, servo, steps)
     }
 
-    /// The same with effects, but for those that a rigid gear cannot have.
+    /// A random arm with effects, except those that a rigid gear cannot have.
     fn drawn_with(
         effects: EffectKinds,
         gears: [Law; N],
@@ -126,7 +128,8 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         }
     }
 
-    /// The same arm without the effects, whose sizes it may still be asked about.
+    /// The same arm with all effect sizes zero; derivatives with respect to the sizes remain
+    /// available.
     fn without_effects(mut self) -> Self {
         for (value, (name, _)) in zip(&mut self.parameters, self.task.config.parameter_names()) {
             if crate::common::is_size(name) {
@@ -138,7 +141,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
 
     /// All parameters and all initial states.
     fn directions(&self) -> Vec<Source> {
-        // a motor that stops at once does so for good: its time has no derivative
+        // without a settling time a motor stops instantly, and its time has no derivative
         let names = self.task.config.parameter_names();
         let stops = |k: &usize| names[*k].0 == "friction_settling_time";
         let varied = |k: &usize| !stops(k) || self.parameters[*k] > 0.0;
@@ -168,7 +171,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         sensitivities(&self.task, &member, directions, width).expect("finite")
     }
 
-    /// The plain experiment with one number changed.
+    /// The plain experiment with one parameter or initial state changed.
     fn moved(&self, source: Source, by: f64, hanging: &[f64; N]) -> Record<N> {
         let (mut parameters, mut initial) = (self.parameters.clone(), self.initial);
         match source {
@@ -186,7 +189,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         simulate(&self.task, &member, Width::detect()).expect("finite")
     }
 
-    /// What changes the motion by about as much as `part` of a parameter does.
+    /// Change of a parameter or initial state by `part` of its typical size.
     fn size(&self, source: Source, part: f64) -> f64 {
         part * match source {
             Source::Parameter(k) => self.usual[k].abs(),
@@ -198,7 +201,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
 }
 
 impl Case<TwoLink<true>, 2> {
-    /// The same arm without gravity in its plane.
+    /// The same arm without gravity.
     fn level(mut self) -> Self {
         self.task.config.arm.gravity = 0.0;
         self
@@ -276,15 +279,16 @@ fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut
         .collect()
 }
 
-/// Powers of ten by which differences' steps are shorter than what they vary.
+/// Step lengths of the differences: 10^-2 to 10^-7 of the typical size of the varied quantity.
 const DIGITS: std::ops::RangeInclusive<i32> = 2..=7;
 
-/// Checks every derivative against differences, relative to the largest of its column, and gives
-/// the share of the directions that could be checked.
+/// Checks every derivative against differences, relative to the largest entry of its column.
+/// Returns the share of directions that could be checked.
 ///
-/// The knees' rounded corners bend abruptly, so a difference over a long step can miss what one
-/// over a short step sees, which has more rounding: one of several lengths must agree. A direction
-/// is left out where all but the shortest change in which step a motor sticks or slips.
+/// At the rounded knees the slopes change rapidly: a difference over a long step misses the change,
+/// and one over a short step has more rounding. The derivative must agree with one of several step
+/// lengths. A direction is omitted if all steps but the shortest change the step in which a motor
+/// sticks or slides.
 fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
     let directions = case.directions();
     let found = case.follow(&directions, Width::detect());
@@ -310,13 +314,13 @@ fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64
     checked.count() as f64 / directions.len() as f64
 }
 
-/// What rounding may add to a difference of one quantity, times the step's length.
+/// Bound of the rounding error of a difference of one quantity, times the step length.
 ///
-/// A servo's loop can double it every few of its readings: a voltage has been seen off by 6e-11 of
-/// its largest, from differences that grew as the steps were made shorter. So it is measured. Over
-/// the shortest steps the eighth differences of a motion hold nothing else; they add up rounding of
-/// some deviation s to sqrt(12870) s, the slopes to 1.2 s. The largest of all rows and directions
-/// stands for some deviations.
+/// A servo loop can double the rounding error every few readings: voltages differed by 6e-11 of
+/// their maximum, and the error of the differences grew with shorter steps. The bound is therefore
+/// measured. For the shortest steps, eighth differences contain only rounding. Rounding with
+/// standard deviation s gives eighth differences with standard deviation sqrt(12870) s and slopes
+/// with 1.2 s. The maximum over all rows and directions represents several standard deviations.
 fn rounding<A: WithPrograms<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
@@ -341,7 +345,7 @@ fn rounding<A: WithPrograms<N> + BuiltIn, const N: usize>(
     found
 }
 
-/// One direction's derivatives.
+/// Derivatives in one direction.
 fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64; N]> {
     tangents
         .chunks(N * width)
@@ -349,10 +353,11 @@ fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64
         .collect()
 }
 
-/// The largest distance from the nearest difference, relative to the largest of each column; what
-/// the rounding of the values does to a difference is not counted, nor what differences over steps
-/// of successive lengths are apart where they agree best: near a corner even the shortest may not
-/// have settled.
+/// Largest distance from the closest difference, relative to the largest entry of each column.
+///
+/// Two contributions are subtracted: the rounding error of a difference, and the smallest change
+/// between differences over successive step lengths, because near a knee even the shortest step may
+/// not have converged.
 fn distance<const N: usize>(
     own: &[[f64; N]],
     differences: &[Differences<N>],
@@ -383,17 +388,17 @@ fn distance<const N: usize>(
     worst
 }
 
-/// Central differences over steps of one length.
+/// Central differences for one step length.
 struct Differences<const N: usize> {
     size: f64,
-    /// Of eighth order.
+    /// Differences of eighth order.
     slopes: Record<N>,
-    /// The eighth differences, not divided by anything.
+    /// Eighth differences, not divided by the step length.
     eighth: Record<N>,
 }
 
 impl<const N: usize> Differences<N> {
-    /// Nothing where the pattern of sliding changes.
+    /// Differences for a step length; `None` if the pattern of sliding changes.
     fn of<A: WithPrograms<N> + BuiltIn>(
         case: &Case<A, N>,
         direction: Source,
@@ -441,8 +446,9 @@ fn add<const N: usize>(sum: &mut Record<N>, weight: f64, record: &Record<N>) {
     }
 }
 
-/// The largest distance of two answers, relative to the largest of each column or, where that is
-/// nothing but rounding, to a hundredth of a percent of what would double the value.
+/// Largest distance between two results, relative to the largest entry of each column. The scale is
+/// at least 1e-4 of the value per typical size of the direction, because smaller columns contain
+/// only rounding.
 fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
@@ -468,7 +474,7 @@ fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
     worst
 }
 
-/// The way through the variational equations against numbers with derivatives all along.
+/// Compares derivatives by the variational equations with derivatives over dual numbers.
 fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
     let directions = case.directions();
@@ -476,8 +482,8 @@ fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let slow = by_duals(&case.task, &member, &directions).expect("finite");
     let fast = case.follow(&directions, width);
     assert_eq!(slow.values, fast.values);
-    // Numbers with derivatives take a twist's as the difference of two that are 10^5 times as
-    // large, and a servo's loop can double the rounding every few reversals.
+    // Dual numbers compute the derivative of a torsion as the difference of two numbers that are
+    // 10^5 times as large, and a servo loop can double the rounding error every few reversals.
     let off = apart(case, &directions, [&slow, &fast]);
     assert!(off < 1e-6, "{off:e}");
     for other in [Width::Portable, Width::Avx2] {
@@ -497,7 +503,7 @@ fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     }
 }
 
-/// The shortest steps that leave the pattern of sliding alone still meet a corner here.
+/// In this case the shortest steps that keep the pattern of sliding still reach a knee.
 #[test]
 fn where_differences_have_not_settled() {
     let kinds = EffectKinds {
@@ -513,7 +519,7 @@ fn where_differences_have_not_settled() {
     ));
 }
 
-/// The torsion of a gear at rest is nothing but rounding here, of either sign.
+/// In this case the torsion of a gear at rest is rounding only, of either sign.
 #[test]
 fn where_a_gear_at_rest_has_a_dead_band_of_no_width() {
     let gears = [THREE_SLOPE, LINEAR];
@@ -523,7 +529,7 @@ fn where_a_gear_at_rest_has_a_dead_band_of_no_width() {
     check_ways(&arm.without_effects());
 }
 
-/// A servo's loop blows up the rounding of the voltages here, and with it what differences can tell.
+/// In this case the servo loop amplifies the rounding error of the voltages and of the differences.
 #[test]
 fn where_a_servo_amplifies_rounding() {
     check(&Case::<TwoLink<true>, 2>::drawn(
@@ -534,7 +540,7 @@ fn where_a_servo_amplifies_rounding() {
     ));
 }
 
-/// A planar arm and the same as a chain, in one experiment.
+/// Compares a planar arm with the equivalent chain in one experiment.
 ///
 /// With masses m, first moments h and inertias I of the links, alpha = I_1 + m_2 l^2, beta = I_2,
 /// gamma = l h_2, G_1 = g (h_1 + m_2 l) and G_2 = g h_2.
@@ -584,7 +590,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
     let (of_planar, of_chain) = (planar.directions(), chain.directions());
     let one = planar.follow(&of_planar, width);
     let other = chain.follow(&of_chain, width);
-    // what each parameter of the chain is made of
+    // derivative of the planar parameters with respect to each parameter of the chain
     let made_of = |k: usize| match k {
         1 => vec![(3, g)],
         9 => vec![(0, 1.0)],
@@ -622,7 +628,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
             let sums = sum.as_flattened().iter();
             let scale = sums.fold(1e-9 * largest, |a, x| a.max(x.abs()));
             for (own, sum) in zip(own.as_flattened(), sum.as_flattened()) {
-                // as far as two ways to the same derivative are apart, see `check_ways`
+                // same tolerance as between two methods, see `check_ways`
                 assert!(
                     (own - sum).abs() <= 1e-6 * scale,
                     "{direction:?} {:?}",
@@ -634,7 +640,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
 }
 
 const ALL: EffectKinds = EffectKinds::ALL;
-/// Those whose forces have no corners, which differences would trip over.
+/// Effects whose torques have no kinks, for which differences are accurate.
 const SMOOTH: EffectKinds = EffectKinds {
     load_friction: false,
     backlash: false,
@@ -654,7 +660,7 @@ proptest! {
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([other, one], seed, servo, 240)));
         shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, RIGID], seed, servo, 240)));
         shares.push(check(&Case::<OneLink, 1>::drawn([one], seed, servo, 240)));
-        // Most draws leave the events where they are.
+        // Most draws do not change the friction events.
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 
