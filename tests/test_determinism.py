@@ -1,4 +1,4 @@
-"""The same input gives the same result.json but for time and paths, whatever runs how many."""
+"""The same input gives the same result.json except time and paths, for any number of threads."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Importing stays cheap, and the version is reported once."""
+"""Importing is cheap, and all files state the same version."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ HEAVY = ["numpy", "scipy", "pyarrow", "pydantic", "plotly", "jinja2", "rich", "h
 
 def modules_after(statement: str) -> set[str]:
     code = f"{statement}; import json, sys; print(json.dumps(sorted(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return set(json.loads(done.stdout))
+    process = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    return set(json.loads(process.stdout))
 
 
 def test_the_package_imports_nothing_heavy() -> None:

@@ -1,4 +1,4 @@
-"""Every option changes what its stage finds, and a run hands each to its stage."""
+"""Every option changes the result of its stage, and a run passes each option to its stage."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def excited(name: str, use: Any, amplitude: float) -> Experiment:
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The study file of a single elastic joint: motion, two frequency records, a sweep, a step."""
+    """Study file of a single elastic joint: motion, two PRBS records, a sweep and a step record."""
     folder = tmp_path_factory.mktemp("small")
     study = Study(
         path=folder / "study.toml",
@@ -91,8 +91,8 @@ def motion() -> tuple[Study, Any]:
 
 
 def rigid_with(options: RigidOptions) -> Any:
-    study, seen = motion()
-    return rigid.fit([seen], Arm.of(study.arm), options).solution
+    study, motor_record = motion()
+    return rigid.fit([motor_record], Arm.of(study.arm), options).solution
 
 
 def links_with(options: LinkOptions) -> Any:
@@ -115,13 +115,13 @@ def state_space_with(options: LinearOptions) -> Any:
 
 
 def physical_with(options: PhysicalOptions) -> Any:
-    one = case(1, 1)
-    how = physical.RecordOptions(options, state_space=False)
-    found = physical.identify_record(
-        one.signals, one.decoupled, one.model, Arm.of(one.study.arm), how
+    record = case(1, 1)
+    record_options = physical.RecordOptions(options, state_space=False)
+    identification = physical.identify_record(
+        record.signals, record.decoupled, record.model, Arm.of(record.study.arm), record_options
     )
-    assert found.joint_model is not None
-    return np.array(list(found.joint_model.values.values()))
+    assert identification.joint_model is not None
+    return np.array(list(identification.joint_model.values.values()))
 
 
 OF_STAGES: dict[str, Callable[[Any], Any]] = {
@@ -159,7 +159,7 @@ CHANGES: dict[str, dict[str, Any]] = {
     },
 }
 BASIS: dict[tuple[str, str], Any] = {
-    # where another option must be there for one to act
+    # options that have an effect only together with another option
     ("responses", "transient_periods"): FrequencyOptions(inputs=1),
     ("statespace", "horizon"): LinearOptions(method="n4sid"),
     ("statespace", "filter"): LinearOptions(decimation=8),
@@ -168,8 +168,8 @@ BASIS: dict[tuple[str, str], Any] = {
 
 def test_every_option_has_a_change_here() -> None:
     for stage in fields(Options):
-        own = getattr(Options(), stage.name)
-        assert {f.name for f in fields(own)} == set(CHANGES[stage.name]), stage.name
+        stage_options = getattr(Options(), stage.name)
+        assert {f.name for f in fields(stage_options)} == set(CHANGES[stage.name]), stage.name
 
 
 @pytest.mark.parametrize(
@@ -177,21 +177,24 @@ def test_every_option_has_a_change_here() -> None:
 )
 def test_an_option_changes_what_its_stage_finds(stage: str, key: str) -> None:
     before = BASIS.get((stage, key), getattr(Options(), stage))
-    ends = [
-        OF_STAGES[stage](how) for how in (before, replace(before, **{key: CHANGES[stage][key]}))
+    outputs = [
+        OF_STAGES[stage](options)
+        for options in (before, replace(before, **{key: CHANGES[stage][key]}))
     ]
-    assert ends[0].shape != ends[1].shape or not np.allclose(ends[0], ends[1], rtol=1e-9)
+    assert outputs[0].shape != outputs[1].shape or not np.allclose(
+        outputs[0], outputs[1], rtol=1e-9
+    )
 
 
 @pytest.fixture(scope="module")
 def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
-    """The whole-arm fit of the small study from what its stages before found."""
+    """Whole-arm fit of the small study, started from the results of the earlier stages."""
     before = pipeline.identify(small, stages=("rigid", "decoupled"))
-    from_here = (read_logs(before.study), before.rigid, before.joints, Arm.of(before.study.arm))
-    usual = tuning.fitted(*from_here)
+    arguments = (read_logs(before.study), before.rigid, before.joints, Arm.of(before.study.arm))
+    default_fit = tuning.fitted(*arguments)
 
     def fit(options: TuningOptions) -> tuning.Fit:
-        return usual if options == TuningOptions() else tuning.fitted(*from_here, options)
+        return default_fit if options == TuningOptions() else tuning.fitted(*arguments, options)
 
     return fit
 
@@ -200,42 +203,51 @@ def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
 def test_an_option_changes_the_whole_arm_fit(
     key: str, begun: Callable[[TuningOptions], tuning.Fit]
 ) -> None:
-    ends = []
-    for how in (TuningOptions(), replace(TuningOptions(), **{key: CHANGES["tuning"][key]})):
-        fit = begun(how)
+    outputs = []
+    for options in (TuningOptions(), replace(TuningOptions(), **{key: CHANGES["tuning"][key]})):
+        fit = begun(options)
         values = fit.objective.space.values(fit.z)
-        ends.append((len(fit.z), fit.converged, [values[name] for name in sorted(TRUE, key=str)]))
-    assert ends[0][:2] != ends[1][:2] or not np.allclose(ends[0][2], ends[1][2], rtol=1e-9)
+        outputs.append(
+            (len(fit.z), fit.converged, [values[name] for name in sorted(TRUE, key=str)])
+        )
+    assert outputs[0][:2] != outputs[1][:2] or not np.allclose(
+        outputs[0][2], outputs[1][2], rtol=1e-9
+    )
 
 
 def test_what_is_held_stays_and_ranges_bind(begun: Callable[[TuningOptions], tuning.Fit]) -> None:
     free = begun(TuningOptions())
     start = begun(TuningOptions(max_iterations=1)).objective.space
-    first = start.values(np.zeros(len(start.unknowns)))
+    initial = start.values(np.zeros(len(start.unknowns)))
     k, d = ("gear_stiffness", 1), ("gear_damping", 1)
-    narrow = begun(TuningOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],)))
-    values = narrow.objective.space.values(narrow.z)
-    assert values[d] == first[d] != free.objective.space.values(free.z)[d]
-    assert abs(values[k] / first[k] - 1.0) <= 1.0001e-4
-    assert d not in narrow.objective.space.keys
+    constrained = begun(TuningOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],)))
+    values = constrained.objective.space.values(constrained.z)
+    assert values[d] == initial[d] != free.objective.space.values(free.z)[d]
+    assert abs(values[k] / initial[k] - 1.0) <= 1.0001e-4
+    assert d not in constrained.objective.space.keys
 
 
 def test_tuning_as_published(small: Path) -> None:
-    """Steps alone, in closed loop; Coulomb friction held, all else within half and twice."""
-    found = pipeline.identify(small, options=["tuning.as_published=true"])
-    arm, joint = found.tuned, found.joints[0]
+    """Fits only step records in closed loop.
+
+    Coulomb friction is held, and the other parameters stay between 0.5 and 2 times their start.
+    """
+    identification = pipeline.identify(small, options=["tuning.as_published=true"])
+    arm, joint = identification.tuned, identification.joints[0]
     assert arm is not None
     assert set(arm.fit_percent) == {"step"}
     names = {p.name for p in arm.parameters}
     assert not names & {"motor_coulomb_friction", "friction_offset", "friction_settling_time"}
-    coulomb = found.rigid.value("motor_coulomb_friction", 1) if found.rigid else None
+    coulomb = (
+        identification.rigid.value("motor_coulomb_friction", 1) if identification.rigid else None
+    )
     assert arm.values["motor_coulomb_friction", 1] == coulomb
     for name in ("motor_inertia", "link_inertia", "gear_stiffness", "gear_damping"):
         assert 0.4999 <= arm.values[name, 1] / joint.values[name] <= 2.0001, name
     assert arm.fit_percent["step"]["omega_m1"] > 95.0
     assert arm.values["motor_inertia", 1] == pytest.approx(1.5e-4, rel=0.05)
-    # the value that was held stands in the result, from the stage that found it
-    held = next(p for p in found.parameters if p.name == "motor_coulomb_friction")
+    # the result contains the held value, from the stage that estimated it
+    held = next(p for p in identification.parameters if p.name == "motor_coulomb_friction")
     assert held.stage != "tuned"
 
 
@@ -245,23 +257,23 @@ def test_tuning_as_published_needs_steps(small: Path, tmp_path: Path) -> None:
     study.write_text(text)
     for log in small.parent.glob("*.parquet"):
         (tmp_path / log.name).symlink_to(log)
-    found = pipeline.identify(study, options={"tuning": {"as_published": True}})
-    assert found.tuned is None
-    reasons = [w.message for w in found.warnings if w.code == "not-tuned"]
+    identification = pipeline.identify(study, options={"tuning": {"as_published": True}})
+    assert identification.tuned is None
+    reasons = [w.message for w in identification.warnings if w.code == "not-tuned"]
     assert any('use = "tuning"' in reason for reason in reasons)
 
 
 def test_the_published_route_runs_to_the_end(small: Path) -> None:
-    """State-space models of all records, (15) to (18), and the whole arm from there."""
-    found = pipeline.identify(small, options=["physical.route=transfer-function"])
-    (joint,) = found.joints
+    """State-space models of all records, (15) to (18), then the whole-arm fit."""
+    identification = pipeline.identify(small, options=["physical.route=transfer-function"])
+    (joint,) = identification.joints
     assert joint.method == "transfer-function"
     assert joint.experiments == ("prbs", "again")
-    assert all(record.physical is None and record.transfer for record in found.records)
+    assert all(record.physical is None and record.transfer for record in identification.records)
     for name in ("motor_inertia", "link_inertia", "gear_stiffness"):
         assert joint.values[name] == pytest.approx(TRUE[name, 1], rel=0.05), name
-    assert found.tuned is not None
-    assert found.tuned.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
+    assert identification.tuned is not None
+    assert identification.tuned.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
 
 
 def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -284,7 +296,7 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
     spy(physical, "fit_joint", PhysicalOptions)
     spy(physical, "fit_record", physical.RecordOptions)
     spy(tuning, "tune", TuningOptions)
-    chosen = Options(
+    run_options = Options(
         RigidOptions(4.0),
         LinkOptions(0.1),
         FrequencyOptions(segment=0.2),
@@ -292,41 +304,43 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
         PhysicalOptions(use_rigid=False),
         TuningOptions(max_iterations=1),
     )
-    found = pipeline.identify(small, options=chosen)
-    assert seen["fit"] == chosen.rigid
-    assert seen["link_side"] == chosen.links
-    assert seen["respond"] == chosen.responses
-    assert seen["fit_joint"] == chosen.physical
-    assert seen["fit_record"].linear == chosen.statespace
-    assert seen["fit_record"].physical == chosen.physical
-    assert seen["tune"] == chosen.tuning
-    document = json.loads(result.to_json(result.to_document(found)))
+    identification = pipeline.identify(small, options=run_options)
+    assert seen["fit"] == run_options.rigid
+    assert seen["link_side"] == run_options.links
+    assert seen["respond"] == run_options.responses
+    assert seen["fit_joint"] == run_options.physical
+    assert seen["fit_record"].linear == run_options.statespace
+    assert seen["fit_record"].physical == run_options.physical
+    assert seen["tune"] == run_options.tuning
+    document = json.loads(result.to_json(result.to_document(identification)))
     assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
     assert document["options"]["tuning"]["max_iterations"] == 1
     assert document["stages"]["rigid"]["bandwidth_hz"] == 4.0
 
 
 def test_sweep_records_have_models_responses_and_delays(small: Path) -> None:
-    found = pipeline.identify(small, stages=("rigid", "decoupled"))
-    document = json.loads(result.to_json(result.to_document(found)))
+    identification = pipeline.identify(small, stages=("rigid", "decoupled"))
+    document = json.loads(result.to_json(result.to_document(identification)))
     slow = next(e for e in document["stages"]["decoupled"] if e["experiment"] == "slow")
     model = slow["state_space"]
     assert model["status"] == "converged"
     assert model["resonance_hz"] == pytest.approx(slow["resonance_hz"], rel=0.05)
-    own = [r for r in document["stages"]["responses"] if r["experiments"] == ["slow"]]
-    (response,) = own
+    slow_responses = [r for r in document["stages"]["responses"] if r["experiments"] == ["slow"]]
+    (response,) = slow_responses
     f = np.array(response["frequency_hz"])
     (channel,) = [c for c in response["channels"] if c["output"] == "motor_velocity"]
     for part in ("re", "im", "noise_variance"):
         assert len(channel[part]) == len(f)
     assert min(channel["noise_variance"]) > 0.0
     coherence = np.array(response["coherence"]["motor_velocity"])
-    rings = (f > 5.0) & (f < 40.0)
-    assert np.median(coherence[rings]) > 0.8
-    # the dip of motor torque to motor velocity is where the model has its zeros
-    size = np.abs(np.array(channel["re"]) + 1j * np.array(channel["im"]))
-    low = (f > 0.7 * slow["anti_resonance_hz"]) & (f < 1.3 * slow["anti_resonance_hz"])
-    assert f[low][np.argmin(size[low])] == pytest.approx(slow["anti_resonance_hz"], rel=0.15)
+    in_band = (f > 5.0) & (f < 40.0)
+    assert np.median(coherence[in_band]) > 0.8
+    # the minimum of the response is at the zeros of the model
+    magnitude = np.abs(np.array(channel["re"]) + 1j * np.array(channel["im"]))
+    near_zero = (f > 0.7 * slow["anti_resonance_hz"]) & (f < 1.3 * slow["anti_resonance_hz"])
+    assert f[near_zero][np.argmin(magnitude[near_zero])] == pytest.approx(
+        slow["anti_resonance_hz"], rel=0.15
+    )
     link = next(e for e in document["stages"]["links"] if e["experiment"] == "slow")
     assert link["joint"] == 1
     assert link["source"] == "accelerometer"

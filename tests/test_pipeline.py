@@ -1,4 +1,4 @@
-"""The whole flow on logs of arms with known truth, made by another engine; and on real ones."""
+"""The pipeline on logs of arms with known parameters from another engine, and on measured logs."""
 
 from __future__ import annotations
 
@@ -20,46 +20,46 @@ from strainwave.virtual import scara
 
 @pytest.fixture(scope="session")
 def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, Any]]]:
-    """Identification and truth of a lab arm; each is made once."""
-    made: dict[str, tuple[Identification, dict[str, Any]]] = {}
+    """Identification and true values of a laboratory arm, computed once per arm."""
+    cache: dict[str, tuple[Identification, dict[str, Any]]] = {}
 
     def of(arm: str) -> tuple[Identification, dict[str, Any]]:
-        if arm not in made:
+        if arm not in cache:
             folder = shared_data / "lab" / arm
             found = pipeline.identify(folder / "study.toml")
-            made[arm] = found, json.loads((folder / "truth.json").read_text())
-        return made[arm]
+            cache[arm] = found, json.loads((folder / "truth.json").read_text())
+        return cache[arm]
 
     return of
 
 
 def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
-    """One arm, tuned on a short record: parts in order, evaluations counted up to their limit."""
+    """Parts are reported in order, and evaluations count up to their limit."""
     study = scara.study(tmp_path, "linear")
     short = [replace(e, prbs=Prbs(8, 1e-3, 2, 10.0)) if e.prbs else e for e in study.experiments]
-    chosen = [e for e in short if e.use in ("motion", "frequency")]
-    study = replace(study, experiments=tuple(chosen))
+    used = [e for e in short if e.use in ("motion", "frequency")]
+    study = replace(study, experiments=tuple(used))
     virtual.simulate_study(study, scara.parameters(5, "linear"), tmp_path, as_recorded=False)
     events: list[ProgressEvent] = []
-    found = pipeline.identify(tmp_path / "study.toml", progress=events.append)
-    pipeline.write(found, tmp_path / "out", progress=events.append)
-    said = [str(event) for event in events]
+    identification = pipeline.identify(tmp_path / "study.toml", progress=events.append)
+    pipeline.write(identification, tmp_path / "out", progress=events.append)
+    texts = [str(event) for event in events]
     fractions = [event.fraction for event in events]
     assert fractions[0] == 0.0
     assert fractions == sorted(fractions)
     assert fractions[-1] < 1.0
-    places = [int(text.split(" of ")[0]) for text in said]
-    assert places == sorted(places)
-    assert said[0] == "1 of 8: reading the logs"
-    assert said[-1] == "8 of 8: writing the report"
-    counts = [re.search(r"evaluation (\d+) of at most (\d+)", text) for text in said]
-    assert found.tuned is not None
+    parts = [int(text.split(" of ")[0]) for text in texts]
+    assert parts == sorted(parts)
+    assert texts[0] == "1 of 8: reading the logs"
+    assert texts[-1] == "8 of 8: writing the report"
+    counts = [re.search(r"evaluation (\d+) of at most (\d+)", text) for text in texts]
+    assert identification.tuned is not None
     evaluations = [int(match[1]) for match in counts if match]
     assert evaluations[:3] == [1, 2, 3]
     limits = [int(match[2]) for match in counts if match]
     assert limits[0] == 100
-    assert all(n <= most for n, most in zip(evaluations, limits, strict=True))
-    assert evaluations[-1] >= found.tuned.iterations
+    assert all(n <= limit for n, limit in zip(evaluations, limits, strict=True))
+    assert evaluations[-1] >= identification.tuned.iterations
 
 
 def value(model: JointModel, name: str) -> float:
@@ -72,19 +72,19 @@ def value(model: JointModel, name: str) -> float:
 def test_every_frequency_record_of_a_linear_arm(
     arm: str, tolerance: float, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
 ) -> None:
-    """Free and held: inertias and stiffness within 3 % (vertical 4 %), gear damping within 20 %."""
-    found, truth = lab(arm)
-    assert found.reason is None
-    assert found.records
-    for record in found.records:
+    """Inertias and stiffness within 3 % (vertical arm 4 %), gear damping within 20 %."""
+    identification, truth = lab(arm)
+    assert identification.reason is None
+    assert identification.records
+    for record in identification.records:
         assert record.physical is not None
-        true = truth["joints"][record.physical.joint - 1]
+        true_values = truth["joints"][record.physical.joint - 1]
         for name in ("motor_inertia", "link_inertia"):
-            assert value(record.physical, name) == pytest.approx(true[name], rel=tolerance)
-        stiffness = true["gear_stiffness"][0]
+            assert value(record.physical, name) == pytest.approx(true_values[name], rel=tolerance)
+        stiffness = true_values["gear_stiffness"][0]
         assert value(record.physical, "gear_stiffness") == pytest.approx(stiffness, rel=tolerance)
         assert value(record.physical, "gear_damping") == pytest.approx(
-            true["gear_damping"], rel=0.2
+            true_values["gear_damping"], rel=0.2
         )
 
 
@@ -93,24 +93,24 @@ def test_a_three_slope_arm_hardens_and_stays_within_its_slopes(
 ) -> None:
     folder = shared_data / "lab" / "scara-strainwave-3kg"
     truth = json.loads((folder / "truth.json").read_text())
-    found = pipeline.identify(folder / "study.toml", stages=("rigid", "decoupled"))
-    assert [sweep.verdict for sweep in found.sweeps] == ["hardening", "hardening"]
-    for sweep in found.sweeps:
+    identification = pipeline.identify(folder / "study.toml", stages=("rigid", "decoupled"))
+    assert [sweep.verdict for sweep in identification.sweeps] == ["hardening", "hardening"]
+    for sweep in identification.sweeps:
         k1, _, k3 = truth["joints"][sweep.joint - 1]["gear_stiffness"]
         assert len(sweep.points) == 6
         assert all(0.97 * k1 < p.gear_stiffness < 1.03 * k3 for p in sweep.points)
-        rising = [p.squared_anti_resonance for p in sweep.points]
-        assert rising == sorted(rising)
+        squared_frequencies = [p.squared_anti_resonance for p in sweep.points]
+        assert squared_frequencies == sorted(squared_frequencies)
 
 
 def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
-    """The measured arm rings at 3.4 to 3.5 Hz (zeros) and 4.0 to 4.5 Hz (poles)."""
-    found = pipeline.identify(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    assert found.reason is None
-    assert found.rigid is None
-    (record,) = found.records
+    """Measured arm: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
+    identification = pipeline.identify(shared_data / "real" / "ist-flexible-arm" / "study.toml")
+    assert identification.reason is None
+    assert identification.rigid is None
+    (record,) = identification.records
     assert record.modes is not None
-    assert record.physical is found.joints[0]  # all records of the joint are this one
+    assert record.physical is identification.joints[0]  # the joint has only this record
     for modes in (record.modes, record.physical):
         assert modes.anti_resonance is not None
         assert modes.resonance is not None
@@ -122,10 +122,14 @@ def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
 def test_a_tuned_linear_arm_predicts_steps(
     arm: str, lab: Callable[[str], tuple[Identification, dict[str, Any]]]
 ) -> None:
-    """Velocity of the joint that steps, closed loop: at least 97 %."""
-    found, _ = lab(arm)
-    assert found.tuned is not None
-    assert found.tuned.status == "converged"
-    fits = {(c.experiment, name): fit for c in found.checks for name, fit in c.fit_percent.items()}
+    """Velocity of the stepped joint in closed loop: fit of at least 97 %."""
+    identification, _ = lab(arm)
+    assert identification.tuned is not None
+    assert identification.tuned.status == "converged"
+    fits = {
+        (c.experiment, name): fit
+        for c in identification.checks
+        for name, fit in c.fit_percent.items()
+    }
     for joint in (1, 2):
         assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0

@@ -23,7 +23,7 @@ def test_parallel_runs_all_exit_with_two(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", sorted(refused_studies.KINDS))
 def test_every_kind_of_fault_is_refused(kind: str, tmp_path: Path) -> None:
-    """In this process: the message states the remedy."""
+    """Within this process; the message states the remedy."""
     ending, damage = refused_studies.KINDS[kind]
     study = refused_studies.study_in(tmp_path, ending, samples=400)
     arguments = damage(tmp_path)

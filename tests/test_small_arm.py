@@ -1,7 +1,7 @@
-"""The whole of `identify` on an arm that another engine moves: tests/data/small-arm.
+"""Full identification of an arm simulated by MuJoCo: tests/data/small-arm.
 
-Nothing of these logs comes from strainwave's own simulator but the excitation and the noise, and the
-arm is unlike the built-in one: lighter links, gears of other sizes and ratios, a coarsened encoder.
+Only the excitation and the noise come from strainwave's simulator. The arm differs from the
+built-in one: lighter links, other gear sizes and ratios, a coarser encoder.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ LIMITS = {
     "motor_coulomb_friction": 0.003,
     "total_viscous_friction": 0.02,
 }
-"""Largest relative errors, by how a name begins: what is asked for of arms that MuJoCo moves."""
-STEP = 5e-5  # [s] of the engine, in one or two of which its friction stops a motor
+"""Largest relative error by name prefix: the requirement for arms simulated by MuJoCo."""
+STEP = 5e-5  # [s] time step of the engine; its friction stops a motor within one or two steps
 
 
 @cache
@@ -41,7 +41,7 @@ def identified() -> Identification:
 
 
 def estimates() -> list[tuple[Parameter, float]]:
-    """What has a value, and its truth."""
+    """Return the estimated parameters with their true values."""
     truth = read_parameters(FOLDER / "truth.json")
     for joint in (1, 2):
         truth["friction_settling_time", joint] = STEP
@@ -62,31 +62,36 @@ def test_every_value_is_as_near_the_truth_as_is_asked_for(prefix: str) -> None:
 
 
 def test_intervals_hold_the_truth() -> None:
-    """Of 95 % intervals, those of one arm hold together or miss together: 85 % are asked for."""
-    inside = {
+    """At least 85 % of the 95 % confidence intervals contain the true value.
+
+    The errors of one arm are correlated, so the coverage of a single arm varies.
+    """
+    is_covered = {
         (p.name, p.joint): p.ci95 is not None and p.ci95[0] <= true <= p.ci95[1]
         for p, true in estimates()
     }
-    assert len(inside) >= 30
-    assert np.mean(list(inside.values())) >= 0.85, [key for key, hit in inside.items() if not hit]
+    assert len(is_covered) >= 30
+    assert np.mean(list(is_covered.values())) >= 0.85, [
+        key for key, hit in is_covered.items() if not hit
+    ]
 
 
 def test_the_run_converges_and_answers_the_whole_question() -> None:
-    found = identified()
-    assert found.tuned is not None
-    assert found.tuned.status == "converged"
-    assert to_document(found)["status"] == "determined"
+    result = identified()
+    assert result.tuned is not None
+    assert result.tuned.status == "converged"
+    assert to_document(result)["status"] == "determined"
 
 
 def test_it_takes_no_more_evaluations_than_it_did() -> None:
-    """Of the whole arm with derivatives, model selection included: what a run's time is made of."""
+    """Iterations of the whole-arm fit including model selection, which dominate the run time."""
     tuned = identified().tuned
     assert tuned is not None
     assert tuned.iterations <= 30
 
 
 def test_steps_that_were_not_fitted_are_predicted() -> None:
-    """The velocity of the joint that steps, simulated under its servo."""
+    """Velocity of the stepped joint, simulated with its servo."""
     fits = {
         check["experiment"]: check["fit_percent"] for check in to_document(identified())["checks"]
     }
@@ -95,21 +100,21 @@ def test_steps_that_were_not_fitted_are_predicted() -> None:
 
 
 def test_the_measured_response_is_the_models() -> None:
-    found = identified()
-    assert len(found.responses) == 2
-    assert not [w for w in found.warnings if w.code == "response-apart"]
+    result = identified()
+    assert len(result.responses) == 2
+    assert not [w for w in result.warnings if w.code == "response-apart"]
 
 
 def test_the_logs_are_as_small_as_they_say() -> None:
-    """A clone carries them: under a megabyte, and none of the built-in arm's parameters."""
+    """The data are below 1 MB and share no parameter with the built-in arm."""
     assert sum(file.stat().st_size for file in FOLDER.iterdir()) < 1_000_000
     from strainwave.virtual import scara
 
-    ours = scara.parameters()
+    built_in = scara.parameters()
     truth = json.loads((FOLDER / "truth.json").read_text())["parameters"]
-    same = [
+    equal_names = [
         entry["name"]
         for entry in truth
-        if entry["value"] and entry["value"] == ours.get((entry["name"], entry["joint"]))
+        if entry["value"] and entry["value"] == built_in.get((entry["name"], entry["joint"]))
     ]
-    assert not same
+    assert not equal_names

@@ -48,9 +48,9 @@ def signals(time: FloatArray) -> dict[str, FloatArray]:
 
 def expect(log: Log) -> None:
     for name, values in studies.columns().items():
-        found = log.time if name == "t" else log.channels[name]
-        np.testing.assert_allclose(found, values, rtol=0.0, atol=1e-12)
-    # the commands have no stamp of their own, and this recorder was not late
+        actual = log.time if name == "t" else log.channels[name]
+        np.testing.assert_allclose(actual, values, rtol=0.0, atol=1e-12)
+    # the commands have no header stamp, and the recorder has no delay
     assert [w.code for w in log.warnings] == ["recorder-stamps"]
 
 
@@ -59,7 +59,7 @@ def test_reads_both_storages_as_directory_and_as_file(tmp_path: Path) -> None:
     for storage, suffix in (("MCAP", "mcap"), ("SQLITE3", "db3")):
         bags.write(tmp_path / storage, messages, storage)
         expect(read(tmp_path, storage))
-        if suffix == "mcap":  # a .db3 of this age leaves its connections to metadata.yaml
+        if suffix == "mcap":  # a .db3 of this version stores its connections in metadata.yaml
             shutil.copy(tmp_path / storage / f"{storage}.{suffix}", tmp_path / f"single.{suffix}")
             expect(read(tmp_path, f"single.{suffix}"))
 
@@ -84,7 +84,7 @@ def test_reads_a_ros1_bag(tmp_path: Path) -> None:
     )
     log = read(tmp_path, "run.bag", channels)
     np.testing.assert_allclose(log.channels["u1"], time**2, atol=1e-15)
-    assert not log.warnings  # every number has a stamp
+    assert not log.warnings  # every message has a header stamp
 
 
 def test_the_whole_rigid_step_says_the_same_of_a_bag_as_of_a_csv(tmp_path: Path) -> None:
@@ -102,11 +102,13 @@ def test_the_whole_rigid_step_says_the_same_of_a_bag_as_of_a_csv(tmp_path: Path)
     from_bag = pipeline.identify(study.path, stages=("rigid",))
     assert from_bag.rigid is not None
     assert from_csv.rigid is not None
-    for ours, theirs in zip(from_bag.rigid.parameters, from_csv.rigid.parameters, strict=True):
-        assert ours.value is not None
-        # positions are divided by 100 and multiplied again
-        assert ours.value == pytest.approx(theirs.value, rel=1e-6, abs=1e-9)
-        assert ours.std == pytest.approx(theirs.std, rel=1e-4)
+    for bag_parameter, csv_parameter in zip(
+        from_bag.rigid.parameters, from_csv.rigid.parameters, strict=True
+    ):
+        assert bag_parameter.value is not None
+        # rounding: positions are divided by 100 and multiplied by 100
+        assert bag_parameter.value == pytest.approx(csv_parameter.value, rel=1e-6, abs=1e-9)
+        assert bag_parameter.std == pytest.approx(csv_parameter.std, rel=1e-4)
 
 
 # --- time -------------------------------------------------------------------------------------
@@ -122,30 +124,34 @@ def test_topics_of_other_rates_come_to_the_motor_angles_stamps(tmp_path: Path) -
     bags.write(tmp_path / "run", sorted(messages, key=lambda m: m[1]))
     log = read(tmp_path, "run")
     assert log.sample_time == pytest.approx(0.001)
-    # only where every topic has something to say
+    # the time span that all topics cover
     assert log.time[[0, -1]] == pytest.approx([0.001, 0.392])
-    # a 5 Hz sine from 250 Hz: monotone cubics are of second order at its crests
+    # a 5 Hz sine at 250 Hz: monotone cubics are of second order at its extrema
     np.testing.assert_allclose(log.channels["a1"], np.sin(30.0 * log.time), atol=5e-3)
     np.testing.assert_allclose(log.channels["theta_m1"], 100.0 * np.sin(20 * log.time) / 100.0)
-    said = {w.code: w.message for w in log.warnings}
-    assert "/cmd" not in said["resampled"]  # it has the same stamps, only more of them
-    assert "/imu1 (250 Hz): brought to the stamps of /joint_states (1000 Hz)" in said["resampled"]
+    warnings = {w.code: w.message for w in log.warnings}
+    # the stamps of /cmd include those of the motor angle
+    assert "/cmd" not in warnings["resampled"]
+    assert (
+        "/imu1 (250 Hz): brought to the stamps of /joint_states (1000 Hz)" in warnings["resampled"]
+    )
 
 
 def test_commands_are_held_and_a_silent_one_is_reported(tmp_path: Path) -> None:
     time = ticks(0.001, 400)
     messages = [m for m in bags.of_columns(signals(time)) if m[0] != "/cmd"]
-    said = np.array([*ticks(0.002, 50), 0.3])
+    command_times = np.array([*ticks(0.002, 50), 0.3])
     messages += [
-        ("/cmd", ns, bags.floats([k, -k])) for k, ns in enumerate(bags.stamps(said + 0.0004))
+        ("/cmd", ns, bags.floats([k, -k]))
+        for k, ns in enumerate(bags.stamps(command_times + 0.0004))
     ]
     bags.write(tmp_path / "run", sorted(messages, key=lambda m: m[1]))
     log = read(tmp_path, "run")
-    expected = np.searchsorted(said + 0.0004, log.time, side="right") - 1
+    expected = np.searchsorted(command_times + 0.0004, log.time, side="right") - 1
     np.testing.assert_array_equal(log.channels["u1"], expected)
-    reported = [w.message for w in log.warnings if w.code == "silent-command"]
-    assert len(reported) == 1
-    assert "/cmd sends nothing from 0.0984 to 0.3004 s" in reported[0]
+    warnings = [w.message for w in log.warnings if w.code == "silent-command"]
+    assert len(warnings) == 1
+    assert "/cmd sends nothing from 0.0984 to 0.3004 s" in warnings[0]
 
 
 def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
@@ -160,10 +166,10 @@ def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
 
 def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -> None:
     for delay, name in ((0.003, "late"), (-1.7e9, "simulated")):
-        late = round(delay * 1e9)
+        delay_ns = round(delay * 1e9)
         messages = bags.of_columns(signals(ticks(0.001, 60)))
         messages = [
-            (topic, ns + late if topic == "/cmd" or delay > 0 else ns, m)
+            (topic, ns + delay_ns if topic == "/cmd" or delay > 0 else ns, m)
             for topic, ns, m in messages
         ]
         for topic, ns, message in messages:
@@ -171,8 +177,8 @@ def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -
                 message.header = bags.header(ns - bags.START + 1)
         bags.write(tmp_path / name, sorted(messages, key=lambda m: m[1]))
     log = read(tmp_path, "late")
-    said = [w.message for w in log.warnings if w.code == "recorder-stamps"]
-    assert "3 ms after" in said[0]
+    warnings = [w.message for w in log.warnings if w.code == "recorder-stamps"]
+    assert "3 ms after" in warnings[0]
     with pytest.raises(InvalidInput, match=r"headers and recorder keep different time.* of /cmd"):
         read(tmp_path, "simulated")
 
@@ -190,8 +196,8 @@ def test_unset_headers_count_from_the_recorder(tmp_path: Path) -> None:
 
 def test_a_gap_in_one_topic_is_refused(tmp_path: Path) -> None:
     messages = bags.of_columns(signals(ticks(0.001, 200)))
-    lost = range(bags.START + 50_000_000, bags.START + 80_000_000)
-    bags.write(tmp_path / "run", [m for m in messages if m[0] != "/imu1" or m[1] not in lost])
+    gap = range(bags.START + 50_000_000, bags.START + 80_000_000)
+    bags.write(tmp_path / "run", [m for m in messages if m[0] != "/imu1" or m[1] not in gap])
     with pytest.raises(InvalidInput, match=r"a gap in /imu1 from 0.049 to 0.08 s, 31 samples"):
         read(tmp_path, "run")
 
@@ -208,16 +214,16 @@ def test_the_order_of_messages_does_not_matter(
     folder = tmp_path_factory.mktemp("bag")
     values = signals(ticks(0.001, 60))
     messages = [m for m in bags.of_columns(values) if m[0] != "/cmd"]
-    # said again with another number a little before: the last counts
-    said_twice = [
+    # duplicates with other values, recorded earlier: the last message counts
+    repeated = [
         ("/joint_states", m[1], bags.joint_state(m[1], {"shoulder": 9.9, "elbow": 9.9}))
         for m in messages[::2]
     ]
-    messages = [said_twice[k] for k in doubled] + messages
+    messages = [repeated[k] for k in doubled] + messages
     rng = np.random.default_rng(seed)
-    late = np.arange(len(messages)) + reach * rng.uniform(size=len(messages))
-    late[: len(doubled)] = -1.0
-    order = np.argsort(late, kind="stable")
+    sort_keys = np.arange(len(messages)) + reach * rng.uniform(size=len(messages))
+    sort_keys[: len(doubled)] = -1.0
+    order = np.argsort(sort_keys, kind="stable")
     recorded = [
         (messages[k][0], bags.START + 10**6 * n, messages[k][2]) for n, k in enumerate(order)
     ]
@@ -225,23 +231,23 @@ def test_the_order_of_messages_does_not_matter(
         ("/cmd", bags.START, bags.floats([0, 0])),
         ("/cmd", bags.START + 20 * 10**6, bags.floats([1, 2])),
     ]
-    # the header of /cmd's neighbours is within a second of the recorder's time
+    # header and recorder stamps differ by less than a second
     bags.write(folder / "run", sorted(recorded, key=lambda m: m[1]))
     log = read(folder, "run")
     np.testing.assert_allclose(log.channels["theta_m1"], values["theta_m1"], atol=1e-12)
     np.testing.assert_allclose(log.channels["a1"], values["a1"], atol=1e-12)
-    reported = " ".join(w.message for w in log.warnings if w.code == "reordered")
-    assert "/joint_states" in reported or not doubled
+    warnings = " ".join(w.message for w in log.warnings if w.code == "reordered")
+    assert "/joint_states" in warnings or not doubled
 
 
 def test_joints_that_several_nodes_publish_are_separated(tmp_path: Path) -> None:
-    """Half of the messages name one joint only, in another order."""
+    """Half of the messages contain only one joint; the order of joints varies."""
     time = ticks(0.001, 120)
     messages: list[bags.Message] = []
     for k, (ns, t) in enumerate(zip(bags.stamps(time), time, strict=True)):
         both = {"elbow": -t, "shoulder": t} if k % 3 else {"shoulder": t, "elbow": -t}
-        only = both if k % 2 else {"shoulder": t}
-        messages += [("/joint_states", ns, bags.joint_state(ns, only))]
+        published = both if k % 2 else {"shoulder": t}
+        messages += [("/joint_states", ns, bags.joint_state(ns, published))]
         messages += [("/cmd", ns, bags.floats([np.sin(99 * t), 0.0]))]
         messages += [("/imu1", ns, bags.imu(ns, t))]
     bags.write(tmp_path / "run", messages)
@@ -290,17 +296,17 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_shows_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
-    text, said = FAULTS[fault]
+    text, message = FAULTS[fault]
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
-    kept = [
+    other_lines = [
         each
         for each in bags.CHANNELS.splitlines(True)
         if not each.startswith(text.split(" ")[0]) and fault != "nothing mapped"
     ]
-    channels = "[channels]\n" if fault == "nothing mapped" else "".join(kept)
-    with pytest.raises(InvalidInput, match=said) as caught:
+    channels = "[channels]\n" if fault == "nothing mapped" else "".join(other_lines)
+    with pytest.raises(InvalidInput, match=message) as error:
         read(tmp_path, "run", channels + text)
-    assert caught.value.remedy
+    assert error.value.remedy
 
 
 def test_shows_where_a_value_is_no_number(tmp_path: Path) -> None:
@@ -309,7 +315,7 @@ def test_shows_where_a_value_is_no_number(tmp_path: Path) -> None:
     bags.write(tmp_path / "run", messages)
     with pytest.raises(InvalidInput, match=r"run, message 8, column '/imu1.linear_acceleration.y'"):
         read(tmp_path, "run")
-    read(tmp_path, "run", window="start = 0.01\n")  # as the remedy says
+    read(tmp_path, "run", window="start = 0.01\n")  # the remedy works
 
 
 def test_shows_an_empty_topic(tmp_path: Path) -> None:

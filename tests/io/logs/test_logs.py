@@ -23,7 +23,7 @@ def read(folder: Path, log: str | bytes | None = None, study: str = studies.STUD
 
 
 def renamed(folder: Path, name: str, data: bytes, study: str = studies.STUDY) -> Log:
-    """The same study with its log under another name."""
+    """Read the same study with its log under another name."""
     path = studies.write(folder, study.replace("motion.csv", name))
     (folder / name).write_bytes(data)
     parsed = read_study(path)
@@ -37,10 +37,10 @@ def parquet(values: dict[str, FloatArray]) -> bytes:
 
 
 def expect(log: Log) -> None:
-    """The channels of `studies.columns` to the digits a CSV holds."""
+    """Compare the log with `studies.columns` to the precision of the CSV."""
     for name, values in studies.columns().items():
-        found = log.time if name == "t" else log.channels[name]
-        np.testing.assert_allclose(found, values, atol=1e-8)
+        actual = log.time if name == "t" else log.channels[name]
+        np.testing.assert_allclose(actual, values, atol=1e-8)
     assert log.sample_time == pytest.approx(0.001)
     assert not log.warnings
 
@@ -118,13 +118,13 @@ def test_cuts_the_window_out(tmp_path: Path) -> None:
 
 
 def timed(folder: Path, time: FloatArray, of: FloatArray | None = None) -> Log:
-    """A log with these stamps, of samples taken then, or at other times."""
+    """Read a log with the stamps `time`, whose samples are from `of` or from the same times."""
     values = studies.columns(len(time)) | {"t": time}
-    taken = time if of is None else of
-    values["u1"] = np.sign(np.sin(300.0 * taken))
-    values["theta_m1"] = np.sin(20.0 * taken)
-    values["theta_m2"] = taken**2
-    values["a1"] = np.cos(30.0 * taken)
+    sample_times = time if of is None else of
+    values["u1"] = np.sign(np.sin(300.0 * sample_times))
+    values["theta_m1"] = np.sin(20.0 * sample_times)
+    values["theta_m2"] = sample_times**2
+    values["a1"] = np.cos(30.0 * sample_times)
     return renamed(folder, "log.parquet", parquet(values))
 
 
@@ -139,22 +139,22 @@ def test_jittered_stamps_are_resampled_and_reported(tmp_path: Path) -> None:
     log = timed(tmp_path, 0.001 * (np.arange(600) + jitter))
     assert [w.code for w in log.warnings] == ["resampled"]
     np.testing.assert_allclose(np.diff(log.time), log.sample_time)
-    # monotone cubic interpolation of a 3 Hz sine from 1 kHz: better than its largest step squared
+    # monotone cubic interpolation of a 3 Hz sine at 1 kHz: error below the squared step
     np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * log.time), atol=1e-3)
-    assert set(np.unique(log.channels["u1"])) <= {-1.0, 1.0}  # held, as the drive held it
+    assert set(np.unique(log.channels["u1"])) <= {-1.0, 1.0}  # commands are held, not interpolated
 
 
 @pytest.mark.parametrize("jitter", [0.01, 0.03, 0.1, 0.3])
 def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
     jitter: float, tmp_path: Path
 ) -> None:
-    """The samples are even, their stamps are not: the samples stay as they are."""
-    off = np.random.default_rng(1).uniform(-jitter, jitter, 600)
-    taken: FloatArray = 0.00025 * np.arange(600, dtype=np.float64)
-    log = timed(tmp_path, taken + 0.00025 * off, of=taken)
+    """The samples are uniform and only the stamps jitter, so the samples do not change."""
+    offsets = np.random.default_rng(1).uniform(-jitter, jitter, 600)
+    sample_times: FloatArray = 0.00025 * np.arange(600, dtype=np.float64)
+    log = timed(tmp_path, sample_times + 0.00025 * offsets, of=sample_times)
     assert [w.code for w in log.warnings] == (["resampled"] if jitter > 0.02 else [])
     assert log.sample_time == pytest.approx(0.00025, rel=1e-9)
-    np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * taken), atol=1e-9)
+    np.testing.assert_allclose(log.channels["theta_m1"], np.sin(20.0 * sample_times), atol=1e-9)
 
 
 @pytest.mark.parametrize("spread", ["white", "random walk"])
@@ -162,7 +162,10 @@ def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
 def test_stamps_of_any_jitter_go_to_the_nominal_period(
     spread: str, seed: int, tmp_path: Path
 ) -> None:
-    """10 % of a period: the median step is off by up to 0.2 %, and no servo has such a period."""
+    """Jitter of 10 % of a period: the nominal period is recovered.
+
+    The median step differs from it by up to 0.2 %.
+    """
     noise = 0.1 * np.random.default_rng(seed).standard_normal(4000)
     if spread == "white":
         time = 0.00025 * (np.arange(4000) + noise)
@@ -187,7 +190,7 @@ def test_a_missing_sample_is_resampled_and_a_gap_refused(tmp_path: Path) -> None
 
 
 def edited(line: int, text: str) -> str:
-    """The log with one line replaced; lines count from 1, as in an editor."""
+    """Return the log with one line replaced; lines count from 1."""
     lines = studies.csv_text(studies.columns()).splitlines()
     lines[line - 1] = text
     return "\n".join(lines) + "\n"
@@ -247,11 +250,11 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
-    log, said = FAULTS[fault]
-    with pytest.raises(InvalidInput, match=said) as caught:
+    log, message = FAULTS[fault]
+    with pytest.raises(InvalidInput, match=message) as error:
         read(tmp_path, log)
-    assert "motion.csv" in str(caught.value)
-    assert "Remedy: " in str(caught.value)
+    assert "motion.csv" in str(error.value)
+    assert "Remedy: " in str(error.value)
 
 
 @pytest.mark.parametrize(
@@ -284,9 +287,9 @@ def test_shows_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: P
 def test_a_null_in_a_parquet_file_has_its_row(tmp_path: Path) -> None:
     table = pa.table(studies.columns())
     index = table.schema.get_field_index("u1")
-    holed = pa.array([None if k == 6 else float(k) for k in range(40)])
+    with_null = pa.array([None if k == 6 else float(k) for k in range(40)])
     sink = io.BytesIO()
-    pq.write_table(table.set_column(index, "u1", holed), sink)
+    pq.write_table(table.set_column(index, "u1", with_null), sink)
     with pytest.raises(InvalidInput, match=r"column 'u1', row 7: there is no value"):
         renamed(tmp_path, "log.parquet", sink.getvalue())
 
@@ -307,8 +310,8 @@ def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
 
 def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
     text = studies.STUDY + '[channels]\ntheta_m2 = "pos_2"\n'
-    named = r"no column 'pos_2', which .channels. names for 'theta_m2'"
-    with pytest.raises(InvalidInput, match=named):
+    message = r"no column 'pos_2', which .channels. names for 'theta_m2'"
+    with pytest.raises(InvalidInput, match=message):
         read(tmp_path, None, text)
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
     with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):
@@ -321,18 +324,18 @@ def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
 
 
 def test_a_mapped_column_may_be_missing_from_some_logs_but_not_from_all(tmp_path: Path) -> None:
-    own = studies.columns()
+    columns = studies.columns()
     text = studies.STUDY.replace('"prbs"\nfile = "motion.csv"', '"prbs"\nfile = "prbs.csv"')
     text += '[channels]\na2 = "accel_2"\n'
-    (tmp_path / "prbs.csv").write_text(studies.csv_text(own))
-    motion_log = studies.csv_text({**own, "Accel2": own["a1"]})
-    nearest = r"no log has the column 'accel_2', .* for 'a2'.*did you mean 'Accel2'"
-    with pytest.raises(InvalidInput, match=nearest):
+    (tmp_path / "prbs.csv").write_text(studies.csv_text(columns))
+    motion_log = studies.csv_text({**columns, "Accel2": columns["a1"]})
+    message = r"no log has the column 'accel_2', .* for 'a2'.*did you mean 'Accel2'"
+    with pytest.raises(InvalidInput, match=message):
         read_logs(read_study(studies.write(tmp_path, text, motion_log)))
-    (tmp_path / "prbs.csv").write_text(studies.csv_text({**own, "accel_2": own["a1"]}))
+    (tmp_path / "prbs.csv").write_text(studies.csv_text({**columns, "accel_2": columns["a1"]}))
     motion, prbs = read_logs(read_study(studies.write(tmp_path, text)))
     assert "a2" not in motion.channels
-    np.testing.assert_allclose(prbs.channels["a2"], own["a1"], atol=1e-8)
+    np.testing.assert_allclose(prbs.channels["a2"], columns["a1"], atol=1e-8)
 
 
 def test_a_voltage_needs_its_torque(tmp_path: Path) -> None:
@@ -356,16 +359,19 @@ def test_the_excited_joint_must_move(tmp_path: Path) -> None:
 
 
 def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
-    reported = {}
+    codes = {}
     for path in sorted(shared_data.glob("*/*/study.toml")):
         logs = read_logs(read_study(path))
-        reported[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
-    assert reported.pop("dfki-double-pendulum") == {"resampled"}
-    assert not any(reported.values())
+        codes[path.parent.name] = {warning.code for log in logs for warning in log.warnings}
+    assert codes.pop("dfki-double-pendulum") == {"resampled"}
+    assert not any(codes.values())
 
 
 def test_arrow_holds_no_object_of_pythons() -> None:
-    """Its threads would need the interpreter to let go of one, and may come too late for that."""
+    """Arrow's reader copies its input.
+
+    Its threads need the interpreter to release a Python object, possibly after its shutdown.
+    """
     data = b"t,u1\n" * 1000
     assert tables._reader(data).read_buffer().address != pa.py_buffer(data).address
     assert tables._reader(data).read() == data

@@ -1,4 +1,4 @@
-"""MAT files: their own description of what they hold, and damage that must not reach SciPy."""
+"""MAT files: listing of variables, and refusal of damaged files before SciPy reads them."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_files_of_level_4_are_read() -> None:
 
 
 def test_elements_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
-    """They make SciPy's reader look beyond the end of its table, which ends the process."""
+    """SciPy's reader accesses memory beyond its table for such elements and crashes."""
     data = bytearray(written({"t": COLUMN}))
     at = data.index(COLUMN.tobytes()) - 8
     assert data[at] == 9  # miDOUBLE
@@ -64,16 +64,16 @@ def test_elements_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["text", "struct", "turning"])
 def test_what_is_no_vector_of_numbers_is_named(name: str, tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(written(OTHERS))
-    with pytest.raises(InvalidInput, match="no vector of numbers") as refused:
+    with pytest.raises(InvalidInput, match="no vector of numbers") as error:
         open_table(tmp_path / "log.mat").read([name])
-    assert name in str(refused.value)
+    assert name in str(error.value)
 
 
 @given(end=st.integers(5, len(written({"t": COLUMN})) - 1))
 def test_a_file_that_ends_early_is_refused(end: int) -> None:
-    whole = written({"t": COLUMN})
-    if end == 128:  # a header without variables is a whole file
-        assert mat.variables(whole[:end]) == {}
+    content = written({"t": COLUMN})
+    if end == 128:  # a header without variables is a valid file
+        assert mat.variables(content[:end]) == {}
         return
     with pytest.raises(ValueError, match="it ends within"):
-        mat.variables(whole[:end])
+        mat.variables(content[:end])
