@@ -1,4 +1,4 @@
-"""The public API as a notebook or a program uses it, on records of a small arm from MuJoCo."""
+"""The public API in a notebook or program, on records of a small arm simulated by MuJoCo."""
 
 from __future__ import annotations
 
@@ -43,46 +43,46 @@ def whole() -> sw.Result:
 
 @pytest.fixture(params=["fresh", "read"])
 def either(request: pytest.FixtureRequest, tmp_path: Path) -> sw.Result:
-    """A fresh result, and the same one read from its file."""
+    """A fresh result, and the same result read from its file."""
     if request.param == "fresh":
         return whole()
     return sw.read_result(whole().save(tmp_path / "result.json").parent)
 
 
 def tables(form: str) -> dict[str, Any]:
-    """All logs of the study in memory."""
-    found: dict[str, Any] = {}
+    """Return all logs of the study in memory."""
+    logs: dict[str, Any] = {}
     for each in sw.read_study(STUDY).experiments:
         table = pq.read_table(FOLDER / each.file)
         match form:
             case "arrow":
-                found[each.name] = table
+                logs[each.name] = table
             case "pandas":
-                found[each.name] = table.to_pandas()
+                logs[each.name] = table.to_pandas()
             case "polars":
-                found[each.name] = pl.from_arrow(table)
+                logs[each.name] = pl.from_arrow(table)
             case "arrays":
-                found[each.name] = {n: table[n].to_numpy() for n in table.column_names}
+                logs[each.name] = {n: table[n].to_numpy() for n in table.column_names}
             case "path":
-                found[each.name] = str(FOLDER / each.file)
-    return found
+                logs[each.name] = str(FOLDER / each.file)
+    return logs
 
 
 def test_a_parameter_is_found_by_name_and_joint() -> None:
-    found = rigid()
-    beta = found["beta"]
+    result = rigid()
+    beta = result["beta"]
     assert beta.value is not None
     assert beta.std is not None
     assert beta.ci95 is not None
     assert beta.ci95[0] < beta.value < beta.ci95[1]
-    assert found["motor_inertia", 2].joint == 2
-    assert found["motor_inertia 2"] == found.parameters["motor_inertia", 2]
+    assert result["motor_inertia", 2].joint == 2
+    assert result["motor_inertia 2"] == result.parameters["motor_inertia", 2]
     with pytest.raises(KeyError, match=r'did you mean .*"motor_inertia", 2'):
-        found["motor_inertias", 2]
+        result["motor_inertias", 2]
     with pytest.raises(KeyError, match=r'did you mean "motor_inertia", 2\?'):
-        found["motor_inertia"]
+        result["motor_inertia"]
     with pytest.raises(KeyError, match='no parameter "qwerty"; "beta"'):
-        found["qwerty"]
+        result["qwerty"]
 
 
 def test_parameters_are_a_sequence_and_a_frame() -> None:
@@ -99,10 +99,10 @@ def test_parameters_are_a_sequence_and_a_frame() -> None:
 
 @pytest.mark.parametrize("form", ["arrow", "pandas", "polars", "arrays", "path"])
 def test_data_in_memory_give_the_same_result_as_files(form: str, tmp_path: Path) -> None:
-    """The files of the study do not exist at its path."""
+    """The study path has no log files."""
     study = replace(sw.read_study(STUDY), path=tmp_path / "study.toml")
-    found = sw.identify(study, data=tables(form), stages=("rigid",))
-    assert found.parameters == rigid().parameters
+    result = sw.identify(study, data=tables(form), stages=("rigid",))
+    assert result.parameters == rigid().parameters
 
 
 def test_invalid_tables_are_refused() -> None:
@@ -116,11 +116,11 @@ def test_invalid_tables_are_refused() -> None:
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": np.ones(3)}}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="the study has no experiment 'another'"):
         sw.identify(STUDY, data={"another": data[first]})
-    holed = data[first] | {
+    with_nan = data[first] | {
         "u1_counts": np.where(np.arange(len(data[first]["u1_counts"])) == 7, np.nan, 1.0)
     }
     with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*row 8"):
-        sw.identify(STUDY, data={first: holed}, stages=("rigid",))
+        sw.identify(STUDY, data={first: with_nan}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="stands twice"):
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
@@ -147,13 +147,13 @@ def test_a_result_reads_back_equal(tmp_path: Path) -> None:
     assert again != rigid()
     again.save(tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == path.read_bytes()
-    for ask in (
+    for request in (
         lambda: again.report(tmp_path / "report.html"),
         lambda: again.residuals("motion-check"),
         lambda: again.plot("gear", joint=1),
     ):
         with pytest.raises(sw.InvalidInput, match=r"has no samples.*identify the study again"):
-            ask()
+            request()
     assert fresh.report(tmp_path / "report.html").read_text().startswith("<!doctype html>")
     with pytest.raises(sw.InvalidInput, match=r"there is no figure 'bode-joint-3'.*bode-joint-1"):
         fresh.plot("bode", joint=3)
@@ -228,16 +228,16 @@ def test_a_frequency_response_has_bands(either: sw.Result) -> None:
     measured = response.measured
     assert measured is not None
     assert measured.response.shape[1:] == (2, 2)
-    near = either.frequency_response(2, measured.frequencies_hz)
-    apart = 20.0 * np.log10(np.abs(near.response / measured.response[:, 0, 0]))
-    assert abs(float(np.median(apart))) < 1.0  # [dB]
+    model_response = either.frequency_response(2, measured.frequencies_hz)
+    difference_db = 20.0 * np.log10(np.abs(model_response.response / measured.response[:, 0, 0]))
+    assert abs(float(np.median(difference_db))) < 1.0  # [dB]
     assert len(response.plot().axes) == 2
     assert either.plot("bode", joint=2).axes
     assert either.plot().axes
 
 
 def test_the_bands_of_a_response_are_those_of_drawn_parameters() -> None:
-    """Monte Carlo with the joint covariance of the result against the delta method."""
+    """Compares the delta method with Monte Carlo samples from the covariance of the result."""
     result = whole()
     arm = arm_of(result.document, result.source)
     model = joint_model(arm, 1)
@@ -245,8 +245,8 @@ def test_the_bands_of_a_response_are_those_of_drawn_parameters() -> None:
     assert S is not None
     f = np.array([5.0, 20.0, 40.0, 100.0])
     rng = np.random.default_rng(3)
-    drawn = rng.multivariate_normal(model.vector, S, size=4000)
-    G = np.array([motor_response(each, model.gear_ratio, f) for each in drawn])
+    samples = rng.multivariate_normal(model.vector, S, size=4000)
+    G = np.array([motor_response(each, model.gear_ratio, f) for each in samples])
     std = result.frequency_response(1, f).magnitude_std
     assert std is not None
     np.testing.assert_allclose(np.abs(G).std(axis=0), std, rtol=0.06)  # 5 standard errors
@@ -270,8 +270,8 @@ def test_residuals_are_measured_minus_predicted() -> None:
         if check.experiment == "motion-check":
             rows = np.isin(residuals.time, check.time)
             columns = [residuals.channels.index(name) for name in check.channels]
-            inside = residuals.values[rows][:, columns]
-            np.testing.assert_array_equal(inside, check.measured - check.predicted)
+            values = residuals.values[rows][:, columns]
+            np.testing.assert_array_equal(values, check.measured - check.predicted)
     assert list(residuals.to_frame().columns) == list(residuals.channels)
     with pytest.raises(sw.InvalidInput, match=r"choose from: .*did you mean 'motion-check'"):
         result.residuals("motion-chek")
@@ -288,22 +288,22 @@ def test_a_result_exports_its_arm(either: sw.Result, tmp_path: Path) -> None:
 
 def test_results_are_compared(either: sw.Result, tmp_path: Path) -> None:
     document = either.document
-    moved = next(p for p in document["parameters"] if p["name"] == "gear_stiffness_k1")
-    moved["value"] *= 0.98
-    worn = sw.Result(document).save(tmp_path / "worn" / "result.json")
-    found = either.compare(worn)
-    assert found.differs
-    assert "gear_stiffness_k1 1" in repr(found)
-    frame = found.to_frame()
+    changed_parameter = next(p for p in document["parameters"] if p["name"] == "gear_stiffness_k1")
+    changed_parameter["value"] *= 0.98
+    worn_path = sw.Result(document).save(tmp_path / "worn" / "result.json")
+    comparison = either.compare(worn_path)
+    assert comparison.differs
+    assert "gear_stiffness_k1 1" in repr(comparison)
+    frame = comparison.to_frame()
     changed = frame[frame["verdict"] == "differs"]
     assert list(changed["name"]) == ["gear_stiffness_k1"]
-    assert "verdict: the results differ" in str(found)
+    assert "verdict: the results differ" in str(comparison)
     assert not sw.compare([either, either]).differs
-    assert sw.compare([either, worn, worn]).homogeneity is not None
+    assert sw.compare([either, worn_path, worn_path]).homogeneity is not None
 
 
 def test_a_figure_is_found_by_the_name_of_its_experiment() -> None:
-    """Also if the name has letters that a file name should not have."""
+    """Also if the name contains characters that are invalid in file names."""
     run = rigid().run
     assert run is not None
     prediction = replace(run.fitted[0], experiment="Slow motion (1)")
@@ -350,9 +350,9 @@ def test_progress_is_reported_in_the_thread_of_the_caller() -> None:
 
 
 def test_progress_at_the_very_end_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    """After the last check of the queue and before the thread ends."""
+    """The event arrives after the last check of the queue and before the thread ends."""
     last = ProgressEvent("tuned", 1.0, "the last word", 8, 8)
-    found = rigid().run
+    identification = rigid().run
     started, checked = threading.Event(), threading.Event()
     workers: list[threading.Thread] = []
 
@@ -361,7 +361,7 @@ def test_progress_at_the_very_end_is_reported(monkeypatch: pytest.MonkeyPatch) -
         started.set()
         checked.wait()
         progress(last)
-        return found
+        return identification
 
     def asked() -> bool:
         started.wait()
@@ -386,7 +386,7 @@ def test_cancel_ends_every_stage(stage: str) -> None:
     with pytest.raises(sw.Cancelled):
         sw.identify(STUDY, progress=follow, cancel=wanted)
     for thread in threading.enumerate():
-        if thread.name == "strainwave":  # abandoned work ends when it next checks
+        if thread.name == "strainwave":  # a cancelled thread ends at its next check
             thread.join(60.0)
             assert not thread.is_alive()
 
@@ -394,7 +394,7 @@ def test_cancel_ends_every_stage(stage: str) -> None:
 def test_cancel_does_not_wait_for_compiled_code(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Here: work that never checks whether it is cancelled."""
+    """The work never checks for cancellation."""
     started, release = threading.Event(), threading.Event()
 
     def endless(*_: object, **__: object) -> None:
@@ -422,14 +422,14 @@ def test_an_error_in_progress_is_raised() -> None:
 
 
 def test_the_number_of_threads_does_not_change_the_result() -> None:
-    most = [0]
+    max_threads = [0]
     before = threading.active_count()
 
     def follow(_event: ProgressEvent) -> None:
-        most[0] = max(most[0], threading.active_count() - before)
+        max_threads[0] = max(max_threads[0], threading.active_count() - before)
 
     one = sw.identify(STUDY, threads=1, progress=follow)
-    assert most[0] <= 1  # the run's own thread
+    assert max_threads[0] <= 1  # the thread of the run
     two = sw.identify(STUDY, threads=2)
     assert one.parameters == two.parameters
     with pytest.raises(sw.InvalidInput, match="threads is 0"):

@@ -1,4 +1,4 @@
-"""The commands as a user runs them: output, files and exit codes."""
+"""Commands of the command line: output, files and exit codes."""
 
 from __future__ import annotations
 
@@ -37,10 +37,10 @@ def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess
 def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Folder and output of the demonstration."""
     folder = tmp_path_factory.mktemp("demo") / "out"
-    done = run("demo", "--quick", "--out", str(folder))
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
-    return folder, done.stdout
+    process = run("demo", "--quick", "--out", str(folder))
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+    return folder, process.stdout
 
 
 def test_the_demonstration_identifies_its_arm(demo: tuple[Path, str]) -> None:
@@ -73,8 +73,8 @@ def test_identify_reads_the_study_of_the_demonstration(
 ) -> None:
     folder, _ = demo
     out = tmp_path / "a" / "b"
-    done = run("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    process = run("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
     assert sorted(p.name for p in out.iterdir()) == sorted(FINISHED)
     assert json.loads((out / "result.json").read_text())["status"] == "determined"
     again, first = (json.loads((f / "result.json").read_text()) for f in (out, folder))
@@ -85,10 +85,10 @@ def test_identify_reads_the_study_of_the_demonstration(
 def test_the_stages_option_takes_the_first_stages(demo: tuple[Path, str], tmp_path: Path) -> None:
     study = str(demo[0] / "study.toml")
     assert run("identify", study, "--out", str(tmp_path), "--stages", "rigid").returncode == 0
-    done = run("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
-    assert done.returncode == 2
-    assert "frobnicate" in done.stderr
-    assert "rigid" in done.stderr
+    process = run("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
+    assert process.returncode == 2
+    assert "frobnicate" in process.stderr
+    assert "rigid" in process.stderr
     assert not (tmp_path / "x").exists()
 
 
@@ -105,13 +105,13 @@ def test_wrong_input_exits_with_two_and_one_message(
     study: str, log: str | None, message: str, tmp_path: Path
 ) -> None:
     path = studies.write(tmp_path, study, log)
-    done = run("identify", str(path), "--out", str(tmp_path / "out"))
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert "Remedy:" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert done.stdout == ""
+    process = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert process.returncode == 2
+    assert message in process.stderr
+    assert "Remedy:" in process.stderr
+    assert "Traceback" not in process.stderr
+    assert process.stderr.count("\n") == 1
+    assert process.stdout == ""
     assert not (tmp_path / "out").exists()
 
 
@@ -125,9 +125,9 @@ def test_wrong_input_keeps_an_earlier_result(tmp_path: Path) -> None:
 
 def test_no_motion_exits_with_three_and_a_result(tmp_path: Path) -> None:
     path = studies.write(tmp_path, studies.STUDY.replace('use = "motion"', 'use = "sweep"'))
-    done = run("identify", str(path), "--out", str(tmp_path / "out"))
-    assert done.returncode == 3
-    assert "motion" in done.stdout
+    process = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert process.returncode == 3
+    assert "motion" in process.stdout
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     assert document["parameters"] == []
     assert "motion" in document["reason"]
@@ -139,9 +139,9 @@ def test_a_run_without_estimates_is_not_determined(demo: tuple[Path, str], tmp_p
     text = (demo[0] / "study.toml").read_text().replace('use = "motion"', 'use = "check"')
     (tmp_path / "study.toml").write_text(text)
     out = tmp_path / "out"
-    done = run("identify", str(tmp_path / "study.toml"), "--out", str(out), "--stages", "rigid")
-    assert done.returncode == 3, done.stderr
-    assert "verdict: not-determined (exit code 3)" in done.stdout
+    process = run("identify", str(tmp_path / "study.toml"), "--out", str(out), "--stages", "rigid")
+    assert process.returncode == 3, process.stderr
+    assert "verdict: not-determined (exit code 3)" in process.stdout
     document = json.loads((out / "result.json").read_text())
     assert document["status"] == "not-determined"
     assert {"beta", "rigid_inertia 1"} <= set(document["verdict"]["not_identified"])
@@ -149,23 +149,23 @@ def test_a_run_without_estimates_is_not_determined(demo: tuple[Path, str], tmp_p
 
 
 def test_inconsistent_channels_exit_with_three(demo: tuple[Path, str], tmp_path: Path) -> None:
-    """Accelerations in g: cause and remedy come first; the rigid stage uses motor signals."""
+    """Accelerations in g: cause and remedy come first; the rigid step uses motor signals."""
     for path in demo[0].glob("*.parquet"):
         (tmp_path / path.name).symlink_to(path.resolve())
     text = (demo[0] / "study.toml").read_text()
     scales = "".join(f'a{j} = {{ column = "a{j}", scale = {1 / 9.80665:.6f} }}\n' for j in (1, 2))
     assert "[channels]" not in text
     (tmp_path / "study.toml").write_text(f"{text}\n[channels]\n{scales}")
-    done = run("identify", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"))
-    assert done.returncode == 3, done.stderr
-    assert "verdict: inconsistent-input (exit code 3)" in done.stdout
+    process = run("identify", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"))
+    assert process.returncode == 3, process.stderr
+    assert "verdict: inconsistent-input (exit code 3)" in process.stdout
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     assert document["status"] == "inconsistent-input"
     suspected = document["verdict"]["suspected"]
     assert {one["code"] for one in suspected} == {"wrong-unit"}
     for one in suspected:
         assert one["factor"] == pytest.approx(1 / 9.80665, rel=0.02)
-        assert one["remedy"] in " ".join(done.stdout.split())
+        assert one["remedy"] in " ".join(process.stdout.split())
     values = {(p["name"], p["joint"]): p["value"] for p in document["parameters"]}
     assert values["beta", None] is not None
     assert all(value is None for (name, _), value in values.items() if "gear" in name)
@@ -174,7 +174,7 @@ def test_inconsistent_channels_exit_with_three(demo: tuple[Path, str], tmp_path:
 
 
 def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:
-    """Coulomb friction and friction offset cannot be separated."""
+    """Motion in one direction does not separate Coulomb friction from friction offset."""
     t = 1e-3 * np.arange(12000)
     rate = 40.0 + 20.0 * np.sin(2.0 * t) + 9.0 * np.sin(5.3 * t)
     angle = 40.0 * t - 10.0 * np.cos(2.0 * t) - 9.0 / 5.3 * np.cos(5.3 * t)
@@ -185,8 +185,8 @@ def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:
         '[[experiment]]\nname = "m"\nfile = "motion.csv"\nuse = "motion"\ncontrol = ["servo"]\n'
     )
     path = studies.write(tmp_path, study, studies.csv_text(columns))
-    done = run("identify", str(path), "--out", str(tmp_path / "out"))
-    assert done.returncode == 3, done.stderr
+    process = run("identify", str(path), "--out", str(tmp_path / "out"))
+    assert process.returncode == 3, process.stderr
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     values = {p["name"]: p["value"] for p in document["parameters"]}
     assert document["status"] == "partly-determined"
@@ -206,10 +206,10 @@ def test_simulate_runs_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: 
     (tmp_path / "p.json").write_text(json.dumps(document))
     study = str(demo[0] / "study.toml")
     parameters = ["--parameters", str(tmp_path / "p.json")]
-    done = run("simulate", study, *parameters, "--out", str(tmp_path / "arm"), "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    done = run("identify", str(tmp_path / "arm" / "study.toml"), "--out", str(tmp_path / "r"))
-    assert done.returncode == 0
+    process = run("simulate", study, *parameters, "--out", str(tmp_path / "arm"), "--quiet")
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
+    process = run("identify", str(tmp_path / "arm" / "study.toml"), "--out", str(tmp_path / "r"))
+    assert process.returncode == 0
     result = json.loads((tmp_path / "r" / "result.json").read_text())
     beta = next(p["value"] for p in result["parameters"] if p["name"] == "beta")
     assert beta == pytest.approx(values["beta", None], rel=0.03)
@@ -220,13 +220,14 @@ def test_simulate_does_not_overwrite_its_study(tmp_path: Path) -> None:
     write_study(study, study.path)
     (tmp_path / "p.json").write_text('{"parameters": []}')
     arguments = ["simulate", str(study.path), "--parameters", str(tmp_path / "p.json")]
-    done = run(*arguments, "--out", str(tmp_path))
-    assert done.returncode == 2
-    assert "another directory" in done.stderr
+    process = run(*arguments, "--out", str(tmp_path))
+    assert process.returncode == 2
+    assert "another directory" in process.stderr
 
 
 def test_excite_needs_assumed_parameters(tmp_path: Path) -> None:
-    study = replace(scara.study(tmp_path, "rigid"), experiments=())  # none is needed
+    # the command needs no experiment
+    study = replace(scara.study(tmp_path, "rigid"), experiments=())
     write_study(study, study.path)
     values = scara.parameters(spring="rigid")
     document = {"parameters": [{"name": n, "joint": j, "value": v} for (n, j), v in values.items()]}
@@ -241,14 +242,14 @@ def test_excite_needs_assumed_parameters(tmp_path: Path) -> None:
         ([*arguments, *guess, "--out", str(out), "--kind", "noise"], "multisine"),
     ]
     for command, message in faults:
-        done = run(*command)
-        assert done.returncode == 2
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        process = run(*command)
+        assert process.returncode == 2
+        assert message in process.stderr
+        assert process.stderr.count("\n") == 1
     assert not out.exists()
-    done = run(*arguments, *guess, "--out", str(out))
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "condition number" in done.stdout
+    process = run(*arguments, *guess, "--out", str(out))
+    assert (process.returncode, process.stderr) == (0, "")
+    assert "condition number" in process.stdout
     names = ["apply-motion-check.csv", "apply-motion.csv", "excitation.h", "study.toml"]
     assert sorted(p.name for p in out.iterdir()) == names
 
@@ -281,12 +282,12 @@ def test_the_exit_code_of_compare_is_four_if_results_differ(tmp_path: Path) -> N
     )
     worn = compared_results.drawn(rng, S, {"gear_stiffness 1": 0.98})
     november = str(compared_results.write(worn, tmp_path / "november") / "result.json")
-    done = run("compare", january, june, "--out", str(tmp_path / "same"))
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "no difference at the level of 5 %" in done.stdout
+    process = run("compare", january, june, "--out", str(tmp_path / "same"))
+    assert (process.returncode, process.stderr) == (0, "")
+    assert "no difference at the level of 5 %" in process.stdout
     assert {p.name for p in (tmp_path / "same").iterdir()} == {"comparison.html", "comparison.json"}
-    done = run("compare", january, june, november, "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (4, "", "")
+    process = run("compare", january, june, november, "--quiet")
+    assert (process.returncode, process.stdout, process.stderr) == (4, "", "")
 
 
 def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
@@ -300,22 +301,22 @@ def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
         ((one, str(tmp_path / "missing")), 2, "does not exist"),
         ((one, none), 3, "nothing to compare"),
     ):
-        done = run("compare", *arguments, "--out", str(tmp_path / "out"))
-        assert done.returncode == code
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        process = run("compare", *arguments, "--out", str(tmp_path / "out"))
+        assert process.returncode == code
+        assert message in process.stderr
+        assert process.stderr.count("\n") == 1
         assert not (tmp_path / "out").exists()
 
 
 def test_the_exit_code_of_trend_is_four_if_an_arm_changes(tmp_path: Path) -> None:
     factors = {"arm-1": visited_arms.healthy, "arm-2": visited_arms.softening}
     store = str(visited_arms.fleet(tmp_path / "store", factors, seed=3))
-    done = run("trend", store, "--out", str(tmp_path / "out"))
-    assert (done.returncode, done.stderr) == (4, "")
-    assert "1 of 2 arms changes at the level of 1 % per arm: arm-2" in done.stdout
+    process = run("trend", store, "--out", str(tmp_path / "out"))
+    assert (process.returncode, process.stderr) == (4, "")
+    assert "1 of 2 arms changes at the level of 1 % per arm: arm-2" in process.stdout
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"trend.html", "trend.json"}
-    done = run("trend", store, "--arm", "(arm-1)/", "--quiet")
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    process = run("trend", store, "--arm", "(arm-1)/", "--quiet")
+    assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 
 
 def test_trend_refuses_wrong_arguments(tmp_path: Path) -> None:
@@ -327,8 +328,8 @@ def test_trend_refuses_wrong_arguments(tmp_path: Path) -> None:
         ((store, "--covariates", str(tmp_path / "none.csv")), 2, "does not exist"),
         ((store,), 3, "enough visits"),
     ):
-        done = run("trend", *arguments, "--out", str(tmp_path / "out"))
-        assert done.returncode == code, done.stderr
-        assert message in done.stderr
-        assert done.stderr.count("\n") == 1
+        process = run("trend", *arguments, "--out", str(tmp_path / "out"))
+        assert process.returncode == code, process.stderr
+        assert message in process.stderr
+        assert process.stderr.count("\n") == 1
         assert not (tmp_path / "out").exists()

@@ -1,4 +1,4 @@
-"""Examples of the documentation work, and its lists are complete.
+"""Examples in the documentation run, and its lists are complete.
 
 Examples: study files, parameter files, commands, code, links. Lists: codes, keys, equations.
 """
@@ -56,7 +56,7 @@ def blocks(language: str) -> list[tuple[str, str]]:
 
 
 def programs() -> list[tuple[str, str]]:
-    """Python programs of the docs: one per page; the pages of the stages form one program."""
+    """Return the Python programs of the docs: one per page, and one of all stage pages."""
     stages = [ROOT / f"docs/stages/{name}.md" for name in STAGES]
     others = [page for page in PAGES if page not in stages and blocks_of(page, "python")]
     groups = {page.stem: [page] for page in others} | {"stages": stages}
@@ -154,7 +154,7 @@ def test_every_key_of_a_study_is_documented() -> None:
     for record in (ArmDescription, Joint, Servo, Experiment):
         for field in fields(record):
             if record is ArmDescription and field.name in ("joints", "servo"):
-                continue  # have their own tables
+                continue  # documented in tables of their own
             assert f"`{field.name}`" in page or f"{field.name} =" in page, field.name
 
 
@@ -185,14 +185,14 @@ def test_every_equation_number_is_unique() -> None:
 
 @cache
 def calls() -> list[ast.Call]:
-    """All calls in the package."""
+    """Return all calls in the package."""
     files = ROOT.glob("python/strainwave/**/*.py")
     trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
     return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
 def first_arguments(function: str) -> list[ast.expr]:
-    """First arguments of the package's calls of a function."""
+    """Return the first arguments of all calls of a function in the package."""
     return [
         call.args[0]
         for call in calls()
@@ -206,7 +206,7 @@ def constants(function: str) -> set[str]:
 
 
 def codes_of_warnings() -> set[str]:
-    """All codes of warnings: constants, and those of checks, stages and effects."""
+    """Return all warning codes: constants, and those of checks, stages and effects."""
     computed = [
         node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)
     ]

@@ -1,4 +1,4 @@
-"""No input may do anything but be read or be refused in one sentence."""
+"""Any input is either read or refused with a one-line message."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def read_or_refuse(folder: Path, study: bytes, name: str = "motion.csv", log: bytes = b"") -> None:
     (folder / "study.toml").write_bytes(study)
     (folder / name).write_bytes(log)
-    refused = None
+    error = None
     try:
-        for found in read_logs(read_study(folder / "study.toml")):
-            assert all(np.isfinite(values).all() for values in found.channels.values())
+        for log_read in read_logs(read_study(folder / "study.toml")):
+            assert all(np.isfinite(values).all() for values in log_read.channels.values())
     except InvalidInput as refusal:
-        refused = refusal
-    if refused is not None:
-        assert refused.remedy
-        assert refused.where
-        assert "\n" not in str(refused)
+        error = refusal
+    if error is not None:
+        assert error.remedy
+        assert error.where
+        assert "\n" not in str(error)
 
 
 def mutated(data: bytes) -> st.SearchStrategy[bytes]:
-    """The data with some stretches cut out, doubled or overwritten."""
+    """Draw copies of the data with some ranges removed, repeated or overwritten."""
     edit = st.tuples(st.integers(0, len(data)), st.integers(0, 40), st.binary(max_size=12))
 
     def apply(edits: list[tuple[int, int, bytes]]) -> bytes:
@@ -182,8 +182,8 @@ def test_csv_of_drawn_cells(rows: list[list[Any]], increasing: bool, folder: Pat
 @given(data=st.data())
 @pytest.mark.parametrize("name", ["log.parquet", "log.mat", "log.csv.gz", "log.h5"])
 def test_binary_files(name: str, data: st.DataObject, folder: Path) -> None:
-    whole = {"log.parquet": _parquet(), "log.mat": _mat(), "log.csv.gz": gzip.compress(CSV)}
-    log = data.draw(mutated(whole.get(name, b"\x89HDF\r\n\x1a\n" + bytes(100))))
+    valid = {"log.parquet": _parquet(), "log.mat": _mat(), "log.csv.gz": gzip.compress(CSV)}
+    log = data.draw(mutated(valid.get(name, b"\x89HDF\r\n\x1a\n" + bytes(100))))
     read_or_refuse(folder, STUDY.replace(b"motion.csv", name.encode()), name, log)
 
 
@@ -197,14 +197,14 @@ def test_a_spoilt_bag_is_read_or_refused(
     folder = tmp_path_factory.mktemp("bag")
     bags.write(folder / "run", bags.of_columns(studies.columns()), storage)
     text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS
-    whole = {path.name: path.read_bytes() for path in (folder / "run").iterdir()}
+    valid = {path.name: path.read_bytes() for path in (folder / "run").iterdir()}
 
     @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
     @given(data=st.data())
     def spoilt(data: st.DataObject) -> None:
-        name = data.draw(st.sampled_from(sorted(whole)))
-        for other, content in whole.items():
+        name = data.draw(st.sampled_from(sorted(valid)))
+        for other, content in valid.items():
             (folder / "run" / other).write_bytes(content)
-        read_or_refuse(folder, text.encode(), f"run/{name}", data.draw(mutated(whole[name])))
+        read_or_refuse(folder, text.encode(), f"run/{name}", data.draw(mutated(valid[name])))
 
     spoilt()

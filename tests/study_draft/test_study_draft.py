@@ -49,7 +49,7 @@ ANSWERS = {
 
 
 def motion(seconds: float = 6.0, seed: int = 1) -> dict[str, FloatArray]:
-    """The built-in rig's motion with everything that a rig may log, in SI units."""
+    """Return all channels of a motion record of the built-in arm, in SI units."""
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, 1)
     log = virtual_arms.motion_log(study, values, seed, duration=seconds)
@@ -64,7 +64,7 @@ def motion(seconds: float = 6.0, seed: int = 1) -> dict[str, FloatArray]:
 
 
 def filled_in(path: Path, answers: dict[str, str] = ANSWERS) -> Path:
-    """What a user does: every TODO gets the number that its key asks for."""
+    """Replace each TODO by the answer for its key, as a user does."""
     text = path.read_text()
     for key, value in answers.items():
         line = re.compile(rf"^({key} = .*?)\bTODO\b", flags=re.MULTILINE)
@@ -75,7 +75,7 @@ def filled_in(path: Path, answers: dict[str, str] = ANSWERS) -> Path:
 
 
 def started(folder: Path, columns: dict[str, FloatArray], answers: dict[str, str] = ANSWERS) -> Log:
-    """The log as the study that `init` writes reads it."""
+    """Read the log with the study that `init` drafts."""
     write_log(folder / "run.csv", columns)
     start_study([folder / "run.csv"], folder / "study.toml")
     study = read_study(filled_in(folder / "study.toml", answers))
@@ -157,7 +157,7 @@ def test_columns_of_any_name_and_unit_come_out_in_si(vocabulary: str, tmp_path: 
     log = started(tmp_path, rename(truth))
     np.testing.assert_allclose(log.time - log.time[0], truth["t"], atol=1e-6)
     for name in channels:
-        # a CSV of 17 digits; factors of units are exact
+        # the CSV has 17 digits, and unit factors are exact
         np.testing.assert_allclose(log.channels[name], truth[name], rtol=1e-9, atol=1e-9)
 
 
@@ -165,8 +165,8 @@ def test_the_third_joint_alone_is_an_arm_of_one_joint(tmp_path: Path) -> None:
     truth = motion()
     columns = {"t": truth["t"], "q3": truth["theta_m2"], "tau": truth["u2"]}
     log = started(tmp_path, columns | {"link_acc": truth["a2"]})
-    for ours, theirs in (("theta_m1", "theta_m2"), ("torque1", "u2"), ("a1", "a2")):
-        np.testing.assert_allclose(log.channels[ours], truth[theirs], rtol=1e-9, atol=1e-9)
+    for channel, source in (("theta_m1", "theta_m2"), ("torque1", "u2"), ("a1", "a2")):
+        np.testing.assert_allclose(log.channels[channel], truth[source], rtol=1e-9, atol=1e-9)
 
 
 def test_a_drive_at_its_limit_is_reported(tmp_path: Path) -> None:
@@ -186,7 +186,7 @@ def test_the_gear_ratio_follows_from_two_encoders(tmp_path: Path) -> None:
     text = (tmp_path / "study.toml").read_text()
     assert text.count("\ngear_ratio = 0.01\n") == 2
     assert "gear_ratio = TODO" not in text
-    assert text.count("encoder_counts = 8192") == 2  # by the steps that the angles change in
+    assert text.count("encoder_counts = 8192") == 2  # from the quantisation of the angles
 
 
 def test_counts_and_currents_ask_for_their_scale(tmp_path: Path) -> None:
@@ -252,21 +252,24 @@ def test_a_column_that_some_logs_lack_is_absent_there(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("still", [False, True])
 def test_columns_that_only_a_shorter_log_has_are_mapped(tmp_path: Path, still: bool) -> None:
-    """Even where a joint stands still in that log: joints are those of the fullest."""
+    """The log with the most columns determines the joints.
+
+    This also holds if a joint stands still in another log.
+    """
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     write_log(
         tmp_path / "a.csv", columns | {"omega_m1": truth["omega_m1"], "gyro1": truth["gyro1"]}
     )
-    less = columns | {"theta_m1": 0.0 * truth["theta_m1"], "u1": 0.0 * truth["u1"]}
-    lab = {"acc_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
-    write_log(tmp_path / "b.csv", (less if still else columns) | lab)
-    begun = start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
-    assert {"omega_m1", "gyro1", "a2"} <= set(begun.channels)
+    standing = columns | {"theta_m1": 0.0 * truth["theta_m1"], "u1": 0.0 * truth["u1"]}
+    extra = {"acc_2": truth["a2"], "temperature": 20.0 + 0.0 * truth["t"]}
+    write_log(tmp_path / "b.csv", (standing if still else columns) | extra)
+    draft = start_study([tmp_path / "a.csv", tmp_path / "b.csv"], tmp_path / "study.toml")
+    assert {"omega_m1", "gyro1", "a2"} <= set(draft.channels)
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
     assert '\na2 = "acc_2" ' in text
     assert "not in a.csv: absent there" in text
-    assert "accelerometer_distance" in text  # what the sensor asks of its joint
+    assert "accelerometer_distance" in text  # the sensor requires this key of its joint
     assert '"temperature": it never changes' in text
     study = read_study(filled_in(tmp_path / "study.toml"))
     assert ["a2" in log.channels for log in read_logs(study)] == [False, True]
@@ -279,13 +282,13 @@ def test_text_and_nan_columns_are_left_out_and_reported(tmp_path: Path) -> None:
     rows = zip(*(truth[n] for n in names[:5]), strict=True)
     lines = [",".join(f"{v:.9g}" for v in row) + ",nan,on" for row in rows]
     (tmp_path / "run.csv").write_text("\n".join([",".join(names), *lines]))
-    begun = start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
-    assert len(begun.warnings) == 2
-    assert "run.csv: column 'state' is left out" in begun.warnings[0]
-    rows_lost = f"'omega_m1' has {len(lines)} sample(s) that are no number, the first in row 1"
-    assert f"{rows_lost}: it is left out" in begun.warnings[1]
+    draft = start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
+    assert len(draft.warnings) == 2
+    assert "run.csv: column 'state' is left out" in draft.warnings[0]
+    warning_start = f"'omega_m1' has {len(lines)} sample(s) that are no number, the first in row 1"
+    assert f"{warning_start}: it is left out" in draft.warnings[1]
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
-    assert all(f"note: {warning}" in text for warning in begun.warnings)
+    assert all(f"note: {warning}" in text for warning in draft.warnings)
     read_study(filled_in(tmp_path / "study.toml"))
 
 
@@ -294,11 +297,11 @@ def test_a_column_with_one_nan_is_mapped_and_named_in_the_terminal(tmp_path: Pat
     columns["speed_1"] = motion()["omega_m1"].copy()
     columns["speed_1"][700] = np.nan
     write_log(tmp_path / "run.csv", columns)
-    said = run_init(tmp_path / "run.csv", "--out", tmp_path / "study.toml").stdout
+    output = run_init(tmp_path / "run.csv", "--out", tmp_path / "study.toml").stdout
     assert (
-        "warning: run.csv: column 'speed_1' has 1 sample(s) that are no number, the first" in said
+        "warning: run.csv: column 'speed_1' has 1 sample(s) that are no number, the first" in output
     )
-    assert "in row 701 (nan): identify refuses the log" in said
+    assert "in row 701 (nan): identify refuses the log" in output
     study = read_study(filled_in(tmp_path / "study.toml"))
     assert study.channels["omega_m1"].column == "speed_1"
     with pytest.raises(InvalidInput, match="line 702"):
@@ -312,11 +315,11 @@ def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
         columns[f"q{number}"] = truth[f"theta_m{1 + number % 2}"]
         columns[f"tau{number}"] = truth[f"u{1 + number % 2}"]
     write_log(tmp_path / "six.csv", columns)
-    said = run_init(tmp_path / "six.csv", "--out", tmp_path / "study.toml").stdout
-    assert said.startswith(
+    output = run_init(tmp_path / "six.csv", "--out", tmp_path / "study.toml").stdout
+    assert output.startswith(
         "limit: these logs have angles of 6 joints; an arm of one joint, or of two"
     )
-    assert "Taken as joint 1 and 2: 1, 2 of the logs" in said
+    assert "Taken as joint 1 and 2: 1, 2 of the logs" in output
     del columns["t"]
     write_log(tmp_path / "timeless.csv", columns)
     with pytest.raises(
@@ -326,17 +329,19 @@ def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
 
 
 def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArray]:
-    """A step record of one joint under its servo, as a rig logs it; the other one stands."""
+    """Return a step record of one joint under its servo; the other joint stands still."""
     t = 0.001 * np.arange(round(1000 * seconds), dtype=np.float64)
     rng = np.random.default_rng(joint)
     reference = np.where((t > 0.5) & (t < 2.0), level, 0.0)
     velocity = level * np.interp(t, [0.5, 0.7, 2.0, 2.2], [0.0, 1.0, 1.0, 0.0])
     columns = {"t": t}
     for i in (1, 2):
-        own = i == joint
-        columns[f"u{i}"] = 0.02 * velocity + 0.01 * rng.normal(size=len(t)) if own else 0.0 * t
-        columns[f"theta_m{i}"] = np.cumsum(velocity) * 0.001 if own else 0.0 * t
-        columns[f"ref{i}"] = reference if own else 0.0 * t
+        is_stepped = i == joint
+        columns[f"u{i}"] = (
+            0.02 * velocity + 0.01 * rng.normal(size=len(t)) if is_stepped else 0.0 * t
+        )
+        columns[f"theta_m{i}"] = np.cumsum(velocity) * 0.001 if is_stepped else 0.0 * t
+        columns[f"ref{i}"] = reference if is_stepped else 0.0 * t
         columns[f"a{i}"] = np.asarray(np.gradient(velocity, t)) * 0.003 + 0.01 * rng.normal(
             size=len(t)
         )
@@ -344,14 +349,14 @@ def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArra
 
 
 def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_path: Path) -> None:
-    moved = {n: v for n, v in motion().items() if n[:-1] in ("", "u", "theta_m", "a")}
-    moved |= {f"ref{i}": motion()[f"omega_m{i}"] for i in (1, 2)}
-    write_log(tmp_path / "motion.csv", moved)
+    motion_columns = {n: v for n, v in motion().items() if n[:-1] in ("", "u", "theta_m", "a")}
+    motion_columns |= {f"ref{i}": motion()[f"omega_m{i}"] for i in (1, 2)}
+    write_log(tmp_path / "motion.csv", motion_columns)
     for name, joint, level in (("a", 1, 50.0), ("b", 1, 90.0), ("c", 2, 50.0), ("d", 2, 90.0)):
         write_log(tmp_path / f"{name}.csv", steps(joint, level))
     logs = [tmp_path / f"{name}.csv" for name in ("motion", "a", "b", "c", "d")]
-    begun = start_study(logs, tmp_path / "study.toml")
-    assert not begun.warnings
+    draft = start_study(logs, tmp_path / "study.toml")
+    assert not draft.warnings
     text = (tmp_path / "study.toml").read_text()
     assert "\n[servo]\n" in text
     assert "Needed: a, b, c, d moved under the servo" in text
@@ -365,12 +370,12 @@ def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_p
         ("c", "tuning", 2),
         ("d", "check", 2),
     ]
-    begun = start_study(logs[:2], tmp_path / "fewer.toml")
-    assert "no record checks the elastic model of joint 1, 2" in begun.warnings[0]
+    draft = start_study(logs[:2], tmp_path / "fewer.toml")
+    assert "no record checks the elastic model of joint 1, 2" in draft.warnings[0]
 
 
 def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
-    """A column in mV gets its scale, and the PRBS the amplitude after it."""
+    """A column in mV gets its scale, and the PRBS amplitude is in V."""
     truth = Prbs(8, 0.001, 3, 10.0)
     voltage = excitation.prbs(truth)
     time = 0.001 * np.arange(len(voltage))
@@ -389,7 +394,7 @@ def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("counts", "decimals"), [(8192, 3), (8192, 9), (10000, 3), (4000, 6)])
 def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_path: Path) -> None:
-    """Also where a log has few digits: the finest of these is a fortieth of a count."""
+    """Also if the log has few digits: the smallest resolution is 1/40 count."""
     truth = motion()
     angle = np.round(truth["theta_m1"] * counts / (2 * np.pi)) * 360.0 / counts
     rounded = [f"{value:.{decimals}f}" for value in angle]
@@ -416,8 +421,8 @@ def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
     values = virtual_arms.values_of(study, 1)
     for seed, name in ((1, "drive-a"), (2, "drive-b")):
         log = virtual_arms.motion_log(study, values, seed)
-        # what a drive measures is the motor's torque, behind its current loop: its voltages times
-        # the torque constant lie 0.66 ms ahead of that, which moves beta by up to 2 %
+        # a drive measures the motor torque after its current loop, 0.66 ms later than voltage
+        # times torque constant; ignoring the lag changes beta by up to 2 %
         torque = [
             drive_torque(log.channels[f"u{i}"], joint, log.sample_time)
             for i, joint in enumerate(study.arm.joints, start=1)
@@ -431,16 +436,16 @@ def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
         }
         write_log(tmp_path / f"{name}.csv", columns)
     out = tmp_path / "study.toml"
-    run = run_init(tmp_path / "drive-a.csv", tmp_path / "drive-b.csv", "--out", out)
-    assert "3 value(s) are TODO" in run.stdout
-    done = run_strainwave("identify", out, "--out", tmp_path / "r", "--stages", "rigid")
-    assert done.returncode == 2
-    assert "3 value(s) are still TODO: link_length (line " in done.stderr
+    init = run_init(tmp_path / "drive-a.csv", tmp_path / "drive-b.csv", "--out", out)
+    assert "3 value(s) are TODO" in init.stdout
+    process = run_strainwave("identify", out, "--out", tmp_path / "r", "--stages", "rigid")
+    assert process.returncode == 2
+    assert "3 value(s) are still TODO: link_length (line " in process.stderr
     identified = pipeline.identify(filled_in(out), stages=("rigid",))
     assert identified.rigid is not None
     truth = virtual_arms.rigid_truth(study, values)
     for name, joint in (("beta", None), ("gamma", None), ("rigid_inertia", 1)):
-        # as good as with our own names: over ten seeds of the motion at most 0.05 %
+        # the largest error over ten seeds of the motion is 0.05 %, as with channel names
         assert identified.rigid.value(name, joint) == pytest.approx(truth[name, joint], rel=0.002)
     assert [p.experiment for p in identified.checks] == ["drive-b"]
 
@@ -451,43 +456,47 @@ def run_strainwave(*words: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 def run_init(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    done = run_strainwave("init", *words)
-    assert (done.returncode, done.stderr) == (0, "")
-    return done
+    process = run_strainwave("init", *words)
+    assert (process.returncode, process.stderr) == (0, "")
+    return process
 
 
 @pytest.mark.parametrize("rig", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"])
 def test_the_labs_records_are_separated(rig: str, shared_data: Path, tmp_path: Path) -> None:
-    known = read_study(shared_data / "lab" / rig / "study.toml")
-    start_study([known.log_path(e) for e in known.experiments], tmp_path / "study.toml")
+    reference = read_study(shared_data / "lab" / rig / "study.toml")
+    start_study([reference.log_path(e) for e in reference.experiments], tmp_path / "study.toml")
     answers = ANSWERS | {"link_length": "0.35"}
-    found = read_study(filled_in(tmp_path / "study.toml", answers))
-    for theirs in known.experiments:
-        ours = next(e for e in found.experiments if e.name == theirs.name)
-        assert (ours.use, ours.joint, ours.control) == (theirs.use, theirs.joint, theirs.control)
-        if "open" in theirs.control:  # under a servo the sequence is hidden in the servo's output
-            assert ours.prbs == theirs.prbs
-    assert [joint.encoder_counts for joint in found.arm.joints] == [8192.0, 8192.0]
-    assert not found.channels  # all have their own names
-    read = read_logs(found)
-    assert {name for log in read for name in log.channels} >= {"ref1", "a2", "gyro1", "theta_m2"}
+    draft = read_study(filled_in(tmp_path / "study.toml", answers))
+    for target in reference.experiments:
+        drafted = next(e for e in draft.experiments if e.name == target.name)
+        assert (drafted.use, drafted.joint, drafted.control) == (
+            target.use,
+            target.joint,
+            target.control,
+        )
+        if "open" in target.control:  # under a servo, the voltage does not show the sequence
+            assert drafted.prbs == target.prbs
+    assert [joint.encoder_counts for joint in draft.arm.joints] == [8192.0, 8192.0]
+    assert not draft.channels  # all columns have channel names
+    logs = read_logs(draft)
+    assert {name for log in logs for name in log.channels} >= {"ref1", "a2", "gyro1", "theta_m2"}
 
 
 def test_measured_rigs_get_the_channels_they_have(shared_data: Path, tmp_path: Path) -> None:
     for rig in ("emps", "dfki-double-pendulum", "ist-flexible-arm"):
-        known = read_study(shared_data / "real" / rig / "study.toml")
+        reference = read_study(shared_data / "real" / rig / "study.toml")
         out = tmp_path / f"{rig}.toml"
-        start_study([known.log_path(e) for e in known.experiments], out)
-        found = read_study(filled_in(out))
-        reported = {n: c.column for n, c in known.channels.items() if c.column != n}
-        reported.pop("ref1", None)  # EMPS's is of position
-        assert {name: channel.column for name, channel in found.channels.items()} == reported
-        assert found.arm.kind == known.arm.kind
-        assert [j.motion for j in found.arm.joints] == [j.motion for j in known.arm.joints]
-        uses = {e.name: e.use for e in found.experiments}
+        start_study([reference.log_path(e) for e in reference.experiments], out)
+        draft = read_study(filled_in(out))
+        mapped = {n: c.column for n, c in reference.channels.items() if c.column != n}
+        mapped.pop("ref1", None)  # the reference of EMPS is a position
+        assert {name: channel.column for name, channel in draft.channels.items()} == mapped
+        assert draft.arm.kind == reference.arm.kind
+        assert [j.motion for j in draft.arm.joints] == [j.motion for j in reference.arm.joints]
+        uses = {e.name: e.use for e in draft.experiments}
         assert sorted(uses.values()) == sorted(
             {"dfki-double-pendulum": ["check", "motion", "motion"]}.get(
-                rig, [e.use for e in known.experiments]
+                rig, [e.use for e in reference.experiments]
             )
         )
 
@@ -515,20 +524,20 @@ def test_a_bag_gets_its_topics_mapped(tmp_path: Path) -> None:
 def test_nothing_is_ever_overwritten(tmp_path: Path) -> None:
     write_log(tmp_path / "run.csv", motion())
     (tmp_path / "study.toml").write_text("mine")
-    done = run_strainwave("init", tmp_path / "run.csv", "--out", tmp_path / "study.toml")
-    assert done.returncode == 2
-    assert "is there already" in done.stderr
+    process = run_strainwave("init", tmp_path / "run.csv", "--out", tmp_path / "study.toml")
+    assert process.returncode == 2
+    assert "is there already" in process.stderr
     assert (tmp_path / "study.toml").read_text() == "mine"
 
 
 def test_six_axes_without_time_are_answered_with_a_column_to_add_and_the_limit(
     tmp_path: Path, shared_data: Path
 ) -> None:
-    """Measured logs of one quantity each, all columns named alike."""
+    """Measured logs with one quantity each and equal column names."""
     path = shared_data / "real" / "staubli-tx40" / "pos_read_data.csv"
-    with pytest.raises(InvalidInput, match="no column of time among Joint_1") as refused:
+    with pytest.raises(InvalidInput, match="no column of time among Joint_1") as error:
         start_study([path], tmp_path / "study.toml")
-    remedy = str(refused.value.remedy)
+    remedy = str(error.value.remedy)
     assert "add a column t [s]: the row's number divided by the sampling rate" in remedy
     assert "of 6 joints" in remedy
     assert not (tmp_path / "study.toml").exists()
@@ -585,7 +594,7 @@ def test_a_derivative_is_reported_with_its_unit(seed: int, scale: float, noise: 
     value = np.sin(rate * time + phase) + 5.0 + noise * rng.normal(size=3000)
     r, ratio = relation(rate * np.cos(rate * time + phase) / scale, value, time)
     assert r > 0.9
-    # noise of a thousandth against changes of a hundredth and more
+    # noise of 1e-3, changes of at least 1e-2
     assert ratio == pytest.approx(scale, rel=0.02)
     assert abs(relation(rng.normal(size=3000), value, time)[0]) < 0.5
 
@@ -639,9 +648,9 @@ WORDS = st.sampled_from(
     ),
     seed=st.integers(0, 2**32 - 1),
 )
-@example(names=["", "q", "dq", "U", "q_q", "0", "ref"], seed=1179)  # a servoed step
-@example(names=["\x7f"], seed=0)  # DEL is free in JSON, not in TOML
-@example(names=["", "/\x1f"], seed=35)  # a table's column may begin as a bag's topic does
+@example(names=["", "q", "dq", "U", "q_q", "0", "ref"], seed=1179)  # a step under a servo
+@example(names=["\x7f"], seed=0)  # JSON allows a raw DEL, TOML does not
+@example(names=["", "/\x1f"], seed=35)  # a column name of a table may start like a topic
 def test_any_table_is_started_from_or_refused(
     tmp_path_factory: pytest.TempPathFactory, names: list[str], seed: int
 ) -> None:
@@ -650,37 +659,38 @@ def test_any_table_is_started_from_or_refused(
     time = 0.001 * np.arange(60, dtype=np.float64)
     columns = {"time": time}
     for name in names:
-        kinds = [
+        signals = [
             np.sin(9 * time),
             np.cumsum(np.sin(9 * time)),
             np.zeros(60),
             np.sign(rng.normal(size=60)),
         ]
-        columns[name] = kinds[rng.integers(4)] * 10.0 ** rng.integers(-3, 4)
+        columns[name] = signals[rng.integers(4)] * 10.0 ** rng.integers(-3, 4)
     write_log(folder / "run.parquet", columns)
     with contextlib.suppress(InvalidInput):
         start_study([folder / "run.parquet"], folder / "study.toml")
     if not (folder / "study.toml").exists():
         return
     text = (folder / "study.toml").read_text()
-    number = re.sub(r'"?\bTODO\b"?', "0.5", text)  # the text stays TOML whatever the names hold
-    drafted = tomllib.loads(number)
+    completed = re.sub(r'"?\bTODO\b"?', "0.5", text)  # the text is valid TOML for any names
+    drafted = tomllib.loads(completed)
     elastic = any(joint.get("spring") != "rigid" for joint in drafted["joint"])
     steps = [e for e in drafted["experiment"] if e["use"] in ("tuning", "check") and "joint" in e]
-    servoed = any("servo" in step["control"] for step in steps)
-    servo = {"servo"} if elastic and servoed else set()  # needed to compare them with a simulation
-    assert set(drafted) == {"arm", "joint", "channels", "experiment"} | servo
+    has_servo = any("servo" in step["control"] for step in steps)
+    # [servo] is required for the comparison with a simulation
+    servo_table = {"servo"} if elastic and has_servo else set()
+    assert set(drafted) == {"arm", "joint", "channels", "experiment"} | servo_table
 
 
 def test_axes_of_an_imu_under_their_own_names(tmp_path: Path) -> None:
-    """They say that the arm is elastic; where the sensor sits is left to the fit."""
+    """IMU axes make the arm elastic; the fit estimates the sensor position."""
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     imu = {"ax2": truth["a2"], "gz2": truth["gyro2"], "ay9": truth["a2"]}
     write_log(tmp_path / "a.csv", columns | imu)
-    begun = start_study([tmp_path / "a.csv"], tmp_path / "study.toml")
-    assert {"ax2", "gz2"} <= set(begun.channels)
-    assert "ay9" not in begun.channels
+    draft = start_study([tmp_path / "a.csv"], tmp_path / "study.toml")
+    assert {"ax2", "gz2"} <= set(draft.channels)
+    assert "ay9" not in draft.channels
     text = (tmp_path / "study.toml").read_text()
     assert "# imu = {" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
