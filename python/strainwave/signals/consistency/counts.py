@@ -1,4 +1,4 @@
-"""Encoder resolution estimated from the steps of a quantized motor angle."""
+"""Encoder resolution estimated from the steps of a quantised motor angle."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def count_of(angles: Sequence[FloatArray]) -> float | None:
 
     The count is the smallest step between consecutive samples, provided that nearly all small
     steps are whole multiples of it. `angles` holds the same channel of several records, each of
-    shape (n_samples,). Returns None if the angle shows no quantization.
+    shape (n_samples,). Returns None if the angle shows no quantisation.
     """
     steps = np.concatenate([np.abs(np.diff(angle[:_MOST_SAMPLES])) for angle in angles])
     largest = steps.max(initial=0.0)

@@ -65,7 +65,7 @@ class Evidence:
 
     study: Study  # with the corrections of the hypothesis
     records: tuple[SlowRecord, ...]
-    counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantized
+    counts: Mapping[int, float]  # joint -> encoder count of its motor angle, if quantised
     high_passes: Mapping[str, float] = field(default_factory=dict)  # channel -> cutoff [Hz]
 
     @property

@@ -206,10 +206,10 @@ def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
     inertia = {"inertia": ddq[:, i] / n[i]}
     if i == 0:
         accelerations = 2.0 * ddq[:, 0] + ddq[:, 1]
-        velocities_squared = 2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2
+        velocity_products = 2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2
         coupled = {
             "beta": n[0] * ddq[:, 1],
-            "gamma": n[0] * (c * accelerations - s * velocities_squared),
+            "gamma": n[0] * (c * accelerations - s * velocity_products),
         }
     else:
         coupled = {"beta": n[1] * ddq[:, 0], "gamma": n[1] * (c * ddq[:, 0] + s * dq[:, 0] ** 2)}
@@ -222,11 +222,11 @@ def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
 
 
 def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
-    """Relative error of the torque constants of joints 1 and 2, from the symmetry of M(q).
+    """Ratio of the torque-constant errors of joints 1 and 2, from the symmetry of M(q).
 
     beta, gamma and G2 occur in the equations of both joints. If the torque constant of joint i is
     wrong by a factor f_i, the equation of joint i gives estimates x_i that are f_i times the true
-    values. The ratio f_1 / f_2 minimizes over r
+    values. The ratio f_1 / f_2 minimises over r
 
         (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2)
 
@@ -241,8 +241,10 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     def costs_of(ratios: FloatArray) -> FloatArray:
         error = first.coupling - ratios[:, None] * second.coupling
         squares = ratios[:, None, None] ** 2
-        C = first.coupling_covariance + squares * second.coupling_covariance
-        return np.asarray((error * np.linalg.solve(C, error[..., None])[..., 0]).sum(axis=1))
+        covariance = first.coupling_covariance + squares * second.coupling_covariance
+        return np.asarray(
+            (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(axis=1)
+        )
 
     grid = np.exp(np.linspace(-_WIDEST, _WIDEST, _RATIOS))
     costs = costs_of(grid)

@@ -1,4 +1,4 @@
-"""Evidence -> observations: numbers that are 1, or 0, where the input agrees with itself."""
+"""Observations of the input check: values that are 1 or 0 if the input is consistent."""
 
 from __future__ import annotations
 
@@ -45,36 +45,38 @@ Kind = Literal[
     "tilt",
 ]
 
-_CERTAIN = 5.0  # standard deviations
-_CERTAIN_TORQUE = 3.5  # the same for the one ratio that rests on friction as well
+# Minimum significance of a contradiction, in standard deviations.
+_CERTAIN = 5.0
+# The same for the torque ratio, whose standard deviation includes friction errors.
+_CERTAIN_TORQUE = 3.5
 _INPUT_DELAY_SAMPLES = 1.25
-"""Sample periods that a command may be late: its log may have the value before or after a tick."""
+"""Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
 _INPUT_DELAY = 1.25e-3
-"""[s] Delays of buses and drives up to 1 ms are usual."""
+"""Tolerated delay of a command [s]; buses and drives commonly have delays of up to 1 ms."""
 
 _TOLERANCE: dict[Kind, float] = {
-    "count": 0.03,  # a data sheet's counts against the same, rounded
-    "prbs-clock": 2e-3,  # crystals keep 1e-4
+    "count": 0.03,  # rounding of the counts in a data sheet
+    "prbs-clock": 2e-3,  # crystal clocks are accurate to 1e-4
     "servo-clock": 2e-3,
-    "level": 1.0,  # an amplifier's gain is not the study's amplitude
-    "reference": 0.2,  # a servo follows its reference only so well
-    "servo": 3.0,  # the integrator's state and the limit are not known
+    "level": 1.0,  # the amplifier gain can differ from 1
+    "reference": 0.2,  # tracking error of a servo
+    "servo": 3.0,  # the integrator state and the limit are unknown
     "velocity": 0.05,
-    "scale": 0.05,  # up to here the whole-arm fit corrects
+    "scale": 0.05,  # range that the whole-arm fit corrects
     "own": 0.08,
     "elbow": 0.12,
     "gravity": 0.08,
     "turn": 0.12,
-    "delay": 5e-3,  # [s] likewise
+    "delay": 5e-3,  # [s] range that the whole-arm fit corrects
     "input-delay": _INPUT_DELAY,
-    "drift": 2e-4,  # of a second per second
-    "inertia": np.inf,  # only its sign
-    "limit": 1.0,  # a factor of two: the study's limit may leave out a PRBS on top
-    "tilt": 0.3,  # of gravity: a table or a bracket is level within 17 degrees
+    "drift": 2e-4,  # [s/s]
+    "inertia": np.inf,  # only the sign is tested
+    "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
+    "tilt": 0.3,  # of g; tables and brackets are level to 17 degrees
     "excited-joint": 0.0,
-    "torque-ratio": 0.5,  # smaller ones show in the rigid fit, which knows the ratio far better
+    "torque-ratio": 0.5,  # the rigid fit detects smaller errors with higher accuracy
 }
-"""What may differ from 1, or from 0 for `delay` and `drift`, without a word."""
+"""Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
 
 _FLOOR: dict[Kind, float] = {
     "reference": 0.02,
@@ -87,35 +89,41 @@ _FLOOR: dict[Kind, float] = {
     "turn": 0.02,
     "delay": 4e-4,
     "tilt": 0.01,
-    "drift": 0.0,  # a delay's at either end of the record, by half its length
+    "drift": 0.0,  # follows from the floor of the delay and the length of the record
 }
-"""What springs, friction and a servo's lag leave in a record's answer whatever the noise."""
+"""Model error of an observation in one record: springs, friction and servo lag, without noise."""
 
-_SCALE_AGREES = 0.025  # from 1 of a reading of its own joint: calibrations are good to 1 %
+# Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
+_SCALE_AGREES = 0.025
 _LENGTH_TOLERANCE = 0.04
-"""Of the distance between the axes, where the reading of the link's own joint agrees."""
+"""Tolerated relative error of link_length if the own-joint scale is correct."""
 
-_FOLLOWED = 0.95  # share of a signal's variance from which it follows its prediction
-_IN_PART = 0.5  # share from which its delay and its parts mean something
-_FOLLOWED_WEIGHT = 2.0  # of a signal that does not: nothing else can be asked of it
-_FOLLOWED_BY_MOTORS = 0.8  # the same of a servo and of torques, which friction takes a share of
-_HEARD = 5.0  # signal over noise from which something was to be followed
+# Minimum explained share of the variance of a link sensor.
+_FOLLOWED = 0.95
+# Minimum explained share for the delay and the parts of a reading to be evaluated.
+_IN_PART = 0.5
+# Weight of a signal that its prediction does not explain; no other observation is available.
+_FOLLOWED_WEIGHT = 2.0
+# Minimum explained share of servo outputs and torques; friction reduces it.
+_FOLLOWED_BY_MOTORS = 0.8
+# Minimum signal-to-noise ratio of a link sensor's record.
+_HEARD = 5.0
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """One number that says whether the input agrees with itself."""
+    """One value that tests the consistency of the input."""
 
     kind: Kind
-    where: str  # channel, or record
+    where: str  # channel or record
     value: float
     std: float
     joint: int | None = None
-    tolerance: float | None = None  # of this one; None: that of its kind
+    tolerance: float | None = None  # None: tolerance of the kind
 
     @property
     def contradicts(self) -> bool:
-        """Whether it is certainly further off than what is tolerated."""
+        """Whether the error exceeds the tolerance and is statistically significant."""
         if self.kind == "followed":
             link = self.where[:-1] in LINK_CHANNELS
             return self.value < (_FOLLOWED if link else _FOLLOWED_BY_MOTORS)
@@ -131,21 +139,12 @@ class Observation:
 
     @property
     def weight(self) -> float:
-        """How much it counts where it contradicts."""
+        """Weight of the observation if it contradicts."""
         return _FOLLOWED_WEIGHT if self.kind == "followed" else 1.0
 
 
 def observe(seen: Evidence) -> tuple[Observation, ...]:
-    """All that can be said of a study's input.
-
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    tuple of Observation
-    """
+    """Compute all observations of the input check."""
     return (
         *_counts(seen),
         *_clocks(seen),
@@ -185,7 +184,7 @@ def _clocks(seen: Evidence) -> Iterator[Observation]:
 
 
 def _test_signals(seen: Evidence) -> Iterator[Observation]:
-    """The stated excited joint against the commands, and servos against their limit."""
+    """Compare the stated excited joint and the servo limit with the commands."""
     for record in seen.records:
         experiment, excited = record.experiment, record.clocks.excited
         joint = experiment.joint
@@ -203,16 +202,16 @@ def _test_signals(seen: Evidence) -> Iterator[Observation]:
 
 def _input_delays(seen: Evidence) -> Iterator[Observation]:
     for joint in range(1, seen.arm.n_joints + 1):
-        own = [(r, r.delays[joint]) for r in seen.records if joint in r.delays]
-        delay = pooled_delay([profile for _, profile in own])
+        profiles = [(r, r.delays[joint]) for r in seen.records if joint in r.delays]
+        delay = pooled_delay([profile for _, profile in profiles])
         if delay is None:
             continue
-        record, profile = own[0]
+        record, profile = profiles[0]
         name = next((n for n in (f"torque{joint}", f"u{joint}") if n in record.channels), "")
         corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
         tolerance = max(_INPUT_DELAY, _INPUT_DELAY_SAMPLES * profile.sample_time)
-        left = delay.value - corrected
-        yield Observation("input-delay", name, left, delay.std, joint, tolerance)
+        remaining = delay.value - corrected
+        yield Observation("input-delay", name, remaining, delay.std, joint, tolerance)
 
 
 def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
@@ -221,12 +220,12 @@ def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
         by_channel.setdefault(each.channel, []).append(each)
     for channel, all_records in by_channel.items():
         best = max(each.explained for each in all_records)
-        kept = [each for each in all_records if each.explained > 0.8 * best]
-        spread = [float(np.hypot(e.std, _FLOOR[kind] * abs(e.value))) for e in kept]
-        value, std = pooled([e.value for e in kept], spread)
+        clear = [each for each in all_records if each.explained > 0.8 * best]
+        stds = [float(np.hypot(e.std, _FLOOR[kind] * abs(e.value))) for e in clear]
+        value, std = pooled([e.value for e in clear], stds)
         joint = int(channel[-1])
         yield Observation("followed", channel, best, 0.0, joint)
-        if best > (_FOLLOWED if kind == "reference" else _IN_PART):  # a servo may fall behind
+        if best > (_FOLLOWED if kind == "reference" else _IN_PART):  # a servo can lag
             yield Observation(kind, channel, value, std, joint)
 
 
@@ -241,6 +240,8 @@ def _sensors(seen: Evidence) -> Iterator[Observation]:
 
 
 def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observation]:
+    """Observations of one link channel, averaged over the records `kept`."""
+
     def mean(kind: Kind, values: list[float], deviations: list[float]) -> Observation:
         relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
         floor = _FLOOR[kind] * relative
@@ -253,21 +254,21 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
     if best < _IN_PART:
         return
     yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
-    ends = [float(np.hypot(e.drift_std, 2.0 * _FLOOR["delay"] / e.seconds)) for e in kept]
+    drift_stds = [float(np.hypot(e.drift_std, 2.0 * _FLOOR["delay"] / e.seconds)) for e in kept]
     tilts = [e.tilt for e in kept if e.tilt is not None]
     if tilts:
         yield mean("tilt", [v for v, _ in tilts], [s for _, s in tilts])
-    yield mean("drift", [e.drift for e in kept], ends)
+    yield mean("drift", [e.drift for e in kept], drift_stds)
     parts: tuple[Kind, ...] = ("own", "elbow", "gravity")
     own_agrees = False
     for part in parts:
-        found = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
-        if not found:
+        scales = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
+        if not scales:
             continue
-        each = mean(part, [v for v, _ in found], [s for _, s in found])
+        each = mean(part, [v for v, _ in scales], [s for _, s in scales])
         if part == "own":
             own_agrees = abs(each.value - 1.0) < _SCALE_AGREES
-        if part == "elbow" and own_agrees:  # no scale of the sensor can explain it
+        if part == "elbow" and own_agrees:  # The scale of the sensor is correct.
             each = replace(each, tolerance=_LENGTH_TOLERANCE)
         yield each
     turns = [e.turn for e in kept if e.turn is not None]
@@ -276,11 +277,11 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
 
 
 def _torques(seen: Evidence) -> Iterator[Observation]:
-    found = torques(seen)
-    for each in found:
+    estimates = torques(seen)
+    for each in estimates:
         channel = f"u{each.joint}"
         yield Observation("inertia", channel, each.inertia, each.inertia_std, each.joint)
         yield Observation("followed", f"{channel} torque", each.explained, 0.0, each.joint)
-    ratio = torque_ratio(found)
+    ratio = torque_ratio(estimates)
     if ratio is not None:
         yield Observation("torque-ratio", "torque_per_volt", *ratio)

@@ -1,7 +1,8 @@
-"""What link sensors read at low frequencies, against what the motors' angles imply.
+"""Consistency of the link sensors with the motor angles at low frequency.
 
-A gear is rigid at low frequency: whatever its stiffness, the link follows n theta_M. So every link
-channel has a prediction without any unknown, (8) to (10), and a regression on it must give 1.
+At low frequency a gear is rigid for any stiffness, and the link angle is n theta_M. Each link
+channel therefore has a prediction without unknown parameters, (8) to (10). The regression
+coefficient of a channel on its prediction is 1 if the input is consistent.
 """
 
 from __future__ import annotations
@@ -18,54 +19,56 @@ from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slo
 from strainwave.signals.consistency.regression import Fit, regress
 
 LINK_CHANNELS = ("a", "gyro", "theta_l")
-"""Kinds whose reading follows from the motors' angles."""
+"""Kinds of channels that the motor angles predict."""
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
-_REACH = float(np.log(300.0))  # of the factors that a joint's turning is looked for in
+# Search range of the log factor of a joint's rotation.
+_REACH = float(np.log(300.0))
+# Grid points of the rotation search.
 _TRIES = 41
+# Grid points of the high-pass search.
 _HIGH_PASS_TRIES = 13
-_LONGEST_DECAY = 2.0  # records that a high-pass may take: with a wrong time base it takes millions
-_HIGH_PASS_LEFT = 0.02  # share of the reading that a high-pass may leave unexplained
-_HIGH_PASS_GAIN = 0.2  # of the share that no high-pass leaves
-_NO_TIME = 1e-3  # rows that a low-pass takes, which pass for none
-_HEARD_TURNING = 5.0  # deviations from which a turning may be divided by
-_TURNED = 0.1  # [rad] of tilt, or of an angle's zero, that the study does not know
-_BELOW_RESONANCE = 2.0  # resonance over bandwidth, of what is known beforehand of the gears
+# Largest time constant of a high-pass in record lengths; a wrong time base can give millions.
+_LONGEST_DECAY = 2.0
+# Maximum unexplained share of the reading with a high-pass.
+_HIGH_PASS_LEFT = 0.02
+# Maximum ratio of the unexplained shares with and without a high-pass.
+_HIGH_PASS_GAIN = 0.2
+# Time constant in rows below which a low-pass is ignored.
+_NO_TIME = 1e-3
+# Minimum significance of the denominator of a rotation ratio, in standard deviations.
+_HEARD_TURNING = 5.0
+# Prior standard deviation of an unknown tilt or encoder zero [rad].
+_TURNED = 0.1
+# Prior value of the gear resonance over the bandwidth of the record.
+_BELOW_RESONANCE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One link channel of one record on its prediction."""
+    """Regression of one link channel of one record on its prediction."""
 
     channel: str
     record: str
-    seconds: float  # of the record
-    scale: float  # of all of it
+    seconds: float  # length of the record
+    scale: float  # of the whole prediction
     scale_std: float
     delay: float  # [s]
     delay_std: float
-    drift: float  # [s/s] by which the delay grows
+    drift: float  # [s/s] rate of change of the delay
     drift_std: float
-    explained: float  # share of the reading that the prediction explains
-    signal: float  # size of the reading at low frequency over its noise there
-    parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, deviation
-    turn: tuple[float, float] | None  # joint 2's motion against joint 1's, deviation
-    tilt: tuple[float, float] | None  # gravity that the study does not have, of 1; deviation
+    explained: float  # share of the variance of the reading
+    signal: float  # signal-to-noise ratio at low frequency
+    parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, std
+    turn: tuple[float, float] | None  # scale of joint 2's rotation over joint 1's, std
+    tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
 
 
 def readings(seen: Evidence) -> list[Reading]:
-    """Every link channel on what the motors imply.
+    """Regress each link channel on the prediction from the motor angles.
 
-    By the slow records, where there are any with the channel; else by those that excite the joint.
-
-    Parameters
-    ----------
-    seen : Evidence
-
-    Returns
-    -------
-    list of Reading
-        Without those of which a record has no information.
+    Uses the slow records that contain the channel. If none do, uses the records that excite the
+    joint. Omits records that do not determine the regression.
     """
     slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
     found: list[Reading] = []
@@ -82,9 +85,9 @@ def readings(seen: Evidence) -> list[Reading]:
 
 
 def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
-    """The cut-off of a first-order high-pass that makes an accelerometer follow the motion [Hz].
+    """Cutoff of the first-order high-pass that explains an accelerometer reading [Hz].
 
-    None where no cut-off does, or where the reading follows better without.
+    Returns None if no cutoff explains the reading substantially better than no high-pass.
     """
     kind, joint = channel_parts(name)
     records = [r for r in seen.records if name in r.channels and is_slow(r.experiment)]
@@ -96,37 +99,27 @@ def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
     def unexplained(hz: float) -> float:
         other = replace(seen, high_passes={**seen.high_passes, name: hz})
         found = _read(record, other, motion, kind, joint - 1)
-        alike = [reading for reading in found if 0.5 < reading.scale < 2.0]
-        return min((1.0 - reading.explained for reading in alike), default=1.0)
+        plausible = [reading for reading in found if 0.5 < reading.scale < 2.0]
+        return min((1.0 - reading.explained for reading in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
     low, high = (float(np.log(edge)) for edge in edges)
     for _ in range(3):
         grid = np.linspace(low, high, _HIGH_PASS_TRIES)
-        left = [unexplained(float(np.exp(each))) for each in grid]
-        k = int(np.argmin(left))
+        shares = [unexplained(float(np.exp(each))) for each in grid]
+        k = int(np.argmin(shares))
         low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
-    if left[k] > min(_HIGH_PASS_LEFT, _HIGH_PASS_GAIN * unexplained(0.0)):
+    if shares[k] > min(_HIGH_PASS_LEFT, _HIGH_PASS_GAIN * unexplained(0.0)):
         return None
     return float(f"{np.exp(grid[k]):.4g}")
 
 
 def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
-    """How much a joint's link turns over what the study implies, by the reading that says most.
+    """Estimate the rotation of link 2 relative to the rotation that the gear ratio implies.
 
-    What link 2's sensors read is not proportional to its own motion: the factor is looked for that
-    explains most of it, and joint 1 is taken as it is.
-
-    Parameters
-    ----------
-    seen : Evidence
-    joint : int
-        From 1.
-
-    Returns
-    -------
-    tuple of float
-        None, or the one.
+    The readings of link 2 are not proportional to the motion of joint 2, so a grid search finds
+    the factor that explains the largest share of a reading. The gear ratio of joint 1 is kept.
+    Returns one factor, or an empty tuple for joint 1 or if no factor explains the reading.
     """
     if joint == 1:
         return ()
@@ -143,21 +136,21 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     if not names:
         return ()
     grid = np.linspace(-_REACH, _REACH, _TRIES)
-    best, least, centre, width = 1.0, np.inf, 0.0, 1.0
+    best, best_share, centre, width = 1.0, np.inf, 0.0, 1.0
     for _ in range(3):
         factors = [float(f) for f in np.exp(centre + width * grid)]
-        left = [unexplained(f) for f in factors]
-        k = int(np.argmin(left))
+        shares = [unexplained(f) for f in factors]
+        k = int(np.argmin(shares))
         centre += width * float(grid[k])
         width *= 4.0 / (_TRIES - 1)
-        if left[k] < least:
-            best, least = factors[k], left[k]
-    return (best,) if least < 0.5 else ()
+        if shares[k] < best_share:
+            best, best_share = factors[k], shares[k]
+    return (best,) if best_share < 0.5 else ()
 
 
 @dataclass(frozen=True, slots=True)
 class _Motion:
-    """The links' motion by the motors' angles: (n_rows, n_joints)."""
+    """Joint motion from the motor angles and gear ratios, each (n_rows, n_joints)."""
 
     angle: FloatArray
     velocity: FloatArray
@@ -173,7 +166,10 @@ class _Motion:
 
 
 def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
-    """What a channel's reading is the sum of; None: the study does not say."""
+    """Parts whose sum is the predicted reading of a channel of joint i, from 0.
+
+    Returns None if the study does not give the distance of the accelerometer.
+    """
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     if kind == "theta_l":
         return {"own": q[:, i]}
@@ -194,26 +190,28 @@ def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray
 
 
 def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
-    """What a radian adds to an accelerometer's reading: of tilt, and of an angle's wrong zero.
+    """Derivatives of an accelerometer reading with respect to tilt and encoder zero, per radian.
 
-    A level arm that tilts has gravity along both axes of its plane; an upright one, whose gravity
-    is known, has it turned. The zero of joint 2 turns what the elbow does to link 2.
+    The tilt of a horizontal arm adds gravity along both axes of the plane of motion. The tilt of a
+    vertical arm rotates the known gravity. The encoder zero of joint 2 rotates the acceleration of
+    axis 2.
     """
     if kind != "a" or arm.joints[i].motion == "prismatic":
         return []
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     phi = q[:, : i + 1].sum(axis=1)
-    both = [STANDARD_GRAVITY * np.sin(phi), STANDARD_GRAVITY * np.cos(phi)]
-    found = [arm.gravity * np.sin(phi)] if arm.gravity else both
+    in_plane = [STANDARD_GRAVITY * np.sin(phi), STANDARD_GRAVITY * np.cos(phi)]
+    derivatives = [arm.gravity * np.sin(phi)] if arm.gravity else in_plane
     if i == 1 and arm.link_length:
         elbow = dq[:, 0] ** 2 * np.cos(q[:, 1]) - ddq[:, 0] * np.sin(q[:, 1])
-        found.append(arm.link_length * elbow)
-    return found
+        derivatives.append(arm.link_length * elbow)
+    return derivatives
 
 
 def _read(
     record: SlowRecord, seen: Evidence, motion: _Motion, kind: str, i: int
 ) -> Iterator[Reading]:
+    """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", seen.arm
     parts = _parts(arm, motion, kind, i)
     if parts is None:
@@ -234,24 +232,24 @@ def _read(
     target = record.channels[name][record.inside]
     whole = np.sum(list(parts.values()), axis=0)
     turned = [sensed(part) for part in _turned(arm, motion, kind, i)]
-    # the state in which a high-pass begins the record is unknown
+    # The initial state of a high-pass is unknown.
     decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(whole)))] if cutoff else []
-    beside = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned, decays)
-    together = beside.fit(target, [whole])
-    if together is None:
+    nuisance = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned, decays)
+    whole_fit = nuisance.fit(target, [whole])
+    if whole_fit is None:
         return
-    scale, scale_std = _coefficient(together, 0)
-    delay, delay_std = _over_scale(together, 2)
-    drift, drift_std = _over_scale(together, 3)
-    each = beside.fit(target, list(parts.values())) if len(parts) > 1 else None
-    apart = {"own": (scale, scale_std)}
+    scale, scale_std = _coefficient(whole_fit, 0)
+    delay, delay_std = _over_scale(whole_fit, 2)
+    drift, drift_std = _over_scale(whole_fit, 3)
+    each = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
+    scales = {"own": (scale, scale_std)}
     if each is not None:
-        apart = {key: _coefficient(each, k) for k, key in enumerate(parts)}
+        scales = {key: _coefficient(each, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
     shares = _shares(arm, motion, kind) if i == 1 else None
     turn = None
     if shares is not None:
-        turn = beside.quotient(target, [sensed(share) for share in shares])
+        turn = nuisance.quotient(target, [sensed(share) for share in shares])
     yield Reading(
         channel=name,
         record=record.experiment.name,
@@ -262,27 +260,27 @@ def _read(
         delay_std=delay_std,
         drift=drift,
         drift_std=drift_std,
-        explained=together.explained,
+        explained=whole_fit.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
-        parts=apart,
+        parts=scales,
         turn=turn,
-        tilt=_tilt(together, arm, 4 + len(decays)) if len(turned) > 1 else None,
+        tilt=_tilt(whole_fit, arm, 4 + len(decays)) if len(turned) > 1 else None,
     )
 
 
 def _tilt(fit: Fit, arm: Arm, first: int) -> tuple[float, float] | None:
-    """Gravity in the plane of motion of an arm without, of 1, and its deviation."""
+    """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
     if arm.gravity:
         return None
     own = slice(first, first + 2)
-    both, spread = fit.value[own], fit.covariance[own, own]
-    size = float(np.hypot(*both))
-    return size, float(np.sqrt(both @ spread @ both)) / max(size, 1e-12)
+    components, covariance = fit.value[own], fit.covariance[own, own]
+    size = float(np.hypot(*components))
+    return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
 
 
 @dataclass(frozen=True, slots=True)
 class _Beside:
-    """What a reading has besides what is regressed: springs, delay, drift, and what is turned."""
+    """Nuisance columns of a regression: springs, delay, drift, high-pass decay, tilt and zero."""
 
     inside: BoolArray
     columns: tuple[FloatArray, ...]
@@ -302,8 +300,8 @@ class _Beside:
         slope = differentiate(whole, T)
         since = record.start + T * np.arange(len(whole))
         since = since - since[inside].mean()
-        # springs: the link's motion is the motor's and 1/w_a^2 of its second derivative; a drift's
-        # and a delay's columns are a slope each
+        # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The
+        # columns of delay and drift are proportional to the slope of the prediction.
         springs = differentiate(differentiate(dynamic, T), T)
         top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
         free = [np.inf] * (2 + len(decays))
@@ -312,7 +310,7 @@ class _Beside:
         return cls(inside, columns, prior, len(turned))
 
     def fit(self, target: FloatArray, regressed: list[FloatArray]) -> Fit | None:
-        """The regression, what is turned being unknown."""
+        """Regress the target on `regressed` and the nuisance columns."""
         columns = [*regressed, *self.columns]
         prior = np.r_[[np.inf] * len(regressed), self.prior]
         return regress(target, np.column_stack(columns)[self.inside], prior)
@@ -320,65 +318,72 @@ class _Beside:
     def quotient(
         self, target: FloatArray, regressed: list[FloatArray]
     ) -> tuple[float, float] | None:
-        """The first coefficient over the second, by the fit that is nearer to 1 in its deviations.
+        """Ratio of the first two coefficients and its standard deviation.
 
-        A tilt that is left out, and one that takes what springs and friction leave, spoil one each.
+        Fits with and without tilt and returns the ratio closer to 1 in standard deviations.
+        Without tilt, an actual tilt biases the ratio. With tilt, its columns absorb model errors of
+        springs and friction.
         """
         n_level = len(self.columns) - self.n_turned
         level = replace(self, columns=self.columns[:n_level], prior=self.prior[:n_level])
         fits = [each.fit(target, regressed) for each in (level, self)]
-        found = [None if fit is None else _quotient(fit) for fit in fits]
-        known = [each for each in found if each is not None]
-        if len(known) < len(found):
+        ratios = [None if fit is None else _quotient(fit) for fit in fits]
+        valid = [each for each in ratios if each is not None]
+        if len(valid) < len(ratios):
             return None
-        return min(known, key=lambda each: abs(each[0] - 1.0) / each[1])
+        return min(valid, key=lambda each: abs(each[0] - 1.0) / each[1])
 
 
 def _coefficient(fit: Fit, k: int) -> tuple[float, float]:
-    """A coefficient and its deviation."""
+    """Coefficient k and its standard deviation."""
     return float(fit.value[k]), float(np.sqrt(fit.covariance[k, k]))
 
 
 def _over_scale(fit: Fit, k: int) -> tuple[float, float]:
-    """A coefficient of the reading's slope, of a reading of the predicted size."""
+    """Coefficient k divided by the scale of the reading, and its standard deviation."""
     (value, std), scale = _coefficient(fit, k), float(fit.value[0])
     return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
 def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
-    """What link 2's sensor reads of joint 2's turning, of joint 1's, and the rest."""
+    """Parts of a link 2 reading: rotation of joint 2, rotation of joint 1, and the remaining parts.
+
+    Returns None if the reading does not contain both rotations.
+    """
     parts = _parts(arm, motion, kind, 1)
     if parts is None or kind == "theta_l" or arm.joints[1].motion == "prismatic":
         return None
-    turned = motion.velocity if kind == "gyro" else motion.acceleration
+    rotation = motion.velocity if kind == "gyro" else motion.acceleration
     distance = 1.0 if kind == "gyro" else arm.joints[1].accelerometer_distance or 0.0
     rest = [part for key, part in parts.items() if key != "own"]
-    return [distance * turned[:, 1], distance * turned[:, 0], *rest]
+    return [distance * rotation[:, 1], distance * rotation[:, 0], *rest]
 
 
 def _quotient(fit: Fit) -> tuple[float, float] | None:
-    """The first coefficient over the second, which may be of either sign but not lost in noise.
+    """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
 
-    Its deviation is that of coefficients that are alike (Fieller): where the second is vague, the
-    deviation at the quotient itself passes any quotient far from 1 for a sure one.
+    The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,
+    the value at the estimated ratio makes ratios far from 1 appear significant. Returns None if
+    the denominator is not significant.
     """
-    (a, b), spread = fit.value[:2], fit.covariance[:2, :2]
-    if abs(b) < _HEARD_TURNING * np.sqrt(spread[1, 1]):
+    (a, b), covariance = fit.value[:2], fit.covariance[:2, :2]
+    if abs(b) < _HEARD_TURNING * np.sqrt(covariance[1, 1]):
         return None
-    unlike = spread[0, 0] - 2.0 * spread[0, 1] + spread[1, 1]
-    return float(a / b), float(np.sqrt(unlike) / abs(b))
+    variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
+    return float(a / b), float(np.sqrt(variance) / abs(b))
 
 
 def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
-    """Whether a low-pass is slower than a row by anything, and faster than the record.
+    """Whether the time constant of a low-pass lies between the row period and the record length.
 
-    A time base that is wrong by a thousand makes it neither.
+    A time base that is wrong by a factor of 1000 violates this condition.
     """
-    rows_taken = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)
-    return _NO_TIME < rows_taken < 0.1 * rows
+    time_constant = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)  # [rows]
+    return _NO_TIME < time_constant < 0.1 * rows
 
 
 def _lags(arm: Arm, kind: str, i: int) -> list[Lag]:
+    """Low-pass of a sensor of joint i (from 0), as given in the study."""
     joint = arm.joints[i]
     if kind == "a" and joint.accelerometer_hz:
         return [Lag(2, joint.accelerometer_hz)]
