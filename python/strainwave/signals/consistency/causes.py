@@ -1,7 +1,7 @@
-"""Evidence -> causes: single faults of the input that would explain contradictions.
+"""Candidate causes: single faults of the input that can explain contradictions.
 
-Structured causes come first: an exchange of joints, gravity, a unit, a sign, a delay. Free factors
-are the last resort, and stay within the ranges that a study file may have.
+Structured causes come first: exchanged joints, gravity, a unit, a sign, a delay. Causes with an
+estimated factor come last. Their values stay within the ranges that a study file accepts.
 """
 
 from __future__ import annotations
@@ -24,15 +24,23 @@ from strainwave.signals.consistency.sensors import (
 )
 from strainwave.signals.consistency.wording import listed, number
 
-_DEGREE = float(np.pi / 180.0)
-_UNIT_TOLERANCE = 0.04  # between an estimated factor and a unit's; units differ by 5 % at least
-_REDUCTION_TOLERANCE = 0.01  # between an estimated reduction and a whole number
-_FEW_TURNS = 30  # reductions up to which estimates tell whole numbers apart
-_SAME_FACTOR = 0.02  # between two factors that are one
-_SAME_DELAY = 5e-4  # [s] between the delays of two channels with one cause
-_QUADRATURE = (4.0, 2.0, 0.5, 0.25)  # counts of an encoder over its lines, or the reverse
-_MIN_RATIO = 1e-6  # of a unit's factor: less is no signal
-_MAX_VOLTAGE = 1e3  # [V] above the supply of any servo drive: such a number is in millivolts
+_DEGREE = float(np.pi / 180.0)  # [rad]
+# Maximum log ratio of an estimated factor to the factor of a unit; units differ by at least 5 %.
+_UNIT_TOLERANCE = 0.04
+# Maximum relative difference between an estimated reduction and a whole number.
+_REDUCTION_TOLERANCE = 0.01
+# Largest reduction for which the estimate distinguishes neighbouring whole numbers.
+_FEW_TURNS = 30
+# Maximum relative difference between two factors that count as equal.
+_SAME_FACTOR = 0.02
+# Maximum difference between the delays of channels with a common cause [s].
+_SAME_DELAY = 5e-4
+# Ratios of encoder counts to encoder lines, and their inverses.
+_QUADRATURE = (4.0, 2.0, 0.5, 0.25)
+# Smallest factor that a unit can explain; a smaller ratio indicates a missing signal.
+_MIN_RATIO = 1e-6
+# Voltage above the supply of any servo drive [V]; a larger value is in millivolts.
+_MAX_VOLTAGE = 1e3
 
 _ANGLES = {"degrees": _DEGREE, "turns": 2.0 * np.pi, "mrad": 1e-3}
 _RATES = {"deg/s": _DEGREE, "rpm": np.pi / 30.0, "turns/s": 2.0 * np.pi}
@@ -46,12 +54,13 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
     "u": {"mV": 1e-3},
     "torque": {"mN m": 1e-3},
 }
-"""Units of each kind of channel other than SI, and their scale to SI."""
+"""Non-SI units of each kind of channel and their scale to SI."""
 
+# Units of time and their scale to seconds.
 _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
 _MOTOR_SIDE = ("u", "torque", "theta_m", "omega_m", "ref")
 _PAIRED = (*_MOTOR_SIDE, *LINK_CHANNELS, "deflection")
-_BASIS = {  # kind of channel -> the signals that its scale is compared with
+_BASIS = {  # kind of channel -> signals that determine its scale; {0} is the joint
     "a": "theta_m{0}",
     "gyro": "theta_m{0}",
     "theta_l": "theta_m{0}",
@@ -64,14 +73,14 @@ _BASIS = {  # kind of channel -> the signals that its scale is compared with
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """A possible fault of the input, with the corrections that remove it."""
+    """A candidate fault of the input with the corrections that remove it."""
 
     suspicion: Suspicion
-    is_free: bool = False  # its number is an estimate, not a unit, a sign or an exchange
+    is_free: bool = False  # the factor is an estimate, not a unit, a sign or an exchange
 
 
 def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Every single cause to try, the simpler first."""
+    """Yield all candidate causes, structured causes first."""
     yield from _time(seen, contradictions)
     yield from _input_delays(seen, contradictions)
     yield from _test_signals(seen, contradictions)
@@ -84,7 +93,7 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
     if any(o.kind == "torque-ratio" for o in contradictions):
         joints |= {1, 2}
     elif joints and max(joints) > 1:
-        joints.add(1)  # what link 2 reads depends on joint 1
+        joints.add(1)  # The readings of link 2 depend on joint 1.
     free: list[Cause] = []
     for joint in sorted(joints):
         for cause in _of_joint(seen, contradictions, joint):
@@ -96,6 +105,7 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
 
 
 def _of_joint(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
+    """Candidate causes that affect one joint, from 1."""
     turns = [*_link_scales(contradictions, joint), *turning(seen, joint)]
     yield from _channels(seen, contradictions, joint)
     yield from _angle(seen, contradictions, joint, turns)
@@ -116,6 +126,7 @@ def _cause(
     more: str = "",
     is_free: bool = False,
 ) -> Cause:
+    """Cause whose remedy is the text of its corrections, followed by `more`."""
     text = correction_text(seen.study, corrections)
     remedy = text[:1].upper() + text[1:] + more
     suspicion = Suspicion(
@@ -133,6 +144,7 @@ def _cause(
 def _values(
     contradictions: Sequence[Observation], kind: Kind, where: str | None = None
 ) -> list[float]:
+    """Nonzero values of the contradictions of one kind, optionally at one place."""
     return [
         o.value
         for o in contradictions
@@ -141,7 +153,7 @@ def _values(
 
 
 def _named(factor: float, names: Mapping[str, float]) -> tuple[str, float] | None:
-    """The known factor nearest to an estimated one of either sign, if it is near enough."""
+    """Name and signed value of the known factor that matches an estimate of either sign."""
     for name, known in names.items():
         if abs(np.log(abs(factor) / known)) < _UNIT_TOLERANCE:
             return name, float(np.copysign(known, factor))
@@ -149,7 +161,7 @@ def _named(factor: float, names: Mapping[str, float]) -> tuple[str, float] | Non
 
 
 def _scaled(seen: Evidence, name: str, factor: float) -> list[Correction]:
-    """The corrections that multiply a channel by a factor."""
+    """Corrections that multiply a channel by a factor."""
     before = seen.channel(name)
     corrections = [Correction("channels", name, "scale", float(f"{before.scale * factor:.7g}"))]
     if before.offset:
@@ -159,11 +171,12 @@ def _scaled(seen: Evidence, name: str, factor: float) -> list[Correction]:
 
 
 def _time(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+    """A time base in another unit, or a wrong clock rate of the logger."""
     clocks = _values(contradictions, "prbs-clock") + _values(contradictions, "servo-clock")
     if not clocks and not any(o.kind in ("followed", "scale") for o in contradictions):
         return
-    tried = [1.0 / float(np.median(clocks))] if clocks else []
-    for ratio in (*tried, *_TIMES.values()):
+    estimates = [1.0 / float(np.median(clocks))] if clocks else []
+    for ratio in (*estimates, *_TIMES.values()):
         unit, factor = _named(ratio, _TIMES) or ("", ratio)
         corrections = _scaled(seen, "t", factor)
         if unit:
@@ -182,7 +195,7 @@ def _time(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cau
 
 
 def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Commands that are late or early against the encoders: together, or one."""
+    """Commands with a delay relative to the encoders: all commands with one delay, or one."""
     values = {o.where: o.value for o in contradictions if o.kind == "input-delay"}
     groups = [[name] for name in values]
     if len(values) > 1 and np.ptp(list(values.values())) < _SAME_DELAY:
@@ -204,7 +217,7 @@ def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
 
 
 def _test_signals(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Records whose excited joint or PRBS amplitude is not that of the study."""
+    """Records whose excited joint or PRBS amplitude differs from the study."""
     for each in contradictions:
         if each.kind == "excited-joint" and each.joint is not None:
             record = next(r.experiment for r in seen.records if r.experiment.name == each.where)
@@ -220,7 +233,10 @@ def _test_signals(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
 
 
 def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
-    """A PRBS amplitude and a voltage of different units: first whichever no drive can have."""
+    """A wrong PRBS amplitude in the study, or a wrong scale of the voltage.
+
+    The amplitude comes first, unless the measured amplitude exceeds the supply of any drive.
+    """
     joint = int(name[-1])
     ratios = {
         r.experiment.name: r.clocks.level[name] / r.experiment.prbs.amplitude
@@ -230,22 +246,22 @@ def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
     stated = {e.name: e.prbs.amplitude for e in seen.study.experiments if e.prbs is not None}
     wrong = [record for record, ratio in ratios.items() if not 0.5 < ratio < 2.0]
     if not wrong or min(ratios[record] for record in wrong) < _MIN_RATIO:
-        return  # the command is that of another joint
+        return  # The command belongs to another joint.
     ratio = float(np.median([ratios[record] for record in wrong]))
     amplitudes = [
         Correction("experiment", each, "prbs.amplitude", float(f"{stated[each] * ratio:.4g}"))
         for each in wrong
     ]
-    most = max(stated[record] for record in wrong)
+    amplitude = max(stated[record] for record in wrong)
     unit = _named(1.0 / ratio, _UNITS["u"])
     scales = _scaled(seen, name, unit[1] if unit else 1.0 / ratio)
     pair = [(f"{', '.join(wrong)} prbs", amplitudes, scales), (name, scales, amplitudes)]
-    if most * ratio > max(most, _MAX_VOLTAGE):
+    if amplitude * ratio > max(amplitude, _MAX_VOLTAGE):
         pair.reverse()
     for where, corrections, other in pair:
         message = (
-            f"{listed(wrong)}: the PRBS in {name} has an amplitude of {number(most * ratio)} V, "
-            f"and the study states {number(most)} V, a factor of {number(ratio)}: either the scale "
+            f"{listed(wrong)}: the PRBS in {name} has an amplitude of {number(amplitude * ratio)} V, "
+            f"and the study states {number(amplitude)} V, a factor of {number(ratio)}: either the scale "
             f"of {name} or the amplitude is wrong"
         )
         more = f"; or, if that is right, {correction_text(seen.study, other)}"
@@ -253,7 +269,7 @@ def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
 
 
 def _gravity(seen: Evidence) -> Iterator[Cause]:
-    """Gravity given for a horizontal arm, or left out for one in a vertical plane."""
+    """Gravity stated for a horizontal arm, or missing for a vertical arm."""
     given = seen.study.arm.gravity
     if not given:
         message = "the link sensors show gravity, and the study has none: the arm is vertical"
@@ -268,7 +284,7 @@ def _gravity(seen: Evidence) -> Iterator[Cause]:
 
 
 def _exchanges(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Columns of the two joints exchanged: all, those of one side, one kind, or all but one."""
+    """Exchanged columns of the two joints: all kinds, one side, one kind, or all kinds but one."""
     kinds = [k for k in _PAIRED if {f"{k}1", f"{k}2"} <= seen.channels]
     if seen.arm.n_joints != 2 or not kinds:
         return
@@ -292,7 +308,7 @@ def _exchanges(seen: Evidence, contradictions: Sequence[Observation]) -> Iterato
 
 
 def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """The motor angles of all joints in another unit, alone or with their velocities."""
+    """Motor angles of all joints in another unit, alone or with their velocities."""
     names = [f"theta_m{i}" for i in range(1, seen.arm.n_joints + 1)]
     if len(names) < 2 or not any(o.joint is not None for o in contradictions):
         return
@@ -319,7 +335,7 @@ def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Itera
 
 
 def _angle_names(seen: Evidence, name: str) -> dict[str, float]:
-    """Scales from the units in which a motor angle may be logged."""
+    """Scales to radians of the units in which a motor angle can be logged."""
     names = dict(_ANGLES)
     per_turn = seen.arm.joints[int(name[-1]) - 1].encoder_counts
     if per_turn:
@@ -333,18 +349,18 @@ def _angle_names(seen: Evidence, name: str) -> dict[str, float]:
 
 
 def _coupling(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Accelerometers behind a high-pass, as piezoelectric ones are."""
-    doubtful = {
+    """AC-coupled accelerometers, for example piezoelectric ones."""
+    contradicting = {
         o.where
         for o in contradictions
         if o.where in seen.channels and o.where.startswith("a") and o.kind != "count"
     }
-    cutoffs = {name: hz for name in sorted(doubtful) if (hz := high_pass_cutoff(seen, name))}
+    cutoffs = {name: hz for name in sorted(contradicting) if (hz := high_pass_cutoff(seen, name))}
     groups = [list(cutoffs)] if len(cutoffs) > 1 else []
     for group in [*groups, *([name] for name in cutoffs)]:
-        shown = ", ".join(f"{number(cutoffs[name], 2)} Hz" for name in group)
+        cutoff_text = ", ".join(f"{number(cutoffs[name], 2)} Hz" for name in group)
         message = (
-            f"{listed(group)} follow the motion only behind a high-pass of {shown}: the sensor or "
+            f"{listed(group)} follow the motion only behind a high-pass of {cutoff_text}: the sensor or "
             "its amplifier is AC-coupled, as piezoelectric accelerometers are. It reads neither "
             "gravity nor slow motion, and the model of a DC-coupled accelerometer would fit its "
             "phase by wrong damping"
@@ -354,7 +370,7 @@ def _coupling(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator
 
 
 def _late_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
-    """Link sensors that lag, or whose lag grows: all together, those of a kind, or one."""
+    """Link sensors with a delay or a drift of the delay: all, one kind, or one channel."""
     link = sorted(n for n in seen.channels if n[:-1] in (*LINK_CHANNELS, "deflection"))
     kinds: tuple[Kind, ...] = ("drift", "delay")
     for kind in kinds:
@@ -362,12 +378,13 @@ def _late_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
         groups = [link, *([n for n in link if n[:-1] == k] for k in LINK_CHANNELS)]
         groups += [[name] for name in values]
         for group in groups:
-            own = [values[name] for name in group if name in values]
-            if own:
-                yield _late_sensor(seen, group, kind, float(np.median(own)))
+            estimates = [values[name] for name in group if name in values]
+            if estimates:
+                yield _late_sensor(seen, group, kind, float(np.median(estimates)))
 
 
 def _late_sensor(seen: Evidence, group: Sequence[str], kind: Kind, value: float) -> Cause:
+    """A common delay [s] or drift [s/s] of a group of channels."""
     names = ", ".join(group)
     if kind == "delay":
         message = (
@@ -408,20 +425,23 @@ def _channel_scale(seen: Evidence, name: str, factor: float, unit: str | None, b
 def _factors(
     ratios: Iterable[float], names: Mapping[str, float]
 ) -> Iterator[tuple[float, str | None]]:
-    """Factors for a channel of estimated ratios: a sign, known units, the estimates."""
+    """Candidate factors of a channel with their units: -1 first, then one per estimated ratio.
+
+    An estimate near the factor of a known unit is replaced by that factor.
+    """
     yield -1.0, None
     tried: list[float] = []
     for ratio in ratios:
         known = _named(1.0 / ratio, names)
         factor, unit = (known[1], known[0]) if known else (1.0 / ratio, None)
-        again = any(abs(factor / other - 1.0) < _SAME_FACTOR for other in tried)
-        if abs(abs(factor) - 1.0) > 1e-9 and not again:
+        is_repeated = any(abs(factor / other - 1.0) < _SAME_FACTOR for other in tried)
+        if abs(abs(factor) - 1.0) > 1e-9 and not is_repeated:
             tried.append(factor)
             yield factor, unit
 
 
 def _channels(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
-    """Voltages, link sensors, references and velocities of one joint."""
+    """Wrong units, signs or scales of all channels of one joint except the motor angle."""
     for kind, basis in _BASIS.items():
         name = f"{kind}{joint}"
         if name not in seen.channels:
@@ -440,7 +460,7 @@ def _channels(seen: Evidence, contradictions: Sequence[Observation], joint: int)
         if ratios or _is_doubted(contradictions, name, joint):
             relative = {u: s / seen.channel(name).scale for u, s in _UNITS[kind].items()}
             relative["SI units"] = 1.0 / abs(seen.channel(name).scale)
-            if kind == "a":  # another scale may be a distance: see _geometry
+            if kind == "a":  # Other factors can be a wrong distance: see _geometry.
                 ratios = [r for r in ratios if _named(1.0 / r, relative)]
             if kind in ("u", "torque"):
                 ratios += [1.0 / factor for factor in relative.values()]
@@ -449,7 +469,7 @@ def _channels(seen: Evidence, contradictions: Sequence[Observation], joint: int)
 
 
 def _is_doubted(contradictions: Sequence[Observation], name: str, joint: int) -> bool:
-    """Whether an observation that depends on a channel contradicts."""
+    """Whether a contradiction depends on a channel."""
     kinds = {"u": ("inertia", "servo"), "torque": ("inertia",)}.get(name[:-1], ())
     return any(o.where == name or (o.joint == joint and o.kind in kinds) for o in contradictions)
 
@@ -457,14 +477,14 @@ def _is_doubted(contradictions: Sequence[Observation], name: str, joint: int) ->
 def _angle(
     seen: Evidence, contradictions: Sequence[Observation], joint: int, turns: Sequence[float]
 ) -> Iterator[Cause]:
-    """One motor angle in another unit, of other counts, or with the wrong sign."""
+    """One motor angle with a wrong unit, count or sign, or a wrong number of encoder counts."""
     name = f"theta_m{joint}"
     per_turn = seen.arm.joints[joint - 1].encoder_counts
     if not any(o.joint == joint for o in contradictions):
         return
     steps = _values(contradictions, "count", name)
     ratios = steps + _values(contradictions, "reference", name) + [1.0 / r for r in turns]
-    # a unit's factor is far from 1
+    # Unit factors differ from 1 by more than the tolerance.
     ratios = [r for r in ratios if abs(np.log(abs(r))) > _UNIT_TOLERANCE]
     basis = "the motion of the other signals"
     if per_turn:
@@ -476,8 +496,8 @@ def _angle(
         yield _channel_scale(seen, name, factor, unit, basis)
     for ratio in steps if per_turn else ():
         counts = round((per_turn or 0.0) / ratio)
-        least, most = accepted_range("encoder_counts")
-        if not least <= counts <= most:
+        minimum, maximum = accepted_range("encoder_counts")
+        if not minimum <= counts <= maximum:
             continue
         message = (
             f"theta_m{joint} moves in steps of {number(ratio)} of the turn that encoder_counts = "
@@ -489,7 +509,7 @@ def _angle(
 
 
 def _round_scales(scale: float, ratios: Sequence[float]) -> dict[str, float]:
-    """Factors that make a scale 2 pi over a power of two: the counts of an encoder in a turn."""
+    """Factors that change a scale to 2 pi / 2^k, the scale of an encoder with 2^k counts."""
     names = {}
     for ratio in ratios:
         counts = 2.0 * np.pi / abs(scale / ratio)
@@ -500,22 +520,22 @@ def _round_scales(scale: float, ratios: Sequence[float]) -> dict[str, float]:
 
 
 def _link_scales(contradictions: Sequence[Observation], joint: int) -> list[float]:
-    """Estimated over expected readings of a joint's link sensors, the most direct first."""
+    """Measured over predicted readings of the link sensors of a joint, angular rates first."""
     kinds = ("gyro", "theta_l", "a")
     scales = [s for kind in kinds for s in _values(contradictions, "scale", f"{kind}{joint}")]
     return scales + _values(contradictions, "own", f"a{joint}")
 
 
 def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]:
-    """A gear ratio that differs from the gear's."""
+    """A wrong gear ratio in the study."""
     n = seen.arm.joints[joint - 1].gear_ratio
-    least, most = accepted_range("gear_ratio")
+    minimum, maximum = accepted_range("gear_ratio")
     known = [0.5 * n, 2.0 * n, 1.0 / n]
-    for tried in [scale * n for scale in turns if scale > 0.0] + known:
-        reduction = round(1.0 / tried)
-        is_whole = reduction >= 1 and abs(reduction * tried - 1.0) < _REDUCTION_TOLERANCE
-        ratio = float(f"{1.0 / reduction if is_whole else tried:.5g}")
-        if abs(ratio / n - 1.0) < _SAME_FACTOR or not least <= ratio <= most:
+    for candidate in [scale * n for scale in turns if scale > 0.0] + known:
+        reduction = round(1.0 / candidate)
+        is_whole = reduction >= 1 and abs(reduction * candidate - 1.0) < _REDUCTION_TOLERANCE
+        ratio = float(f"{1.0 / reduction if is_whole else candidate:.5g}")
+        if abs(ratio / n - 1.0) < _SAME_FACTOR or not minimum <= ratio <= maximum:
             continue
         message = (
             f"the link sensors of joint {joint} show {number(ratio / n)} of the motion that "
@@ -531,25 +551,25 @@ def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]
             message,
             corrections,
             factor=n / ratio,
-            is_free=tried not in known and (not is_whole or reduction > _FEW_TURNS),
+            is_free=candidate not in known and (not is_whole or reduction > _FEW_TURNS),
         )
 
 
 def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
-    """An accelerometer elsewhere on its link, axes further apart, or a sensor's free scale."""
+    """A wrong accelerometer distance or link length, or an arbitrary accelerometer scale."""
     name = f"a{joint}"
     distance = seen.arm.joints[joint - 1].accelerometer_distance
     length = seen.arm.link_length
-    tried = _values(contradictions, "own", name) + _values(contradictions, "scale", name)
-    least, most = accepted_range("accelerometer_distance")
-    for ratio in tried if distance else ():
-        right = float(number(ratio * (distance or 0.0)))
-        if not least <= right <= most:
+    ratios = _values(contradictions, "own", name) + _values(contradictions, "scale", name)
+    minimum, maximum = accepted_range("accelerometer_distance")
+    for ratio in ratios if distance else ():
+        corrected = float(number(ratio * (distance or 0.0)))
+        if not minimum <= corrected <= maximum:
             continue
-        hint = _distance_hint(right, distance or 0.0, length)
+        hint = _distance_hint(corrected, distance or 0.0, length)
         message = (
             f"{name} reads {number(ratio)} of what the motion of joint {joint} gives at "
-            f"{number(distance or 0.0)} m from its axis: it is mounted at {number(right)} m{hint}"
+            f"{number(distance or 0.0)} m from its axis: it is mounted at {number(corrected)} m{hint}"
         )
         scale = correction_text(seen.study, _scaled(seen, name, 1.0 / ratio))
         yield _cause(
@@ -557,20 +577,20 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
             "wrong-geometry",
             f"joint {joint} accelerometer_distance",
             message,
-            [Correction("joint", str(joint), "accelerometer_distance", right)],
+            [Correction("joint", str(joint), "accelerometer_distance", corrected)],
             factor=1.0 / ratio,
             more=f" (from that link's own axis), or, if the sensor's scale is at fault, {scale}",
             is_free=True,
         )
-    least, most = accepted_range("link_length")
+    minimum, maximum = accepted_range("link_length")
     for ratio in _values(contradictions, "elbow", "a2") if length and joint == 2 else ():
-        right = float(number(ratio * (length or 0.0)))
-        if least <= right <= most:
+        corrected = float(number(ratio * (length or 0.0)))
+        if minimum <= corrected <= maximum:
             message = (
                 f"a2 shows {number(ratio)} of the motion of axis 2 that link_length = "
                 f"{number(length or 0.0)} m implies"
             )
-            corrections = [Correction("arm", "", "link_length", right)]
+            corrections = [Correction("arm", "", "link_length", corrected)]
             yield _cause(
                 seen,
                 "wrong-geometry",
@@ -585,6 +605,7 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
 
 
 def _distance_hint(right: float, given: float, length: float | None) -> str:
+    """Message text on the point from which the stated distance was probably measured."""
     if length is None:
         return ""
     if abs(given - right - length) < 0.1 * length:
@@ -595,7 +616,7 @@ def _distance_hint(right: float, given: float, length: float | None) -> str:
 
 
 def _reversed_gear(seen: Evidence, joint: int) -> Iterator[Cause]:
-    """A gear that reverses: motor angle and torque agree with each other, not with the link."""
+    """A reversing gear: motor angle and torque are consistent, the link has the opposite sign."""
     names = [f"{k}{joint}" for k in _MOTOR_SIDE if f"{k}{joint}" in seen.channels]
     corrections = [each for name in names for each in _scaled(seen, name, -1.0)]
     message = (

@@ -40,7 +40,7 @@ _NO_TIME = 1e-3
 _HEARD_TURNING = 5.0
 # Prior standard deviation of an unknown tilt or encoder zero [rad].
 _TURNED = 0.1
-# Prior value of the gear resonance over the bandwidth of the record.
+# Gear resonance over record bandwidth that sets the prior of the spring coefficient.
 _BELOW_RESONANCE = 2.0
 
 
@@ -230,21 +230,23 @@ def _read(
 
     parts = {key: sensed(part) for key, part in parts.items()}
     target = record.channels[name][record.inside]
-    whole = np.sum(list(parts.values()), axis=0)
-    turned = [sensed(part) for part in _turned(arm, motion, kind, i)]
+    prediction = np.sum(list(parts.values()), axis=0)
+    derivatives = [sensed(part) for part in _turned(arm, motion, kind, i)]
     # The initial state of a high-pass is unknown.
-    decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(whole)))] if cutoff else []
-    nuisance = _Beside.of(record, whole, whole - parts.get("gravity", 0.0), turned, decays)
-    whole_fit = nuisance.fit(target, [whole])
-    if whole_fit is None:
+    decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
+    nuisance = _Beside.of(
+        record, prediction, prediction - parts.get("gravity", 0.0), derivatives, decays
+    )
+    fit = nuisance.fit(target, [prediction])
+    if fit is None:
         return
-    scale, scale_std = _coefficient(whole_fit, 0)
-    delay, delay_std = _over_scale(whole_fit, 2)
-    drift, drift_std = _over_scale(whole_fit, 3)
-    each = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
+    scale, scale_std = _coefficient(fit, 0)
+    delay, delay_std = _over_scale(fit, 2)
+    drift, drift_std = _over_scale(fit, 3)
+    each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
     scales = {"own": (scale, scale_std)}
-    if each is not None:
-        scales = {key: _coefficient(each, k) for k, key in enumerate(parts)}
+    if each_part_fit is not None:
+        scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
     shares = _shares(arm, motion, kind) if i == 1 else None
     turn = None
@@ -260,11 +262,11 @@ def _read(
         delay_std=delay_std,
         drift=drift,
         drift_std=drift_std,
-        explained=whole_fit.explained,
+        explained=fit.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=scales,
         turn=turn,
-        tilt=_tilt(whole_fit, arm, 4 + len(decays)) if len(turned) > 1 else None,
+        tilt=_tilt(fit, arm, 4 + len(decays)) if len(derivatives) > 1 else None,
     )
 
 
