@@ -21,7 +21,7 @@ use strainwave_core::sensors::decimation::Decimation;
 const STEPS: usize = 4000;
 /// Runs per figure, of which the fastest counts.
 const RUNS: usize = 400;
-/// Steps of 0.125 ms per voltage of the random telegraph signal.
+/// Steps of 0.125 ms per tick, servo reading and row.
 const STEPS_PER_TICK: usize = 8;
 
 /// Taps of the low-pass per row, as in a whole-arm fit.

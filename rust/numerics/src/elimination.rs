@@ -655,6 +655,7 @@ fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
 mod tests {
     use super::*;
 
+    /// Number of right-hand sides.
     const SIDES: usize = 3;
 
     struct Example {

@@ -1,7 +1,8 @@
 //! Sums of outer products over many rows, the most expensive operation of the state-space fits.
 
-/// Rows and columns of a tile of the sum that is kept in registers.
+/// Rows of a tile of the sum that is kept in registers.
 const TILE_ROWS: usize = 4;
+/// Columns of a tile.
 const TILE_COLUMNS: usize = 12;
 
 /// Rows summed per tile before the next tile, so that they stay in the first-level cache.

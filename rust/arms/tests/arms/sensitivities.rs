@@ -405,6 +405,7 @@ impl<const N: usize> Differences<N> {
         size: f64,
         plain: &Record<N>,
     ) -> Option<Self> {
+        // central differences: first derivative to eighth order, eighth difference
         const WEIGHTS: [f64; 4] = [4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0];
         const EIGHTH: [f64; 4] = [-56.0, 28.0, -8.0, 1.0];
         let hanging = plain[2][0];
@@ -639,6 +640,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
     }
 }
 
+/// All effects at once.
 const ALL: EffectKinds = EffectKinds::ALL;
 /// Effects whose torques have no kinks, for which differences are accurate.
 const SMOOTH: EffectKinds = EffectKinds {

@@ -1,4 +1,5 @@
-//! Derivatives of an arm's equations by the motion, from the equations over numbers with a derivative.
+//! Derivatives of an arm's equations with respect to the motion, by forward differentiation with
+//! [`Jet`]s.
 
 use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 use super::{Arm, Slopes};
@@ -7,7 +8,7 @@ use crate::scalar::{Jet, Real};
 /// A posture, velocities and accelerations.
 type Motion<'a, P, R, const N: usize> = (&'a P, &'a [R; N], &'a [R; N]);
 
-/// What [`Arm::slopes`] gives.
+/// Default of [`Arm::slopes`].
 #[inline(always)]
 pub(super) fn slopes<A: Arm<N>, R: Real, const N: usize>(
     arm: &A,
@@ -20,7 +21,7 @@ pub(super) fn slopes<A: Arm<N>, R: Real, const N: usize>(
     Slopes { angle, velocity }
 }
 
-/// What [`Arm::accelerometer_slopes`] gives.
+/// Default of [`Arm::accelerometer_slopes`].
 #[inline(always)]
 pub(super) fn accelerometer_slopes<A: Arm<N>, R: Real, const N: usize>(
     arm: &A,
@@ -31,7 +32,7 @@ pub(super) fn accelerometer_slopes<A: Arm<N>, R: Real, const N: usize>(
     (Slopes { angle, velocity }, acceleration)
 }
 
-/// What [`Arm::rate_slopes`] gives.
+/// Default of [`Arm::rate_slopes`].
 #[inline(always)]
 pub(super) fn rate_slopes<A: Arm<N>, R: Real, const N: usize>(
     arm: &A,
@@ -43,7 +44,7 @@ pub(super) fn rate_slopes<A: Arm<N>, R: Real, const N: usize>(
     Slopes { angle, velocity }
 }
 
-/// What [`Arm::link_signal_slopes`] gives.
+/// Default of [`Arm::link_signal_slopes`].
 #[inline(always)]
 pub(super) fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
     arm: &A,
@@ -58,12 +59,12 @@ pub(super) fn link_signal_slopes<A: Arm<N>, R: Real, const N: usize>(
     })
 }
 
-/// Derivatives of functions of the motion: by angles, velocities and, for `K` of three, by
+/// Derivatives of functions of the motion with respect to angles, velocities and, if `K` is 3,
 /// accelerations.
 type Derivatives<R, const N: usize, const M: usize, const K: usize> = [[[[R; N]; N]; M]; K];
 
-/// Derivatives of `M` functions of the motion, each a value per joint: the functions over numbers
-/// with a derivative, by one joint after the other.
+/// Derivatives of `M` functions of the motion with a value for each joint: evaluates them over
+/// [`Jet`]s once for each joint.
 #[inline(always)]
 fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: usize>(
     arm: &A,
@@ -98,8 +99,7 @@ mod tests {
     use crate::arm::{OneLink, TwoLink};
     use proptest::prelude::*;
 
-    /// Closed forms against what the equations give over numbers with a derivative, relative to
-    /// numbers of the size of ten.
+    /// Compares closed forms with forward differentiation, relative to numbers of about ten.
     fn check<A: Arm<N>, const N: usize>(arm: &A, values: &[f64], [q, dq, ddq]: &[[f64; N]; 3]) {
         let (base, at) = (arm.base(values), arm.posture(q));
         let motion = (&at, dq, ddq);

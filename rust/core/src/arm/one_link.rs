@@ -9,9 +9,9 @@ use crate::scalar::Real;
 /// One link on one joint, revolute or prismatic.
 #[derive(Clone, Copy, Debug)]
 pub struct OneLink {
-    /// g [m/s^2] in the plane of motion; without it, the gravity torque has no effect.
+    /// g [m/s^2] in the plane of motion. At zero the gravity torque has no effect.
     pub gravity: f64,
-    /// l_a [m], the accelerometer's distance from the axis.
+    /// l_a [m], distance of the accelerometer from the axis.
     pub accelerometer_distance: f64,
 }
 
@@ -60,7 +60,7 @@ impl Arm<1> for OneLink {
         values: &[f64],
         reflected: &[Option<f64>; 1],
     ) -> Result<(), (usize, &'static str)> {
-        // A rigid gear's link may have its inertia counted with the motor's.
+        // behind a rigid gear, the link's inertia may be included in the motor's
         match reflected {
             [Some(_)] if values[0] < 0.0 => Err((0, "zero or positive")),
             [None] if values[0] <= 0.0 => Err((0, "positive")),
@@ -182,7 +182,7 @@ impl Arm<1> for OneLink {
     }
 }
 
-/// How the link is turned.
+/// Rotation of the link.
 #[inline(always)]
 fn turns<R: Real>(at: &Turn<R>) -> Turns<R, 1> {
     let own = [(at.sin, at.cos)];

@@ -14,9 +14,9 @@ use crate::scalar::Real;
 pub struct TwoLink<const VERTICAL: bool> {
     /// l_1 [m], from axis to axis.
     pub link_length: f64,
-    /// g [m/s^2] in the plane of motion; without it, the gravity torques have no effect.
+    /// g [m/s^2] in the plane of motion. At zero the gravity torques have no effect.
     pub gravity: f64,
-    /// l_a [m], the accelerometers' distances from each link's own axis.
+    /// l_a [m], distance of the accelerometers from the axes of their links.
     pub accelerometer_distance: [f64; 2],
 }
 
@@ -30,7 +30,7 @@ pub struct TwoLinkBase<R> {
     g2: R,
 }
 
-/// The turns of q1 and q2; a horizontal arm does not need the first.
+/// Rotations by q1 and q2; a horizontal arm does not need the first.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLinkPosture<R> {
     first: Turn<R>,
@@ -98,8 +98,8 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         if let Some(place) = [alpha, beta].iter().position(|&value| value <= 0.0) {
             return Err((place, "positive"));
         }
-        // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2, c = cos q2: concave
-        // in c, so its least value is at c = 1 or c = -1.
+        // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2 is concave in c = cos
+        // q2, so it is least at c = 1 or c = -1
         let [m1, m2] = reflected.map(|inertia| inertia.unwrap_or(0.0));
         let least = [1.0, -1.0]
             .map(|c| (alpha + m1) * (beta + m2) + (beta + 2.0 * gamma * c) * m2 - gamma * gamma)
@@ -254,7 +254,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     #[inline(always)]
     fn accelerometers<R: Real>(&self, at: &TwoLinkPosture<R>, dq: &[R; 2], ddq: &[R; 2]) -> [R; 2] {
-        // Acceleration of axis 2 across link 2, per metre of link 1.
+        // acceleration of axis 2 across link 2, per metre of link 1
         let elbow = ddq[0].mul_add(at.second.cos, dq[0] * dq[0] * at.second.sin);
         let mut first = R::splat(self.accelerometer_distance[0]) * ddq[0];
         let mut second = R::splat(self.accelerometer_distance[1]) * (ddq[0] + ddq[1])
@@ -328,13 +328,13 @@ impl TwoLink<true> {
 }
 
 impl<const VERTICAL: bool> TwoLink<VERTICAL> {
-    /// Gravity in the plane of motion; none where the arm lies flat.
+    /// Gravity in the plane of motion.
     #[inline(always)]
     fn felt(&self) -> f64 {
         if VERTICAL { self.gravity } else { 0.0 }
     }
 
-    /// How the links are turned.
+    /// Rotations of the links.
     #[inline(always)]
     fn turns<R: Real>(&self, at: &TwoLinkPosture<R>) -> Turns<R, 2> {
         let both = at.first.plus(at.second);

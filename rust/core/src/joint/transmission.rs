@@ -69,13 +69,13 @@ pub struct Joint<R: Real, G: Gears> {
     pub ratio: R,
     /// m_M [kg m^2] at the motor.
     pub motor_inertia: R,
-    /// 1/m_M, because a division in the innermost loop would cost as much as the rest of its line.
+    /// 1/m_M. A division in the innermost loop would double the cost of its line.
     pub motor_mobility: R,
     /// d_M [N m s/rad] at the motor.
     pub motor_viscous: R,
     /// f_M [N m] at the motor.
     pub coulomb: R,
-    /// tau [s]: time constant in which friction stops the motor; zero: instantly.
+    /// tau [s]: time constant with which friction stops the motor; zero: instantly.
     pub settling_time: R,
     /// 1/tau, very large for an instant stop.
     pub settling_rate: R,

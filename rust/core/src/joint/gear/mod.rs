@@ -26,7 +26,7 @@ pub struct Law {
     pub name: &'static str,
     /// Parameters in the order of a flat list of values.
     pub parameters: &'static [Parameter],
-    /// Indices of parameters that must exceed the one before, such as knees.
+    /// Indices of parameters that must exceed the previous one, such as knees.
     pub rising: &'static [usize],
     /// Whether the gear is elastic.
     pub elastic: bool,
