@@ -1,4 +1,4 @@
-"""Link motion from what sensors tell, and channels that do not lie in time."""
+"""Link motion from each kind of sensor, and detection of delays between channels."""
 
 from __future__ import annotations
 
@@ -40,8 +40,10 @@ def run_of(
 
 
 def shifted(log: Log, name: str, samples: int = 1) -> Log:
-    moved = {k: np.roll(v, samples) if k.startswith(name) else v for k, v in log.channels.items()}
-    return replace(log, channels=moved)
+    channels = {
+        k: np.roll(v, samples) if k.startswith(name) else v for k, v in log.channels.items()
+    }
+    return replace(log, channels=channels)
 
 
 # --- filters ----------------------------------------------------------------------------------
@@ -52,13 +54,13 @@ def test_lags_have_their_step_response(order: int) -> None:
     w, t = 2.0 * np.pi * 300.0, SAMPLE * np.arange(100)
     step = np.r_[0.0, np.ones(100)]
     cutoff = Lag(1 if order == 1 else 2, 300.0)
-    passed = lagged(step, [cutoff], SAMPLE, held=True)[1:]
+    response = lagged(step, [cutoff], SAMPLE, held=True)[1:]
     if order == 1:
         exact = 1.0 - np.exp(-w * t)
     else:
         d = w / np.sqrt(2.0)
         exact = 1.0 - np.exp(-d * t) * (np.cos(d * t) + np.sin(d * t))
-    assert passed == pytest.approx(exact, abs=1e-12)
+    assert response == pytest.approx(exact, abs=1e-12)
 
 
 def test_a_straight_signal_comes_late_by_the_lag() -> None:
@@ -71,22 +73,25 @@ def test_a_straight_signal_comes_late_by_the_lag() -> None:
 def test_the_current_loop_is_the_drives() -> None:
     _, run = run_of(None, None)
     torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
-    # before the first sample there was no voltage
+    # The simulated voltage is zero before the first sample; its transient is excluded.
     assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
 
 
 def test_an_angle_keeps_its_size_behind_a_lag() -> None:
-    """At a tenth of the sampling rate, where straight lines take (w T)^2 / 12 = 3.3 % of it."""
+    """Band-limited interpolation at a tenth of the sampling rate.
+
+    Linear interpolation attenuates the signal by (w T)^2 / 12 = 3.3 %.
+    """
     T, lag = 1e-3, Lag(2, 300.0)
     t = T * np.arange(2000)
-    turns = 100.0 / lag.cutoff_hz
-    response = 1.0 / (1.0 + np.sqrt(2.0) * 1j * turns - turns**2)
+    ratio = 100.0 / lag.cutoff_hz
+    response = 1.0 / (1.0 + np.sqrt(2.0) * 1j * ratio - ratio**2)
     exact = (response * np.exp(200j * np.pi * t)).imag
-    straight = lagged(np.sin(200.0 * np.pi * t), [lag], T)
-    passed = unaliased(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
+    linear = lagged(np.sin(200.0 * np.pi * t), [lag], T)
+    filtered = unaliased(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
     inner = slice(200, -200)
-    assert passed[inner] == pytest.approx(exact[inner], abs=2e-4)
-    assert np.abs(straight - exact)[inner].max() > 0.02
+    assert filtered[inner] == pytest.approx(exact[inner], abs=2e-4)
+    assert np.abs(linear - exact)[inner].max() > 0.02
 
 
 @pytest.mark.parametrize("between", ["smooth", "held", "straight"])
@@ -99,12 +104,12 @@ def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -
 
 
 def test_a_held_voltage_leaves_no_aliases() -> None:
-    """Against the same voltage at sixteen times the rate, whose spectrum needs no folding."""
-    T, finer, lags = 1e-3, 16, [Lag(1, 800.0)]
+    """Reference: the same voltage at 16 times the sampling rate, whose aliasing is negligible."""
+    T, oversampling, lags = 1e-3, 16, [Lag(1, 800.0)]
     rng = np.random.default_rng(3)
     voltage = rng.choice([-10.0, 10.0], 2000)
-    fine = lagged(np.repeat(voltage, finer), lags, T / finer, held=True)
-    exact = band_pass(fine, 20.0, 300.0, T / finer)[::finer]
+    fine = lagged(np.repeat(voltage, oversampling), lags, T / oversampling, held=True)
+    exact = band_pass(fine, 20.0, 300.0, T / oversampling)[::oversampling]
     errors = []
     for torque in (unaliased(voltage, lags, T, "held"), lagged(voltage, lags, T, held=True)):
         error = (band_pass(torque, 20.0, 300.0, T) - exact)[200:-200]
@@ -127,7 +132,7 @@ def test_several_signals_pass_one_band_with_their_integrals_and_derivatives() ->
     assert sine == pytest.approx(gain * np.sin(w * t)[2400:-2400], abs=1e-4)
     assert velocity == pytest.approx(gain * w * np.cos(w * t)[2400:-2400], abs=1e-4 * w)
     assert acceleration == pytest.approx(-(w**2) * sine, abs=1e-4 * w**2)
-    # fourth differences of the integral: (w T)^4 / 30
+    # error of the fourth-order differences of the integral: (w T)^4 / 30
     assert differentiate(passed[:, 4], SAMPLE)[9:-9] == pytest.approx(passed[9:-9, 3], abs=1e-5)
 
 
@@ -139,7 +144,9 @@ def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
     t = SAMPLE * np.arange(8000)
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     fused = fuse(30.0 * np.cos(30.0 * t), np.sin(30.0 * t) + 5.0, fusion, SAMPLE)
-    assert fused == pytest.approx(np.sin(30.0 * t) + 5.0, abs=2e-5)  # the trapezoid's (w T)^2 / 12
+    assert fused == pytest.approx(
+        np.sin(30.0 * t) + 5.0, abs=2e-5
+    )  # trapezoidal rule: (w T)^2 / 12
 
 
 @pytest.mark.parametrize(("order", "offset"), [(1, 0.2 * 0.5), (2, 0.2 * 0.5 * np.sqrt(2.0))])
@@ -172,17 +179,17 @@ def test_a_bias_is_found_beside_a_vibration() -> None:
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
     study, run = run_of(gravity, None)
-    seen = links.link_side(log_of(run), Arm.of(study.arm))
-    assert seen.shared == SHARED
-    assert seen.sources == ("accelerometer", "accelerometer")
-    assert not any(seen.held)
-    # q2 and dq1 pass the filter before the products of (9), not after: that is second order
+    motion = links.link_side(log_of(run), Arm.of(study.arm))
+    assert motion.shared == SHARED
+    assert motion.sources == ("accelerometer", "accelerometer")
+    assert not any(motion.held)
+    # The filter acts on q2 and dq1 before, not after, the products of (9): a second-order error.
     names: tuple[Quantity, ...] = ("link_acceleration", "link_velocity", "link_angle")
     for name in names:
-        truth = lagged(run[name], SHARED, SAMPLE)[INNER]
-        found = getattr(seen, name)[INNER]
-        error = (found - truth).std(axis=0) / truth.std(axis=0)
-        # the fusion is wrong below its corner: by the angle's deflection, and the velocity's
+        true_motion = lagged(run[name], SHARED, SAMPLE)[INNER]
+        estimate = getattr(motion, name)[INNER]
+        error = (estimate - true_motion).std(axis=0) / true_motion.std(axis=0)
+        # Below its cutoff, the fusion omits the deflection of the angle and of the velocity.
         limit = dict(zip(names, (0.004, 0.01, 0.03), strict=True))[name]
         assert np.all(error < limit), (name, error)
 
@@ -192,12 +199,12 @@ def test_biases_are_taken_off_and_reported() -> None:
     log = log_of(run)
     a1 = log.channels["a1"] + 0.12
     a2 = log.channels["a2"] - 0.20
-    seen = links.link_side(
+    motion = links.link_side(
         replace(log, channels={**log.channels, "a1": a1, "a2": a2}), Arm.of(study.arm)
     )
     plain = links.link_side(log, Arm.of(study.arm))
-    assert seen.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
-    assert seen.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
+    assert motion.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
+    assert motion.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
 
 def test_the_fusion_shows_how_wrong_it_is() -> None:
@@ -206,11 +213,11 @@ def test_the_fusion_shows_how_wrong_it_is() -> None:
     errors = []
     for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
         options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
-        seen = links.link_side(log_of(run), Arm.of(study.arm), options)
-        error = (seen.link_velocity - truth)[INNER].std(axis=0)
-        assert seen.fusion == (Fusion(time_constant, options.order),) * 2
-        # the estimate takes the fused velocity for the true one
-        assert np.all(np.abs(np.log(seen.fusion_error / error)) < np.log(1.6))
+        motion = links.link_side(log_of(run), Arm.of(study.arm), options)
+        error = (motion.link_velocity - truth)[INNER].std(axis=0)
+        assert motion.fusion == (Fusion(time_constant, options.order),) * 2
+        # The error estimate uses the fused velocity in place of the true one.
+        assert np.all(np.abs(np.log(motion.fusion_error / error)) < np.log(1.6))
         errors.append(error)
     assert np.all(errors[0] > errors[1])
     assert np.all(errors[1] > errors[2])
@@ -221,10 +228,10 @@ def test_accelerometers_of_two_bandwidths_share_both() -> None:
     slower = replace(study.arm.joints[1], accelerometer_hz=150.0)
     study = replace(study, arm=replace(study.arm, joints=(study.arm.joints[0], slower)))
     run = prbs_run(study)
-    seen = links.link_side(log_of(run), Arm.of(study.arm))
-    assert seen.shared == (Lag(2, 300.0), Lag(2, 150.0))
-    truth = lagged(run["link_acceleration"], seen.shared, SAMPLE)[INNER]
-    error = (seen.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
+    motion = links.link_side(log_of(run), Arm.of(study.arm))
+    assert motion.shared == (Lag(2, 300.0), Lag(2, 150.0))
+    truth = lagged(run["link_acceleration"], motion.shared, SAMPLE)[INNER]
+    error = (motion.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
     assert np.all(error < 0.02)
 
 
@@ -239,29 +246,29 @@ def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
     }[channel]
     joints = tuple(replace(joint, gyro_hz=None) for joint in study.arm.joints)
     log = log_of(run)
-    kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
-    kept |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
+    channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
+    channels |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
     options = links.LinkOptions(bandwidth_hz=200.0)
-    seen = links.link_side(
-        replace(log, channels=kept),
+    motion = links.link_side(
+        replace(log, channels=channels),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
         options,
     )
-    assert set(seen.sources) == {"encoder" if channel == "theta_l" else channel}
-    assert seen.fusion == (None, None)
-    assert seen.bandwidth_hz == 200.0
-    error = (seen.link_velocity - velocity)[INNER].std(axis=0) / velocity.std(axis=0)
+    assert set(motion.sources) == {"encoder" if channel == "theta_l" else channel}
+    assert motion.fusion == (None, None)
+    assert motion.bandwidth_hz == 200.0
+    error = (motion.link_velocity - velocity)[INNER].std(axis=0) / velocity.std(axis=0)
     assert np.all(error < 0.01)
 
 
 def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
     study, run = run_of()
     log = log_of(run)
-    kept = {k: v for k, v in log.channels.items() if not k.startswith("a")}
-    seen = links.link_side(replace(log, channels=kept), Arm.of(study.arm))
-    assert seen.sources == ("motor", "motor")
-    assert [w.code for w in seen.warnings] == ["no-link-sensor"] * 2
-    assert seen.link_velocity == pytest.approx(0.01 * seen.motor_velocity)
+    channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
+    motion = links.link_side(replace(log, channels=channels), Arm.of(study.arm))
+    assert motion.sources == ("motor", "motor")
+    assert [w.code for w in motion.warnings] == ["no-link-sensor"] * 2
+    assert motion.link_velocity == pytest.approx(0.01 * motion.motor_velocity)
 
 
 # --- alignment --------------------------------------------------------------------------------
@@ -270,12 +277,12 @@ def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_aligned_channels_give_no_warning(joint: int) -> None:
     study, run = run_of(joint=joint)
-    seen = links.link_side(log_of(run, joint, seed=3), Arm.of(study.arm))
-    assert not seen.warnings
-    for delay in (*seen.sensor_delay, seen.drive_delay[joint - 1]):
+    motion = links.link_side(log_of(run, joint, seed=3), Arm.of(study.arm))
+    assert not motion.warnings
+    for delay in (*motion.sensor_delay, motion.drive_delay[joint - 1]):
         assert delay is not None
         assert abs(delay.value) < 0.3 * SAMPLE
-    assert seen.drive_delay[2 - joint] is None  # that joint was not excited
+    assert motion.drive_delay[2 - joint] is None  # this joint is not excited
 
 
 @pytest.mark.parametrize("joint", [1, 2])
@@ -283,91 +290,93 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
 def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
-    plain = links.link_side(log, Arm.of(study.arm))
+    reference = links.link_side(log, Arm.of(study.arm))
     late = links.link_side(shifted(log, f"a{joint}", samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in late.warnings}
-    found, before = late.sensor_delay[joint - 1], plain.sensor_delay[joint - 1]
-    assert found is not None
-    assert before is not None
-    before_it = before.value / SAMPLE
-    # one linear step of what is not linear
-    assert found.value / SAMPLE - before_it == pytest.approx(samples, rel=0.45)
-    assert late.motor_velocity == pytest.approx(plain.motor_velocity)
+    delay, reference_delay = late.sensor_delay[joint - 1], reference.sensor_delay[joint - 1]
+    assert delay is not None
+    assert reference_delay is not None
+    reference_samples = reference_delay.value / SAMPLE
+    # one linearized step of a nonlinear estimate
+    assert delay.value / SAMPLE - reference_samples == pytest.approx(samples, rel=0.45)
+    assert late.motor_velocity == pytest.approx(reference.motor_velocity)
     drive = links.link_side(shifted(log, "u", -samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in drive.warnings}
-    reported = drive.drive_delay[joint - 1]
-    assert reported is not None
-    assert reported.value / SAMPLE == pytest.approx(samples, rel=0.35)
+    drive_delay = drive.drive_delay[joint - 1]
+    assert drive_delay is not None
+    assert drive_delay.value / SAMPLE == pytest.approx(samples, rel=0.35)
 
 
 def test_late_link_sensors_are_moved_back_in_all_records() -> None:
-    """By one delay for each sensor, several linear steps of the estimate."""
+    """One delay per sensor, corrected in several iterations of the linear estimate."""
     pairs = [run_of(joint=joint) for joint in (1, 2)]
     study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
     late = [shifted(shifted(log, "a1", 8), "a2", -4) for log in logs]
-    plain, none = links.both_sides(logs, Arm.of(study.arm))
-    found, delays = links.both_sides(late, Arm.of(study.arm))
-    assert [delay.value for delay in none] == [0.0, 0.0]
-    assert not list(links.corrected(none))
+    reference, no_delays = links.both_sides(logs, Arm.of(study.arm))
+    corrected, delays = links.both_sides(late, Arm.of(study.arm))
+    assert [delay.value for delay in no_delays] == [0.0, 0.0]
+    assert not list(links.corrected(no_delays))
     for delay, samples in zip(delays, (8, -4), strict=True):
         assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
         assert delay.std < 0.1e-3
-    constants = links.constants_of(found, delays)
+    constants = links.constants_of(corrected, delays)
     assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
-    said = list(links.corrected(delays))
-    assert [(c.code, c.where) for c in said] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
-    for before, after in zip(plain, found, strict=True):
+    warnings = list(links.corrected(delays))
+    assert [(c.code, c.where) for c in warnings] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
+    for before, after in zip(reference, corrected, strict=True):
         assert not after.warnings
         assert after.removed_delay == delays
         for i in (0, 1):
             expected = before.link_acceleration[INNER, i]
-            off = after.link_acceleration[INNER, i] - expected
-            assert np.std(off) < 0.05 * np.std(expected)
+            difference = after.link_acceleration[INNER, i] - expected
+            assert np.std(difference) < 0.05 * np.std(expected)
 
 
 def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
     study, run = run_of()
     log = log_of(run, 1, seed=3)
-    (seen,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))
+    (motion,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))
     assert [delay.value for delay in delays] == [0.0, 0.0]
-    assert "misaligned" in {w.code for w in seen.warnings}
+    assert "misaligned" in {w.code for w in motion.warnings}
     assert not list(links.corrected(delays))
 
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_bent_spring_shows_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
     study, run = run_of(joint=joint)
-    joints = tuple(replace(own, spring="three-slope") for own in study.arm.joints)
-    seen = links.link_side(
+    joints = tuple(
+        replace(joint_parameters, spring="three-slope") for joint_parameters in study.arm.joints
+    )
+    motion = links.link_side(
         log_of(run, joint, seed=3),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
     )
-    reported = seen.sensor_delay[joint - 1]
-    assert reported is not None
-    assert abs(reported.value) < 0.3 * SAMPLE
-    assert seen.sensor_delay[2 - joint] is None
+    delay = motion.sensor_delay[joint - 1]
+    assert delay is not None
+    assert abs(delay.value) < 0.3 * SAMPLE
+    assert motion.sensor_delay[2 - joint] is None
 
 
 def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
     study, run = run_of()
     joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.arm.joints)
-    seen = links.link_side(
+    motion = links.link_side(
         log_of(run, seed=1), Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
     )
-    delay = seen.sensor_delay[0]
+    delay = motion.sensor_delay[0]
     assert delay is not None
     assert delay.value == pytest.approx(np.sqrt(2.0) / (2.0 * np.pi * 300.0), rel=0.15)
-    assert any("accelerometer_hz" in w.message for w in seen.warnings)
+    assert any("accelerometer_hz" in w.message for w in motion.warnings)
 
 
 def test_a_voltage_logged_below_its_clock_is_reported() -> None:
     study, run = run_of()
     log = log_of(run)
     coarse = {k: v[::8] for k, v in log.channels.items()}
-    seen = links.link_side(
+    motion = links.link_side(
         replace(log, time=log.time[::8], sample_time=8 * SAMPLE, channels=coarse), Arm.of(study.arm)
     )
-    assert "sub-sampled" in {w.code for w in seen.warnings}
+    assert "sub-sampled" in {w.code for w in motion.warnings}
 
 
 @pytest.mark.parametrize(
@@ -396,12 +405,20 @@ def test_lab_channels_are_aligned_until_one_is_moved(
 def test_what_cannot_be_used_is_refused() -> None:
     study, run = run_of()
     log = log_of(run)
-    nowhere = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
+    without_distance = tuple(
+        replace(joint, accelerometer_distance=None) for joint in study.arm.joints
+    )
     with pytest.raises(InvalidInput, match="accelerometer_distance"):
-        links.link_side(log, Arm.of(replace(study, arm=replace(study.arm, joints=nowhere)).arm))
-    powerless = tuple(replace(joint, torque_per_volt=None) for joint in study.arm.joints)
+        links.link_side(
+            log, Arm.of(replace(study, arm=replace(study.arm, joints=without_distance)).arm)
+        )
+    without_torque_constant = tuple(
+        replace(joint, torque_per_volt=None) for joint in study.arm.joints
+    )
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        links.link_side(log, Arm.of(replace(study, arm=replace(study.arm, joints=powerless)).arm))
+        links.link_side(
+            log, Arm.of(replace(study, arm=replace(study.arm, joints=without_torque_constant)).arm)
+        )
     short: dict[str, FloatArray] = {k: v[:60] for k, v in log.channels.items()}
     with pytest.raises(InvalidInput, match="too few"):
         links.link_side(replace(log, time=log.time[:60], channels=short), Arm.of(study.arm))

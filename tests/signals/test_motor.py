@@ -1,4 +1,4 @@
-"""Logs to signals: filters without phase, the drive's delays, stiction, saturation."""
+"""Motor-side signals: zero-phase filters, drive delays, stiction and saturation."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_the_low_pass_has_no_phase_and_the_promised_gain(relative: float) -> Non
     w = 2.0 * np.pi * relative * cutoff
     passed = low_pass(np.sin(w * TIME), cutoff, CLOCK)[INNER]
     gain = 1.0 / (1.0 + relative**8)
-    # the bilinear transform warps frequencies by (pi f T)^2 / 3, the gain by 8 times that
+    # The bilinear transform changes frequencies by (pi f T)^2 / 3 and the gain by 8 times this.
     assert passed == pytest.approx(gain * np.sin(w * TIME)[INNER], abs=0.02)
     quadrature = np.mean(passed * np.cos(w * TIME)[INNER])
     assert abs(quadrature) < 1e-3 * max(gain, 1e-2)
@@ -77,7 +77,7 @@ def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
     w = 2.0 * np.pi * 5.0
     torque = signals.drive_torque(np.sin(w * TIME), joint, CLOCK)
     late = 0.5 * CLOCK + 1.0 / (2.0 * np.pi * 200.0)
-    # to second order in frequency the lag is a delay; (w tau)^2 / 2 = 3e-4 of gain is left
+    # To second order in frequency, the lag is a delay; its gain error is (w tau)^2 / 2 = 3e-4.
     assert torque[INNER] == pytest.approx(2.0 * np.sin(w * (TIME - late))[INNER], abs=2e-3)
 
 
@@ -97,29 +97,29 @@ def test_a_voltage_needs_its_torque_constant() -> None:
 def test_signals_follow_a_known_motion() -> None:
     w = 2.0 * np.pi * 1.0
     angle = np.round(30.0 * np.sin(w * TIME) / 1e-3) * 1e-3
-    seen = signals.motor_side(
+    motion = signals.motor_side(
         log_of({"theta_m1": angle, "torque1": np.cos(w * TIME)}), Arm.of(rigid_drive().arm)
     )
-    assert seen.motor_velocity[INNER, 0] == pytest.approx(
+    assert motion.motor_velocity[INNER, 0] == pytest.approx(
         30.0 * w * np.cos(w * TIME)[INNER], abs=0.3
     )
     peak = 30.0 * w**2
-    accelerated = seen.motor_acceleration[INNER, 0] + peak * np.sin(w * TIME)[INNER]
-    assert np.sqrt(np.mean(accelerated**2)) < 0.01 * peak
-    assert not seen.valid[0, 0]
-    assert seen.valid[4000, 0]
-    assert seen.torque_channel == ("torque1",)
+    acceleration_error = motion.motor_acceleration[INNER, 0] + peak * np.sin(w * TIME)[INNER]
+    assert np.sqrt(np.mean(acceleration_error**2)) < 0.01 * peak
+    assert not motion.valid[0, 0]
+    assert motion.valid[4000, 0]
+    assert motion.torque_channel == ("torque1",)
 
 
 def test_the_bandwidth_option_changes_the_outcome() -> None:
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.cos(9.0 * TIME)})
     study = rigid_drive()
-    seen = [
+    results = [
         signals.motor_side(log, Arm.of(study.arm), signals.SignalOptions(bandwidth_hz=f))
         for f in (2.0, 20.0)
     ]
-    assert [s.bandwidth_hz for s in seen] == [2.0, 20.0]
-    assert np.std(seen[0].motor_velocity) < np.std(seen[1].motor_velocity)
+    assert [s.bandwidth_hz for s in results] == [2.0, 20.0]
+    assert np.std(results[0].motor_velocity) < np.std(results[1].motor_velocity)
 
 
 @pytest.mark.parametrize("missing", ["theta_m1", "torque1"])
@@ -165,7 +165,7 @@ def test_a_still_encoder_has_no_direction() -> None:
 
 
 def test_responses_are_the_shapes_through_the_filter() -> None:
-    """Constant shapes, triangles and both at the record's ends, at rows that need not be even."""
+    """Constant shapes and triangles, also at the ends of the record, at a subset of rows."""
     rng = np.random.default_rng(4)
     kernel = rng.normal(size=41)
     direction = np.ones(300)
@@ -175,28 +175,28 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
     assert min(len(shape) for _, shape in shapes) == 1
     assert any(shape.min() < 1.0 for _, shape in shapes)
     rows = np.arange(5, 300, 7)
-    for (first, shape), found in zip(
+    for (first, shape), response in zip(
         shapes, responses(shapes, rows, kernel).dense().T, strict=True
     ):
-        whole = np.zeros(300)
-        whole[first : first + len(shape)] = shape
-        # sums of 41 numbers of size one
-        assert found == pytest.approx(np.convolve(whole, kernel, mode="same")[rows], abs=1e-12)
+        padded = np.zeros(300)
+        padded[first : first + len(shape)] = shape
+        # rounding of sums of 41 numbers of order one
+        assert response == pytest.approx(np.convolve(padded, kernel, mode="same")[rows], abs=1e-12)
 
 
 @pytest.mark.parametrize("kept", [slice(None), slice(7, None, 13)])
 @pytest.mark.parametrize("cutoff", [2.0, 40.0, 450.0])
 def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slice) -> None:
     signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
-    whole = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
-    found = low_pass(signal, cutoff, 1e-3, kept=kept)
-    assert found.shape == whole[kept].shape
-    # near the ends each has its own transients, fourteen periods away less than rounding
+    reference = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
+    filtered = low_pass(signal, cutoff, 1e-3, kept=kept)
+    assert filtered.shape == reference[kept].shape
+    # The transients at both ends differ; they are below rounding after 14 periods.
     edge = int(14.0 / (cutoff * 1e-3))
-    at = np.arange(len(signal))[kept]
-    inside = (at >= edge) & (at < len(signal) - edge)
-    off = np.abs(found - whole[kept])[inside].max()
-    assert off < 1e-11 * np.abs(signal).max()
+    index = np.arange(len(signal))[kept]
+    inside = (index >= edge) & (index < len(signal) - edge)
+    error = np.abs(filtered - reference[kept])[inside].max()
+    assert error < 1e-11 * np.abs(signal).max()
 
 
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))
@@ -212,13 +212,13 @@ def test_free_friction_spans_constants_where_and_only_where_uncertain(
 
 def test_sticking_is_found_where_the_arm_sticks() -> None:
     study = scara.study(Path("nowhere"), "linear")
-    seen = signals.motor_side(
+    motion = signals.motor_side(
         motion_log(study, scara.parameters(5, "linear"), 0), Arm.of(study.arm)
     )
-    certain = seen.direction != 0.0
+    certain = motion.direction != 0.0
     assert 0.7 < certain.mean() < 0.999
-    moving = np.abs(seen.motor_velocity) > 5.0
-    agree = seen.direction[moving & certain] == np.sign(seen.motor_velocity[moving & certain])
+    moving = np.abs(motion.motor_velocity) > 5.0
+    agree = motion.direction[moving & certain] == np.sign(motion.motor_velocity[moving & certain])
     assert agree.all()
 
 
@@ -231,18 +231,18 @@ def test_servo_limits_are_left_out_with_a_warning() -> None:
     voltage = log.channels["u1"].copy()
     voltage[2000:2300] = 10.0
     limited = replace(log, channels={**log.channels, "u1": voltage})
-    seen = signals.motor_side(limited, Arm.of(study.arm))
-    assert not seen.valid[2000:2300, 0].any()
-    assert seen.valid[2000:2300, 1].all()
-    assert [w.code for w in seen.warnings] == ["saturated"]
+    motion = signals.motor_side(limited, Arm.of(study.arm))
+    assert not motion.valid[2000:2300, 0].any()
+    assert motion.valid[2000:2300, 1].all()
+    assert [w.code for w in motion.warnings] == ["saturated"]
 
 
 def test_flat_tops_count_as_saturation_and_a_free_joint_does_not() -> None:
     torque = np.clip(2.0 * np.sin(9.0 * TIME), -1.5, 1.5)
-    seen = signals.motor_side(
+    motion = signals.motor_side(
         log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), Arm.of(rigid_drive().arm)
     )
-    assert [w.code for w in seen.warnings] == ["saturated"]
+    assert [w.code for w in motion.warnings] == ["saturated"]
     idle = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.zeros_like(TIME)})
     assert not signals.motor_side(idle, Arm.of(rigid_drive().arm)).warnings
 

@@ -1,4 +1,4 @@
-"""Records gone through again: the drive of a log, and models compared with what it shows."""
+"""Drives from recorded inputs, and closed-loop predictions compared with the records."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_an_open_joint_is_driven_by_its_voltage_and_a_servoed_one_by_its_prbs() 
     opened = replace(log, experiment=replace(log.experiment, control=open_servo))
     drive = recorded_drive(Arm.of(study.arm), opened)
     np.testing.assert_array_equal(drive.voltage[:, 0], log.channels["u1"])
-    # the first sample's voltage begins with the record; before it there was none
+    # The voltage of the first sample starts with the record; the voltage before it is zero.
     assert drive.initial_voltage[0] == 0.0
     prbs = Prbs(order=4, clock=1e-3, periods=2, amplitude=5.0)
     excited = replace(log, experiment=replace(log.experiment, prbs=prbs))
@@ -58,15 +58,15 @@ def test_what_the_recorded_input_needs_is_named() -> None:
         missing_recorded_input(Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm), log)
         == "the study describes no servo"
     )
-    for channel, said in [
+    for channel, pattern in [
         ("ref1", "reference ref1"),
         ("u2", "torque2 nor u2"),
         ("theta_m1", "theta_m1"),
     ]:
         channels = {name: signal for name, signal in log.channels.items() if name != channel}
-        with pytest.raises(InvalidInput, match=said):
+        with pytest.raises(InvalidInput, match=pattern):
             observe(replace(log, channels=channels), Arm.of(study.arm))
-    # nobody moved joint 2
+    # Joint 2 follows no reference in this record.
     channels = {name: signal for name, signal in log.channels.items() if name != "ref2"}
     assert missing_recorded_input(Arm.of(study.arm), replace(log, channels=channels)) is None
 
@@ -89,7 +89,7 @@ def test_the_true_arm_predicts_its_own_records(name: str) -> None:
     study, _ = rig_logs()
     prediction = predict_closed_loop(truth()[1], log_named(name), Arm.of(study.arm))
     assert prediction.channels == ("omega_m1", "omega_m2", "a1", "a2")
-    # counts and the accelerometers' noise are all that is left
+    # The residual consists of encoder quantization and accelerometer noise.
     assert min(prediction.fit_percent.values()) > 97.0
     assert prediction.measured.shape == prediction.predicted.shape
     assert len(prediction.time) == len(prediction.measured)
@@ -100,16 +100,16 @@ def test_the_true_arm_predicts_its_own_records(name: str) -> None:
 def test_an_open_loop_record_is_predicted_too() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    both: tuple[Control, Control] = ("open", "servo")
-    opened = replace(log, experiment=replace(log.experiment, control=both))
+    control: tuple[Control, Control] = ("open", "servo")
+    opened = replace(log, experiment=replace(log.experiment, control=control))
     assert predict_closed_loop(truth()[1], opened, Arm.of(study.arm)).fit_percent["omega_m1"] > 95.0
 
 
 def test_a_motor_that_stands_gets_no_fit() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
-    still = {**log.channels, "theta_m2": np.zeros(len(log))}
-    prediction = predict_closed_loop(truth()[1], replace(log, channels=still), Arm.of(study.arm))
+    channels = {**log.channels, "theta_m2": np.zeros(len(log))}
+    prediction = predict_closed_loop(truth()[1], replace(log, channels=channels), Arm.of(study.arm))
     assert np.isnan(prediction.fit_percent["omega_m2"])
     assert np.isfinite(prediction.fit_percent["omega_m1"])
     assert [c.code for c in prediction.warnings] == ["nothing-to-predict"]
@@ -119,7 +119,7 @@ def test_the_cutoff_is_from_the_record_or_as_asked() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     assert observe(log, Arm.of(study.arm), 40.0).cutoff_hz == 40.0
-    # above the gears' 26 Hz, below what the counts' noise covers
+    # Above the gear resonance at 26 Hz, below the frequencies dominated by quantization.
     assert 40.0 < observe(log, Arm.of(study.arm)).cutoff_hz < 400.0
 
 
@@ -127,5 +127,5 @@ def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
     study, values = truth("three-slope")
     arm = Arm.of(study.arm)
     assert as_known(arm, values) == arm
-    one = {key: v for key, v in values.items() if not key[0].startswith("gear_")}
-    assert [joint.spring for joint in as_known(arm, one).joints] == ["linear", "linear"]
+    linear_values = {key: value for key, value in values.items() if not key[0].startswith("gear_")}
+    assert [joint.spring for joint in as_known(arm, linear_values).joints] == ["linear", "linear"]

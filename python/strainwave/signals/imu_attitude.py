@@ -162,7 +162,9 @@ def _turns(*, flat: bool) -> Iterator[FloatArray]:
 
 def _residual(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> FloatArray:
     """Residuals of all axes for a mounting."""
-    parts = [one.root @ factors(one.axis, arm, values) - one.target for one in wanted]
+    parts = [
+        problem.root @ factors(problem.axis, arm, values) - problem.target for problem in wanted
+    ]
     return np.concatenate(parts)
 
 
@@ -175,7 +177,9 @@ def _jacobian(
     wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> FloatArray:
     """Derivatives of the residuals with respect to the unknowns, (n_rows, n_keys)."""
-    return np.concatenate([one.root @ slopes(one.axis, arm, values, keys) for one in wanted])
+    return np.concatenate(
+        [problem.root @ slopes(problem.axis, arm, values, keys) for problem in wanted]
+    )
 
 
 def _placed(
@@ -193,9 +197,8 @@ def _placed(
     optimum = np.linalg.lstsq(jacobian, -_residual(wanted, values, arm))[0]
     placed = {**values, **dict(zip(linear, optimum.tolist(), strict=True))}
     joint = linear[0][1]
-    if (
-        placed.get((FROM_AXIS, joint), 1.0) < 0.0
-    ):  # a negative distance belongs to the opposite bearing
+    # A negative distance belongs to the opposite bearing.
+    if placed.get((FROM_AXIS, joint), 1.0) < 0.0:
         placed[FROM_AXIS, joint] = 0.0
     return placed
 
@@ -213,18 +216,13 @@ def _minimum(
         step = (
             np.linalg.lstsq(rows, np.concatenate([-residual, np.zeros(len(keys))]))[0] / column_norm
         )
-        candidate = dict(values)
+        trial = dict(values)
         step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
         for key, change in zip(keys, step.tolist(), strict=True):
-            candidate[key] += change
-        candidate_cost = _cost(wanted, candidate, arm)
-        if candidate_cost < cost:
-            decrease, cost, values, damping = (
-                cost - candidate_cost,
-                candidate_cost,
-                candidate,
-                0.2 * damping,
-            )
+            trial[key] += change
+        trial_cost = _cost(wanted, trial, arm)
+        if trial_cost < cost:
+            decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping
             if decrease < _ENOUGH * cost:
                 break
         else:

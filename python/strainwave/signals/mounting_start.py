@@ -237,19 +237,15 @@ def _tangential(linear: Sequence[FloatArray], arm: Arm, joint: int) -> tuple[Flo
     """
     if not linear:
         return np.zeros(0), 0.0
-    factor_matrix = np.array(linear).T  # (4, n_axes)
+    matrix = np.array(linear).T  # (4, n_axes)
     if len(linear) == 1 and joint > 1:
-        return np.ones(1), float(factor_matrix[2, 0]) if abs(
-            factor_matrix[1, 0] - 1.0
-        ) < 0.1 else 0.0
-    rows, target = (
-        (factor_matrix[:2], [0.0, 1.0]) if joint > 1 else (factor_matrix[[3, 2]], [0.0, 1.0])
-    )
+        return np.ones(1), float(matrix[2, 0]) if abs(matrix[1, 0] - 1.0) < 0.1 else 0.0
+    rows, target = (matrix[:2], [0.0, 1.0]) if joint > 1 else (matrix[[3, 2]], [0.0, 1.0])
     weights = np.linalg.pinv(rows, rcond=0.1) @ target
     achieved = rows @ weights
     if abs(achieved[1] - 1.0) > 0.1 or abs(achieved[0]) > 0.1:
         return weights, 0.0
-    return weights, float(factor_matrix[2] @ weights)
+    return weights, float(matrix[2] @ weights)
 
 
 def _beside(log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float) -> FloatArray:

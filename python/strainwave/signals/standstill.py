@@ -107,9 +107,8 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
     uncertain = np.r_[False, direction == 0.0, False]
     edges = np.flatnonzero(np.diff(uncertain.astype(np.int8)))
     shapes: list[tuple[int, FloatArray]] = []
-    shapes_by_length: dict[
-        int, list[tuple[int, FloatArray]]
-    ] = {}  # stretches of equal length share their shapes
+    # Stretches of equal length share their shapes.
+    shapes_by_length: dict[int, list[tuple[int, FloatArray]]] = {}
     for first, stop in edges.reshape(-1, 2).tolist():
         length = stop - first
         if length not in shapes_by_length:

@@ -1,4 +1,4 @@
-"""Defects drawn in place and size are named; what looks like one and is none is not."""
+"""Detection of synthetic defects of given position and size, and absence of false detections."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CERTAIN: dict[hygiene.Kind, float] = {
     "flat-tops": 0.9,
     "mains-hum": 0.1,
 }
-"""Sizes, in the units of `SIZES`, from which a defect is named wherever it is."""
+"""Sizes, in the units of `SIZES`, at which a defect is detected at any position."""
 
 ARM = Arm.of(scara.study(Path(), "linear").arm)
 TIME: FloatArray = np.arange(12_000, dtype=np.float64) * 2.5e-4
@@ -38,7 +38,7 @@ rng = np.random.default_rng
 
 @cache
 def clean() -> tuple[Log, ...]:
-    """A slow motion and a quick one of noisy sensors, through an encoder's counts."""
+    """A slow and a fast motion with encoder quantization and sensor noise."""
     return tuple(made(seed) for seed in (1, 2))
 
 
@@ -47,12 +47,12 @@ def made(seed: int) -> Log:
     channels: dict[str, FloatArray] = {}
     w = 2.0 * np.pi * np.array([0.9, 2.3, 4.1, 7.7]) * (1.0 + 0.1 * noise.normal(size=4))
     for i in (1, 2):
-        phase, size = noise.uniform(0.0, 6.0, 4), 20.0 / w**1.5
-        angle = np.sin(np.outer(TIME, w) + phase) @ size
-        slope = -np.sin(np.outer(TIME, w) + phase) @ (size * w**2)
+        phase, amplitude = noise.uniform(0.0, 6.0, 4), 20.0 / w**1.5
+        angle = np.sin(np.outer(TIME, w) + phase) @ amplitude
+        acceleration = -np.sin(np.outer(TIME, w) + phase) @ (amplitude * w**2)
         channels[f"theta_m{i}"] = COUNT * np.round(angle / COUNT)
-        channels[f"u{i}"] = 1e-2 * slope + 0.02 * noise.normal(size=len(TIME))
-        channels[f"a{i}"] = digits(3e-3 * slope + 0.02 * noise.normal(size=len(TIME)), 2e-3)
+        channels[f"u{i}"] = 1e-2 * acceleration + 0.02 * noise.normal(size=len(TIME))
+        channels[f"a{i}"] = digits(3e-3 * acceleration + 0.02 * noise.normal(size=len(TIME)), 2e-3)
         channels[f"gyro{i}"] = 1e-2 * np.gradient(angle, TIME) + 2e-3 * noise.normal(size=len(TIME))
     return record(channels, f"motion-{seed}")
 
@@ -67,14 +67,14 @@ def record(channels: dict[str, FloatArray], name: str = "record", control: str =
 
 
 def found(log: Log) -> list[str]:
-    return [f"{each.kind} {each.channel}" for each in hygiene.defects([log], ARM)[0]]
+    return [f"{defect.kind} {defect.channel}" for defect in hygiene.defects([log], ARM)[0]]
 
 
 def with_channel(log: Log, name: str, x: FloatArray) -> Log:
     return replace(log, channels={**log.channels, name: x})
 
 
-# --- what is there is named -------------------------------------------------------------------
+# --- detection of defects ---------------------------------------------------------------------
 
 
 def test_every_kind_can_be_drawn() -> None:
@@ -92,12 +92,14 @@ def test_a_large_defect_is_named_wherever_it_is(
     drawn = injected(clean(), ARM, kind, size, rng(seed))
     assert drawn is not None
     assume(kind != "frozen" or (missed_something(drawn) and not rushed(drawn)))
-    named = zip(drawn.logs, hygiene.defects(drawn.logs, ARM), strict=True)
-    assert [log.name for log, own in named if drawn.named(own)] or kind == "flat-tops"
+    detections = zip(drawn.logs, hygiene.defects(drawn.logs, ARM), strict=True)
+    assert [
+        log.name for log, record_defects in detections if drawn.named(record_defects)
+    ] or kind == "flat-tops"
 
 
 def missed_something(drawn: Injected) -> bool:
-    """Whether a frozen angle has more to make up for than its motor moves in a few samples."""
+    """Whether the missed motion of a frozen angle exceeds the motion of the next few samples."""
     log = next(log for log in drawn.logs if log.name == drawn.record)
     x, (_, stop) = log.channels[drawn.channel], drawn.spans[0]
     after = float(np.abs(np.diff(x[stop : stop + 5])).max())
@@ -105,7 +107,10 @@ def missed_something(drawn: Injected) -> bool:
 
 
 def rushed(drawn: Injected) -> bool:
-    """Whether an angle went three times faster unseen than on either side: to all eyes a step."""
+    """Whether the speed during a frozen stretch is three times the speed around it.
+
+    Such a defect cannot be distinguished from an encoder step.
+    """
     log = next(log for log in drawn.logs if log.name == drawn.record)
     x, (start, stop) = log.channels[drawn.channel], drawn.spans[0]
     sides = (x[max(0, start - 16) : start + 1], x[stop : stop + 17])
@@ -122,8 +127,8 @@ def rushed(drawn: Injected) -> bool:
 def test_a_spike_is_found_to_the_sample(at: int, shape: tuple[float, ...], size: float) -> None:
     x = clean()[0].channels["a1"].copy()
     x[at : at + len(shape)] += size * np.array(shape)
-    own = hygiene.defects([with_channel(clean()[0], "a1", x)], ARM)[0]
-    assert [(d.kind, d.channel, d.start, d.stop) for d in own] == [
+    record_defects = hygiene.defects([with_channel(clean()[0], "a1", x)], ARM)[0]
+    assert [(d.kind, d.channel, d.start, d.stop) for d in record_defects] == [
         ("spikes", "a1", at, at + len(shape))
     ]
 
@@ -133,15 +138,15 @@ def test_a_counter_that_wraps_is_unwrapped(bits: int, seed: int) -> None:
     log = clean()[seed % 2]
     counts = np.round(log.channels["theta_m1"] / COUNT)
     wrapped = COUNT * np.mod(counts, 2**bits)
-    changes = np.count_nonzero(np.abs(np.diff(wrapped)) > COUNT * 2 ** (bits - 1))
+    n_wraps = np.count_nonzero(np.abs(np.diff(wrapped)) > COUNT * 2 ** (bits - 1))
     (usable,), warnings = hygiene.without_defects([with_channel(log, "theta_m1", wrapped)], ARM)
-    if changes > 1:
+    if n_wraps > 1:
         assert [w.code for w in warnings] == ["encoder-steps"]
-        off = usable.channels["theta_m1"] - log.channels["theta_m1"]
-        assert np.ptp(off[~usable.masked["theta_m1"]]) < 1e-9
+        error = usable.channels["theta_m1"] - log.channels["theta_m1"]
+        assert np.ptp(error[~usable.masked["theta_m1"]]) < 1e-9
 
 
-# --- what is not there is not -----------------------------------------------------------------
+# --- no false detections ----------------------------------------------------------------------
 
 
 def test_clean_logs_have_none() -> None:
@@ -174,15 +179,15 @@ def test_shared_logs_have_none(name: str) -> None:
 def test_a_motor_that_stands_is_not_frozen(seed: int, stands: int, at: int) -> None:
     log = made(seed)
     channels = dict(log.channels)
-    # it comes to standstill and leaves it, as friction lets it, without a step of its velocity
-    warp = np.ones(len(TIME))
+    # The motor stops and starts without a step of its velocity, as friction permits.
+    rate = np.ones(len(TIME))
     ramp = 400
-    warp[at : at + stands] = 0.0
-    warp[at - ramp : at] = np.linspace(1.0, 0.0, ramp)
-    warp[at + stands : at + stands + ramp] = np.linspace(0.0, 1.0, ramp)[: len(TIME) - at - stands]
-    clock = np.cumsum(warp)
+    rate[at : at + stands] = 0.0
+    rate[at - ramp : at] = np.linspace(1.0, 0.0, ramp)
+    rate[at + stands : at + stands + ramp] = np.linspace(0.0, 1.0, ramp)[: len(TIME) - at - stands]
+    warped_time = np.cumsum(rate)
     for i in (1, 2):
-        angle = np.interp(clock, np.arange(len(TIME)), channels[f"theta_m{i}"])
+        angle = np.interp(warped_time, np.arange(len(TIME)), channels[f"theta_m{i}"])
         channels[f"theta_m{i}"] = COUNT * np.round(angle / COUNT)
     assert found(record(channels)) == []
 
@@ -210,27 +215,29 @@ def test_a_servo_at_its_limit_is_no_defect(limit: float) -> None:
 @given(height=st.floats(0.5, 20.0), at=st.integers(500, 11_000), decay=st.floats(10.0, 400.0))
 def test_a_step_of_a_reference_is_no_spike(height: float, at: int, decay: float) -> None:
     since = np.clip(np.arange(len(TIME)) - at, 0, None)
-    kick = np.where(np.arange(len(TIME)) >= at, height * np.exp(-since / decay), 0.0)
-    u = clean()[0].channels["u1"] + kick
+    transient = np.where(np.arange(len(TIME)) >= at, height * np.exp(-since / decay), 0.0)
+    u = clean()[0].channels["u1"] + transient
     assert found(with_channel(clean()[0], "u1", u)) == []
 
 
 @given(step=st.floats(0.001, 0.05), seed=st.integers(0, 20))
 def test_a_coarse_sensor_is_not_frozen_nor_clipped(step: float, seed: int) -> None:
     log = made(seed)
-    smooth = log.channels["gyro1"]
-    assert found(with_channel(log, "gyro1", digits(smooth, step))) == []
+    rate = log.channels["gyro1"]
+    assert found(with_channel(log, "gyro1", digits(rate, step))) == []
 
 
 @given(hz=st.floats(20.0, 80.0), damping=st.floats(0.01, 0.1), seed=st.integers(0, 1000))
 def test_a_resonance_is_no_hum(hz: float, damping: float, seed: int) -> None:
     logs = []
     w = 2.0 * np.pi * hz
-    answer = np.exp(-damping * w * TIME) * np.sin(w * TIME)
+    impulse_response = np.exp(-damping * w * TIME) * np.sin(w * TIME)
     for k, log in enumerate(clean()):
         force = rng([seed, k]).normal(size=len(TIME))
         n = 2 * len(TIME)
-        rings = np.fft.irfft(np.fft.rfft(force, n) * np.fft.rfft(answer, n), n)[: len(TIME)]
-        a = log.channels["a1"] + rings / np.std(rings)
+        vibration = np.fft.irfft(np.fft.rfft(force, n) * np.fft.rfft(impulse_response, n), n)[
+            : len(TIME)
+        ]
+        a = log.channels["a1"] + vibration / np.std(vibration)
         logs.append(with_channel(log, "a1", a))
     assert hygiene.defects(logs, ARM) == [[], []]

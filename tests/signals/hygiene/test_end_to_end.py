@@ -1,4 +1,4 @@
-"""Logs full of defects identify the same arm as clean ones."""
+"""Identification from logs with many defects gives the same parameters as from clean logs."""
 
 from __future__ import annotations
 
@@ -15,39 +15,39 @@ from strainwave.pipeline import identify
 
 FOLDER = Path(__file__).parents[2] / "data" / "small-arm"
 NEAR = 0.002
-"""Of inertias and stiffness: as much as clean logs of this arm are asked for."""
+"""Maximum relative error of inertias and stiffness, as for clean logs of this arm."""
 KINDS = ("alpha", "beta", "gamma", "motor_inertia", "link_inertia", "gear_stiffness")
 
 
 def spoilt(log: Log, seed: int) -> Log:
-    """Spikes of an angle and of an accelerometer, and counts lost by the other encoder."""
+    """Add spikes to an angle and an accelerometer, and lost counts to the other encoder."""
     rng, channels = np.random.default_rng(seed), dict(log.channels)
     for name in ("theta_m1", "a2"):
         x = channels[name].copy()
-        at = rng.integers(300, len(x) - 300, 6)
-        x[at] += 40.0 * np.abs(np.diff(x)).max()
+        samples = rng.integers(300, len(x) - 300, 6)
+        x[samples] += 40.0 * np.abs(np.diff(x)).max()
         channels[name] = x
-    lost = channels["theta_m2"].copy()
-    lost[len(lost) // 2 :] += 300.0 * 2.0 * np.pi / 4096.0
-    return replace(log, channels={**channels, "theta_m2": lost})
+    stepped_angle = channels["theta_m2"].copy()
+    stepped_angle[len(stepped_angle) // 2 :] += 300.0 * 2.0 * np.pi / 4096.0
+    return replace(log, channels={**channels, "theta_m2": stepped_angle})
 
 
 def test_defects_are_named_and_change_nothing() -> None:
     study = read_study(FOLDER / "study.toml")
     logs = [spoilt(log, k) for k, log in enumerate(read_logs(study))]
     data = {log.name: {"t": log.time, **log.channels} for log in logs}
-    found = identify(replace(study, channels={}), data=data)
-    assert found.verdict.status == "determined"
-    named = {(w.code, w.where) for w in found.warnings}
+    result = identify(replace(study, channels={}), data=data)
+    assert result.verdict.status == "determined"
+    warnings = {(w.code, w.where) for w in result.warnings}
     for log in logs:
-        assert {("spikes", f"{log.name}, theta_m1"), ("spikes", f"{log.name}, a2")} <= named
-    truth = read_parameters(FOLDER / "truth.json")
+        assert {("spikes", f"{log.name}, theta_m1"), ("spikes", f"{log.name}, a2")} <= warnings
+    true_values = read_parameters(FOLDER / "truth.json")
     compared = [
-        (p.value, truth[p.name, p.joint])
-        for p in found.parameters
-        if (p.name, p.joint) in truth and p.name.startswith(KINDS)
+        (p.value, true_values[p.name, p.joint])
+        for p in result.parameters
+        if (p.name, p.joint) in true_values and p.name.startswith(KINDS)
     ]
     assert len(compared) > 12
-    for value, true in compared:
+    for value, true_value in compared:
         assert value is not None
-        assert abs(value / true - 1.0) < NEAR
+        assert abs(value / true_value - 1.0) < NEAR

@@ -1,4 +1,4 @@
-"""What is defective is bridged and masked, and no equation or row of a fit rests on it."""
+"""Defective samples are interpolated and masked, and no equation or row of a fit uses them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -
     return usable
 
 
-# --- bridges ----------------------------------------------------------------------------------
+# --- interpolation and correction -------------------------------------------------------------
 
 
 @given(
@@ -45,17 +45,17 @@ def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -
     st.floats(-3.0, 3.0),
 )
 def test_a_straight_line_is_bridged_by_itself(where: list[bool], slope: float) -> None:
-    bad = np.array(where)
-    bad[0] = bad[-1] = False
-    x = slope * np.arange(len(bad))
-    broken = np.where(bad, 1e6, x)
-    np.testing.assert_allclose(bridged(broken, bad), x, atol=1e-12 * len(x))
+    is_defective = np.array(where)
+    is_defective[0] = is_defective[-1] = False
+    x = slope * np.arange(len(is_defective))
+    defective = np.where(is_defective, 1e6, x)
+    np.testing.assert_allclose(bridged(defective, is_defective), x, atol=1e-12 * len(x))
 
 
 def test_a_voltage_holds_its_last_value() -> None:
     x: FloatArray = np.array([9.0, 1.0, 2.0, 9.0, 9.0, 3.0])
-    bad = x == 9.0
-    assert bridged(x, bad, hold=True).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, 3.0]
+    is_defective = x == 9.0
+    assert bridged(x, is_defective, hold=True).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, 3.0]
 
 
 def test_a_step_is_taken_off_in_whole_counts() -> None:
@@ -67,11 +67,11 @@ def test_a_step_is_taken_off_in_whole_counts() -> None:
     usable, _ = mended(stepped, ARM, [step])
     assert usable is not None
     assert np.flatnonzero(usable.masked["theta_m1"]).tolist() == [4999, 5000]
-    off = usable.channels["theta_m1"] - log().channels["theta_m1"]
-    assert np.abs(off[~usable.masked["theta_m1"]]).max() < 1e-9
+    error = usable.channels["theta_m1"] - log().channels["theta_m1"]
+    assert np.abs(error[~usable.masked["theta_m1"]]).max() < 1e-9
 
 
-# --- what is not used -------------------------------------------------------------------------
+# --- excluded records and channels ------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -106,7 +106,7 @@ def test_an_encoder_of_many_steps_is_not_used() -> None:
     assert mended(log(), ARM, wraps)[0] is not None
 
 
-# --- no equation rests on it ------------------------------------------------------------------
+# --- equations and rows without defective samples ---------------------------------------------
 
 
 def test_rigid_equations_leave_it_out() -> None:
@@ -129,9 +129,9 @@ def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
     reach = 0.5 * len(record.kernels.smooth) * log().sample_time
     near = np.abs(record.time - log().time[5001]) < reach
     for k, name in enumerate(names):
-        lost = ~record.counted[:, k]
-        assert lost.any() == (name == "a2")
-        assert not (lost & ~near).any()
+        excluded = ~record.counted[:, k]
+        assert excluded.any() == (name == "a2")
+        assert not (excluded & ~near).any()
     assert near[~record.counted.all(axis=1)].all()
     assert (~record.counted).sum() >= near.sum() - 2
     assert dataset_of(log(), ARM, CUTOFF).counted is None
