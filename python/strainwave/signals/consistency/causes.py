@@ -260,9 +260,9 @@ def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
         pair.reverse()
     for where, corrections, other in pair:
         message = (
-            f"{listed(wrong)}: the PRBS in {name} has an amplitude of {number(amplitude * ratio)} V, "
-            f"and the study states {number(amplitude)} V, a factor of {number(ratio)}: either the scale "
-            f"of {name} or the amplitude is wrong"
+            f"{listed(wrong)}: the PRBS in {name} has an amplitude of "
+            f"{number(amplitude * ratio)} V, and the study states {number(amplitude)} V, a factor "
+            f"of {number(ratio)}: either the scale of {name} or the amplitude is wrong"
         )
         more = f"; or, if that is right, {correction_text(seen.study, other)}"
         yield _cause(seen, "wrong-unit", where, message, corrections, factor=ratio, more=more)
@@ -360,10 +360,10 @@ def _coupling(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator
     for group in [*groups, *([name] for name in cutoffs)]:
         cutoff_text = ", ".join(f"{number(cutoffs[name], 2)} Hz" for name in group)
         message = (
-            f"{listed(group)} follow the motion only behind a high-pass of {cutoff_text}: the sensor or "
-            "its amplifier is AC-coupled, as piezoelectric accelerometers are. It reads neither "
-            "gravity nor slow motion, and the model of a DC-coupled accelerometer would fit its "
-            "phase by wrong damping"
+            f"{listed(group)} follow the motion only behind a high-pass of {cutoff_text}: the "
+            "sensor or its amplifier is AC-coupled, as piezoelectric accelerometers are. It "
+            "reads neither gravity nor slow motion, and the model of a DC-coupled accelerometer "
+            "would fit its phase by wrong damping"
         )
         corrections = [Correction("log", name, "high_pass_hz", cutoffs[name]) for name in group]
         yield _cause(seen, "ac-coupled", ", ".join(group), message, corrections)
@@ -569,7 +569,8 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
         hint = _distance_hint(corrected, distance or 0.0, length)
         message = (
             f"{name} reads {number(ratio)} of what the motion of joint {joint} gives at "
-            f"{number(distance or 0.0)} m from its axis: it is mounted at {number(corrected)} m{hint}"
+            f"{number(distance or 0.0)} m from its axis: it is mounted at "
+            f"{number(corrected)} m{hint}"
         )
         scale = correction_text(seen.study, _scaled(seen, name, 1.0 / ratio))
         yield _cause(
