@@ -1,4 +1,4 @@
-"""Fit with its prior, the rigid model -> whether they agree on the values that both give."""
+"""Agreement of the whole-arm fit with the rigid model, which is its prior."""
 
 from __future__ import annotations
 
@@ -31,123 +31,121 @@ from strainwave.numerics.distributions import chi_square_tail
 Scope = Literal["all", "inertias", "friction"]
 
 MAX_NOISE_DEVIATIONS = 3.0
-"""Standard deviations up to which a disagreement is noise: one run in 100 exceeds it by chance.
+"""Difference in standard deviations above which the stages disagree.
 
-From `domain.arm_model.MAX_DISAGREEMENT` on, the values concerned are rejected.
+Noise alone exceeds it in one of 100 runs. Above `domain.arm_model.MAX_DISAGREEMENT`, the values are
+rejected.
 """
 
 MIN_EXPLAINED_SHARE = 0.1
-"""Share of the cost from which a hypothesis explains a disagreement at all."""
+"""Smallest share of the objective that a reported hypothesis explains."""
 
-MAX_SUSPECTS = 3  # that a message lists
-LENGTH_STEP = 1e-4  # share of a length over which records are differentiated
+MAX_SUSPECTS = 3  # maximum number of hypotheses in a message
+LENGTH_STEP = 1e-4  # relative step of a length for central differences
 
-_NOTHING_NEW = 0.05  # of the rigid deviation: a smaller one says that the records add nothing
-_SINGULAR = 1e-9  # of the rigid correlations: along such a direction the values are one
-_LEAST_TAIL = 1e-300  # of a probability, 37 deviations
+# standard deviation of a difference, relative to the rigid step, below which the records add no
+# information
+_NOTHING_NEW = 0.05
+_SINGULAR = 1e-9  # relative eigenvalue below which the rigid correlations are singular
+_LEAST_TAIL = 1e-300  # lower limit of a tail probability; equals 37 standard deviations
 
 
 def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
-    """Values of the rigid model beside the whole-arm fit's, with the deviation of the difference.
+    """Differences between rigid model and whole-arm fit, with their standard deviations.
 
-    The fit follows the rigid model, its prior; `confidence.residual_covariance` counts that.
-
-    Parameters
-    ----------
-    fit : Fit
-        At its minimum.
-    arm : Arm
-
-    Returns
-    -------
-    tuple of StageDifference
-        Without values that the fast records say nothing of; none where there was no rigid model.
+    The rigid model is the prior of the fit; `covariance.residual_covariance` includes the resulting
+    correlation. `fit` is at its minimum. Values without information in the fast records are
+    omitted. The result is empty without a rigid model.
     """
-    prior, sure = fit.objective.space.prior, fit.confidence
+    prior, confidence = fit.objective.space.prior, fit.confidence
     F = prior.factor
-    difference = F @ sure.prior_residual
-    std = _deviations([F @ part @ F.T for part in sure.prior_covariance])
+    difference = F @ confidence.prior_residual
+    std = _deviations([F @ part @ F.T for part in confidence.prior_covariance])
     rigid_std = _deviations([F @ prior.errors @ F.T])
-    found = []
+    differences = []
     for k, (name, joint) in enumerate(prior.names):
         if std[k] <= _NOTHING_NEW * rigid_std[k]:
             continue
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
         rigid = float(prior.mean[k])
-        whole = rigid + float(difference[k])
-        found.append(StageDifference(name, joint, rigid, whole, float(std[k]), unit))
-    return tuple(found)
+        whole_arm = rigid + float(difference[k])
+        differences.append(StageDifference(name, joint, rigid, whole_arm, float(std[k]), unit))
+    return tuple(differences)
 
 
 def _deviations(covariances: Sequence[FloatArray]) -> FloatArray:
-    """Of each row the largest standard deviation: (n_rows,)."""
+    """Largest standard deviation of each row over the covariances: (n_rows,)."""
     variances = np.max([np.diag(part) for part in covariances], axis=0)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
 
 
 def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
-    """Chi-squares of the differences: of all of them, of inertias, and of each joint's friction.
+    """Chi-square tests of the differences: all values, inertias, and the friction of each joint.
 
-    d' C^-1 d, d the differences and C their covariance: the correlations of steady errors, which a
-    thousand rows know, with the larger one of both variances. Only directions count in which the
-    records add to what the rigid model knows.
+    The statistic is d' C^-1 d with the differences d and their covariance C. C has the correlations
+    of steady errors, which about 1,000 rows determine, and the larger of both variances. Only
+    directions in which the records add information to the rigid model are included.
 
-    Parameters
-    ----------
-    fit : Fit
-        At its minimum.
-
-    Returns
-    -------
-    tuple of AgreementTest
-        None where there was no rigid model, or the records say nothing of its values.
+    `fit` is at its minimum. The result is empty without a rigid model, or if the records contain no
+    information on its values.
     """
-    prior, sure = fit.objective.space.prior, fit.confidence
+    prior, confidence = fit.objective.space.prior, fit.confidence
     F = prior.factor
-    _, steady = (F @ part @ F.T for part in sure.prior_covariance)
-    std = _deviations([F @ part @ F.T for part in sure.prior_covariance])
-    own = np.sqrt(np.maximum(np.diag(steady), 0.0))
-    raised = np.divide(std, own, out=np.ones_like(std), where=own > 0.0)
-    covariance = steady * np.outer(raised, raised)
-    rigid, difference = F @ prior.errors @ F.T, F @ sure.prior_residual
+    _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
+    std = _deviations([F @ part @ F.T for part in confidence.prior_covariance])
+    steady_std = np.sqrt(np.maximum(np.diag(steady), 0.0))
+    scale = np.divide(std, steady_std, out=np.ones_like(std), where=steady_std > 0.0)
+    covariance = steady * np.outer(scale, scale)
+    rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
     relative = np.abs(difference) / _sizes(prior.names, prior.mean)
     groups: dict[tuple[Scope, int | None], list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
-        own_group: tuple[Scope, int | None] = ("inertias", None)
+        group_key: tuple[Scope, int | None] = ("inertias", None)
         if "friction" in name:
-            own_group = ("friction", joint)
-        for group in (("all", None), own_group):
+            group_key = ("friction", joint)
+        for group in (("all", None), group_key):
             groups.setdefault(group, []).append(k)
-    found = []
-    for (scope, joint), at in groups.items():
-        own_part = np.ix_(at, at)
-        q, degrees = _chi_square(difference[at], covariance[own_part], rigid[own_part])
+    tests = []
+    for (scope, joint), rows in groups.items():
+        block = np.ix_(rows, rows)
+        chi_square, degrees = _chi_square(difference[rows], covariance[block], rigid[block])
         if degrees:
-            largest = float(np.max(relative[at]))
-            found.append(AgreementTest(scope, joint, q, degrees, _as_normal(q, degrees), largest))
-    return tuple(found)
+            largest = float(np.max(relative[rows]))
+            tests.append(
+                AgreementTest(
+                    scope, joint, chi_square, degrees, _as_normal(chi_square, degrees), largest
+                )
+            )
+    return tuple(tests)
 
 
 def _sizes(names: Sequence[Key], values: FloatArray) -> FloatArray:
-    """What differences are relative to: the values, of an offset the joint's Coulomb friction."""
-    at = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
-    own = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
-    sizes = [at.get(key, at[name]) for key, name in zip(own, names, strict=True)]
+    """Reference of relative differences: the value, or the Coulomb friction for an offset."""
+    magnitudes = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
+    references = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
+    sizes = [
+        magnitudes.get(key, magnitudes[name]) for key, name in zip(references, names, strict=True)
+    ]
     return np.asarray(np.maximum(np.array(sizes), 1e-300))
 
 
 def _chi_square(
     difference: FloatArray, covariance: FloatArray, rigid: FloatArray
 ) -> tuple[float, int]:
-    """D' C^-1 d over the directions in which C is not nothing beside the rigid covariance."""
-    size = np.sqrt(np.diag(rigid))
-    values, vectors = np.linalg.eigh(rigid / np.outer(size, size))
-    known = values > _SINGULAR * values[-1]
-    whiten = (vectors[:, known] / np.sqrt(values[known])).T / size
-    share, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
-    new = share > _NOTHING_NEW**2
-    along = directions.T[new] @ (whiten @ difference)
-    return float(np.sum(along**2 / share[new])), int(np.count_nonzero(new))
+    """Statistic d' C^-1 d and its degrees of freedom.
+
+    Directions in which C is negligible relative to the rigid covariance are omitted.
+    """
+    rigid_std = np.sqrt(np.diag(rigid))
+    values, vectors = np.linalg.eigh(rigid / np.outer(rigid_std, rigid_std))
+    is_regular = values > _SINGULAR * values[-1]
+    whiten = (vectors[:, is_regular] / np.sqrt(values[is_regular])).T / rigid_std
+    ratios, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
+    is_informative = ratios > _NOTHING_NEW**2
+    projection = directions.T[is_informative] @ (whiten @ difference)
+    return float(np.sum(projection**2 / ratios[is_informative])), int(
+        np.count_nonzero(is_informative)
+    )
 
 
 def _as_normal(chi_square: float, degrees: int) -> float:
@@ -156,17 +154,17 @@ def _as_normal(chi_square: float, degrees: int) -> float:
 
 
 def is_disagreement(tests: Sequence[AgreementTest]) -> bool:
-    """Whether the stages disagree by more than noise and by more than a use of the model minds."""
+    """Whether a difference between the stages is significant and of practical importance."""
     return any(test.deviations > MAX_NOISE_DEVIATIONS and test.matters for test in tests)
 
 
 def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectConstant, ...]:
-    """What would explain that the stages disagree, the likeliest first.
+    """Hypotheses that can explain a disagreement of the stages, most likely first.
 
-    Each hypothesis joins the unknowns of the fit as further columns: derivatives of the records by
-    a constant of the study, or shifts of what the rigid model knows, for a payload or a friction
-    that changed between slow and fast records. Its share is what one linear step takes off the
-    cost, which includes the rigid model as prior. Effects were fitted before; their shares join.
+    Each hypothesis extends the Jacobian of the fit by columns: derivatives of the records with
+    respect to a constant of the study, or shifts of the rigid model for a payload or friction that
+    changed between slow and fast records. Its share is the decrease of the objective, including the
+    prior, in one linear step. Likely effects are included with the shares of their fits.
     """
     prior = fit.objective.space.prior
     hypotheses = [
@@ -198,16 +196,16 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
         )
         for cause in causes
     ]
-    explaining = [one for one in suspects if one.share > MIN_EXPLAINED_SHARE]
-    return tuple(sorted(explaining, key=lambda one: -one.share)[:MAX_SUSPECTS])
+    likely = [one for one in suspects if one.share > MIN_EXPLAINED_SHARE]
+    return tuple(sorted(likely, key=lambda one: -one.share)[:MAX_SUSPECTS])
 
 
 def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
-    """The distance of the joints' axes, which accelerations of the second link depend on."""
+    """Test the link length, on which the acceleration of link 2 depends."""
     values, objective = fit.objective.space.values(fit.z), fit.objective
 
     def column(k: int, evaluated: Evaluated) -> FloatArray:
-        """Derivative by the logarithm of the length: (n_rows, n_channels, 1)."""
+        """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
         record = objective.records[k]
         own = evaluated.own[: len(record.local)]
         ends = [
@@ -234,7 +232,7 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
 
 
 def _share(fit: Fit, shifted: FloatArray) -> float:
-    """Share of the cost that shifts of the prior's rows, (n_prior, n_shifts), take off."""
+    """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
     n, width = len(fit.objective.space.unknowns), shifted.shape[1]
 
     def nothing(_: int, evaluated: Evaluated) -> FloatArray:
@@ -242,8 +240,8 @@ def _share(fit: Fit, shifted: FloatArray) -> float:
 
     factor = fit.objective.bordered(fit.z, width, nothing, shifted)
     own, target = factor[n:, n:-1], factor[n:, -1]
-    left = target - own @ np.linalg.lstsq(own, target)[0]
-    return float((target @ target - left @ left) / max(fit.cost, 1e-300))
+    remaining = target - own @ np.linalg.lstsq(own, target)[0]
+    return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))
 
 
 def disagreement(
@@ -251,22 +249,22 @@ def disagreement(
     tests: Sequence[AgreementTest],
     suspects: Sequence[SuspectConstant] = (),
 ) -> Iterator[Diagnostic]:
-    """The warning that the stages disagree, with the likely causes; at most one."""
+    """Yield the warning that the stages disagree, with likely causes; at most one."""
     if not is_disagreement(tests):
         return
     worst = max((t for t in tests if t.matters), key=lambda test: test.deviations)
-    shown = ", ".join(
+    largest = ", ".join(
         f"{d.name if d.joint is None else f'{d.name} of joint {d.joint}'} "
         f"{d.rigid:.4g} by the rigid and {d.whole_arm:.4g} {d.unit} by the whole-arm fit"
         for d in sorted(differences, key=lambda d: -abs(d.deviations))[:3]
     )
     text = (
         f"taken together, {worst.subject} differ by {worst.deviations:.1f} standard deviations"
-        f" (chi-square {worst.chi_square:.4g} of {worst.degrees} degrees), most in {shown}"
+        f" (chi-square {worst.chi_square:.4g} of {worst.degrees} degrees), most in {largest}"
     )
     if suspects:
-        listed = ", or ".join(one.text for one in suspects)
-        text += f"; likely causes in this order: {listed}"
+        causes = ", or ".join(one.text for one in suspects)
+        text += f"; likely causes in this order: {causes}"
     else:
         text += "; likely causes in this order: a motor constant that falls with current (record"
         text += " with less voltage), a clock that is fast or slow, a dead zone of the drive,"

@@ -1,4 +1,4 @@
-"""What a fit leaves: how much beside noise, at which frequencies, and what inputs predict."""
+"""Residual analysis: level, spectrum, whiteness and correlation with the inputs."""
 
 from __future__ import annotations
 
@@ -16,36 +16,32 @@ from strainwave.numerics.correlations import correlate_residuals
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.spectra import cross_spectral_densities
 
-_SEGMENTS = 8  # of a record, half of each in common with the next, over which spectra are averaged
-_LEAST_SEGMENT = 64  # rows
-_BELOW = 0.8  # of the cut-off: the band in which colours are compared
-_DELAYS = 0.1  # [s] by which an input may come before what it explains
-_HIGH_VARIANCE = 3.0  # times the sensor's noise from which residuals are worth a word
-_EXCEEDS = 1.5  # times that noise from which more than half of the residuals' power is not noise
-_SURELY = 1e-3  # probability below which chance is no explanation
+_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
+_LEAST_SEGMENT = 64  # minimum segment length [rows]
+_BELOW = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
+_DELAYS = 0.1  # maximum delay between input and residual [s]
+_HIGH_VARIANCE = 3.0  # ratio of residual to sensor noise above which a warning is issued
+_EXCEEDS = 1.5  # ratio above which more than half of the residual power is not noise
+_SURELY = 1e-3  # significance level of the input correlation
 
 
 def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, ...]:
-    """Every channel of every record.
+    """Test the residuals of every channel in every record.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        Where the fit ended.
-
-    Returns
-    -------
-    tuple of ResidualTest
+    `z`, (n_unknowns,), is the final iterate of the fit.
     """
 
     def tested(record: Dataset, rows: Rows, weights: Weights) -> list[ResidualTest]:
-        left = rows.residual * weights.deviation
+        physical_residual = rows.residual * weights.deviation
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
-        return [_tested(record, k, left[:, k], inputs) for k in range(len(record.channels))]
+        return [
+            _tested(record, k, physical_residual[:, k], inputs) for k in range(len(record.channels))
+        ]
 
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
-    return tuple(chain.from_iterable(side_by_side([partial(tested, *one) for one in each])))
+    return tuple(
+        chain.from_iterable(side_by_side([partial(tested, *arguments) for arguments in each]))
+    )
 
 
 def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
@@ -53,12 +49,12 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
     T = record.log.sample_time
     frequency, density = spectral_density(left, kernels.step * T)
     taps = kernels.taps(rate=channel.rate)
-    # the low-pass at the same frequencies: its taps lie closer, a row's time in all the segment's
+    # response of the low-pass on the frequency grid of the density; its taps have the period T
     gain = np.abs(np.fft.rfft(taps, round(1.0 / (frequency[1] * T))))[: len(frequency)]
     raw = record.noise[k] / np.linalg.norm(taps)
     noise_density = 2.0 * T * raw**2 * gain**2
     band = (frequency > 0.0) & (frequency < _BELOW * record.cutoff_hz)
-    beside = density[band] / np.maximum(noise_density[band], 1e-300)
+    ratio = density[band] / np.maximum(noise_density[band], 1e-300)
     joint, correlation, delay, probability = follows(left, inputs, kernels.step * T)
     return ResidualTest(
         experiment=record.log.name,
@@ -68,7 +64,7 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
         frequency_hz=frequency,
         density=density,
         noise_density=noise_density,
-        worst_hz=float(frequency[band][np.argmax(beside)]),
+        worst_hz=float(frequency[band][np.argmax(ratio)]),
         whiteness=coloured_alike(left, kernels.step * T, taps, T, _BELOW * record.cutoff_hz),
         input_joint=joint,
         input_correlation=correlation,
@@ -79,17 +75,10 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
 
 
 def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """One-sided power spectral density of residuals, averaged over the windows of a record.
+    """One-sided power spectral density of a residual, averaged over overlapping segments.
 
-    Parameters
-    ----------
-    x : (n_samples,)
-    sample_time : float [s]
-
-    Returns
-    -------
-    frequency : (n_frequencies,) [Hz]
-    density : (n_frequencies,) [unit^2/Hz]
+    `x` is (n_samples,), `sample_time` in s. Returns frequency [Hz] and density [unit^2/Hz], both
+    (n_frequencies,).
     """
     segment = min(len(x), max(_LEAST_SEGMENT, 2 * len(x) // (_SEGMENTS + 1)))
     frequency, density = cross_spectral_densities(x[:, None], sample_time, segment)
@@ -99,26 +88,14 @@ def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
 def coloured_alike(
     left: FloatArray, row_time: float, taps: FloatArray, sample_time: float, below_hz: float
 ) -> float:
-    """Whether residuals have the colour of white noise behind the low-pass.
+    """Test whether a residual has the spectrum of low-pass filtered white noise.
 
-    Bartlett's test: the cumulative periodogram, each line divided by the noise's, against a
-    straight line, by Kolmogorov and Smirnov's statistic.
+    Bartlett's test: the Kolmogorov-Smirnov statistic of the cumulative periodogram, divided by the
+    power response of the low-pass, against a straight line.
 
-    Parameters
-    ----------
-    left : (n_rows,)
-    row_time : float [s]
-    taps : (n_taps,)
-        Of the low-pass.
-    sample_time : float [s]
-        Between taps.
-    below_hz : float [Hz]
-        Of the band that is looked at.
-
-    Returns
-    -------
-    float
-        Probability that noise looks no more like it.
+    `left`, (n_rows,), is the residual with period `row_time` [s]; `taps`, (n_taps,), are those of
+    the low-pass, with period `sample_time` [s]. Only frequencies below `below_hz` are used. Returns
+    the p-value.
     """
     frequency = np.fft.rfftfreq(len(left), row_time)
     band = (frequency > 0.0) & (frequency < below_hz)
@@ -129,11 +106,11 @@ def coloured_alike(
     m = len(power)
     if m < 2 or not np.sum(power) > 0.0:
         return 1.0
-    share = np.cumsum(power)[:-1] / np.sum(power)
+    cumulative = np.cumsum(power)[:-1] / np.sum(power)
     line = np.arange(1, m) / m
-    apart = float(np.max(np.abs(share - line)))
+    distance = float(np.max(np.abs(cumulative - line)))
     root = sqrt(m - 1.0)
-    x = (root + 0.12 + 0.11 / root) * apart
+    x = (root + 0.12 + 0.11 / root) * distance
     k = np.arange(1, 101)
     return float(np.clip(2.0 * np.sum((-1.0) ** (k - 1) * np.exp(-2.0 * (k * x) ** 2)), 0.0, 1.0))
 
@@ -141,100 +118,67 @@ def coloured_alike(
 def follows(
     left: FloatArray, inputs: FloatArray, row_time: float
 ) -> tuple[int, float, float, float]:
-    """Which input residuals follow most, how closely and how late, and the odds of chance.
+    """Find the input and delay with the most significant correlation with a residual.
 
-    By chance a correlation at one delay has the variance (1/n) sum of the products of both sides'
-    autocorrelations (Bartlett).
+    For independent signals, the cross-correlation at one delay has the variance (1/n) times the sum
+    of the products of both autocorrelations (Bartlett).
 
-    Parameters
-    ----------
-    left : (n_rows,)
-    inputs : (n_rows, n_joints)
-    row_time : float [s]
-
-    Returns
-    -------
-    joint : int
-        From 1.
-    correlation : float
-    delay : float [s]
-    probability : float
+    `left`, (n_rows,), is the residual and `inputs` is (n_rows, n_joints), both with period
+    `row_time` [s]. Returns the joint, counted from 1, the correlation, the delay [s] and the
+    p-value.
     """
     n = len(left)
     delays = min(n // 4, max(1, round(_DELAYS / row_time)))
-    own, own_lagged = lagged_products(left)
-    found = (1, 0.0, 0.0, 1.0)
+    residual_spectrum, residual_products = lagged_products(left)
+    best = (1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
-        given, lagged = lagged_products(inputs[:, j])
-        if not (own_lagged[0] > 0.0 and lagged[0] > 0.0):
+        input_spectrum, input_products = lagged_products(inputs[:, j])
+        if not (residual_products[0] > 0.0 and input_products[0] > 0.0):
             continue
-        cross = np.fft.irfft(own * given.conj(), 2 * n)[:delays]
-        correlation = cross / np.sqrt(own_lagged[0] * lagged[0])
-        products = own_lagged / own_lagged[0] * lagged / lagged[0]
+        cross = np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)[:delays]
+        correlation = cross / np.sqrt(residual_products[0] * input_products[0])
+        products = residual_products / residual_products[0] * input_products / input_products[0]
         variance = max(1.0, 1.0 + 2.0 * float(np.sum(products[1 : n // 2]))) / n
-        at = int(np.argmax(np.abs(correlation)))
-        deviations = abs(float(correlation[at])) / sqrt(variance)
-        odds = min(1.0, delays * inputs.shape[1] * erfc(deviations / sqrt(2.0)))
-        if odds < found[3] or (odds == found[3] and abs(correlation[at]) > abs(found[1])):
-            found = (j + 1, float(correlation[at]), at * row_time, odds)
-    return found
+        lag = int(np.argmax(np.abs(correlation)))
+        z_score = abs(float(correlation[lag])) / sqrt(variance)
+        probability = min(1.0, delays * inputs.shape[1] * erfc(z_score / sqrt(2.0)))
+        if probability < best[3] or (
+            probability == best[3] and abs(correlation[lag]) > abs(best[1])
+        ):
+            best = (j + 1, float(correlation[lag]), lag * row_time, probability)
+    return best
 
 
 def exceed_noise(objective: Objective, z: FloatArray) -> bool:
-    """Whether the residuals of any channel are more than its sensor's noise, most by power.
+    """Whether more than half of the residual power of any channel is not sensor noise.
 
-    Less than what `residual_warnings` speaks of: an effect may be significant well below that.
-
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        Where the fit ended.
-
-    Returns
-    -------
-    bool
+    The limit is lower than that of `residual_warnings`, because an effect can be significant below
+    the latter. `z`, (n_unknowns,), is the final iterate of the fit.
     """
     return any(bool(np.any(beyond)) for beyond in beyond_noise(objective, z))
 
 
 def beyond_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
-    """Of each record, which channels have residuals that are more than their sensors' noise.
+    """Channels whose residual exceeds the sensor noise: one (n_channels,) for each record.
 
-    Parameters
-    ----------
-    objective : Objective
-    z : (n_unknowns,)
-        Where the fit ended.
-
-    Returns
-    -------
-    list of (n_channels,)
+    `z`, (n_unknowns,), is the final iterate of the fit.
     """
-    found = []
+    exceeding = []
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
     for record, rows, weights in each:
-        deviation = np.std(rows.residual * weights.deviation, axis=0)
-        found.append((deviation >= _EXCEEDS * record.noise) & (record.noise > 0.0))
-    return found
+        stds = np.std(rows.residual * weights.deviation, axis=0)
+        exceeding.append((stds >= _EXCEEDS * record.noise) & (record.noise > 0.0))
+    return exceeding
 
 
 def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iterator[Diagnostic]:
-    """For each kind of channel the one of whose motion most is left unexplained.
+    """Yield one warning per channel name, on the record with the largest ratio to sensor noise.
 
-    Parameters
-    ----------
-    tests : sequence of ResidualTest
-    explained : bool
-        Whether an effect that the model lacks would explain them.
-
-    Yields
-    ------
-    Diagnostic
+    `explained` states whether a likely effect explains the residuals.
     """
     for name in dict.fromkeys(test.channel for test in tests):
-        own = [test for test in tests if test.channel == name and test.noise > 0.0]
-        worst = max(own, key=lambda test: test.deviation / test.noise, default=None)
+        candidates = [test for test in tests if test.channel == name and test.noise > 0.0]
+        worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
         if worst is None or worst.deviation < _HIGH_VARIANCE * worst.noise:
             continue
         text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
