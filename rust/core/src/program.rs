@@ -114,11 +114,12 @@ pub type Differentiation<A, const N: usize> =
 /// The compiled programs of an arm.
 #[derive(Clone, Copy)]
 pub struct Programs<A: 'static, const N: usize> {
-    /// For linear and three-slope gears.
+    /// Programs for linear and three-slope gears.
     pub fast: FastPrograms<A, N>,
-    /// For all other gears, and for effects.
+    /// Programs for all gears and effects.
     pub general: GeneralPrograms<A, N>,
-    /// For the baseline of the target, over dual numbers. The only program for x86-64 processors without AVX2.
+    /// Derivatives over dual numbers for the baseline of the target: the only program for x86-64
+    /// processors without AVX2.
     pub baseline: Differentiation<A, N>,
 }
 

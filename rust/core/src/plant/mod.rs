@@ -42,7 +42,7 @@ pub struct Acceleration<R, const N: usize> {
     pub motor: [R; N],
     /// ddtheta_L.
     pub link: [R; N],
-    /// Of the flexible parts.
+    /// Accelerations of the flexible parts, in space.
     pub part: [R; N],
     /// dds [N m/s^2] of the springs under the bases.
     pub base: [R; N],

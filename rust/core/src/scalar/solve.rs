@@ -132,7 +132,7 @@ mod tests {
             let inverse = inverse(&matrix, 2.0);
             for i in 0..3 {
                 let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
-                prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // twice the condition number
+                prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // the condition number enters twice
                 prop_assert!((found[i] - x[i]).abs() < 1e-12); // condition number below 10
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];

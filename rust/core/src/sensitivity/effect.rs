@@ -61,23 +61,23 @@ struct Moment<R> {
     load: R,
     stiffness: R,
     damping: R,
-    /// Of the flexible part.
+    /// Acceleration of the flexible part.
     part_acceleration: R,
-    /// Of the spring under the base.
+    /// State of the spring under the base.
     base: BaseTorque<R>,
 }
 
 /// Derivatives of the equations with respect to a size.
 pub(crate) struct Adds<R> {
-    /// Of the friction limit.
+    /// Derivative of the friction limit.
     pub(crate) friction: R,
-    /// Of the motor's torque.
+    /// Derivative of the motor torque.
     pub(crate) motor: R,
-    /// Of the gear's torque.
+    /// Derivative of the gear torque.
     pub(crate) gear: R,
-    /// Of the local ratio.
+    /// Derivative of the local ratio.
     pub(crate) lever: R,
-    /// Of the load torque on the link, or on the link and those before it.
+    /// Derivative of the load torque on the link, or on the link and all preceding links.
     pub(crate) link: R,
 }
 

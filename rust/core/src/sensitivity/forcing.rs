@@ -30,19 +30,20 @@ pub(crate) enum Row {
 #[repr(align(64))]
 pub(crate) struct Quad(pub(crate) [[f64; 4]; 4]);
 
-/// By motor inertia, viscous and Coulomb friction, offset.
+/// Quad of motor inertia, viscous friction, Coulomb friction and offset.
 pub(crate) const MOTOR: usize = 0;
-/// By damping, then by the parameters of the gear's law: two quads.
+/// First of two quads of damping and of the parameters of the gear's law.
 pub(crate) const GEAR: usize = 1;
-/// By the sizes of effects, in the motor's row.
+/// First quad of the sizes of effects, in the motor's row.
 pub(crate) const MOTOR_EFFECTS: usize = 3;
-/// By the sizes of effects, in the gear's row.
+/// First quad of the sizes of effects, in the gear's row.
 pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
 /// Number of quads for the sizes of effects.
 const EFFECT_QUADS: usize = SIZES.div_ceil(4);
 /// Number of quads of a joint's motor and gear.
 const OWN: usize = GEAR_EFFECTS + EFFECT_QUADS;
-/// By the link's viscous friction, then by the arm's base parameters, then by the sizes of effects.
+/// Quads of the link's viscous friction, the arm's base parameters and the sizes of effects, in
+/// this order.
 const LINK: usize = OWN;
 
 /// Quads of all joints.
@@ -169,7 +170,7 @@ pub(crate) struct Forcing<V: Lanes, const N: usize> {
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
-    /// For the first `V::LANES` directions.
+    /// Forcing for the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
         let places = places(config);
         let per_link = all_link_quads(config.arm.names().len());

@@ -86,7 +86,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
 }
 
 impl<V: Real, const N: usize> MountedSensed<V, N> {
-    /// At rest at the derivatives of the initial signals.
+    /// Low-passes at rest at the derivatives of the initial signals.
     pub(crate) fn at_rest(sensing: &MountedSensing<V, N>, first: Signals<V, N>) -> Self {
         let rest = |k: usize, i: usize| match &sensing.filters[k][i] {
             Some(filter) => filter.at_rest(first[k][i]),

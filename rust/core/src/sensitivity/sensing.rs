@@ -43,7 +43,7 @@ struct ReadingSlopes<const N: usize> {
 }
 
 impl<V: Real, const N: usize> Sensing<V, N> {
-    /// For a task and the sensors of its simulation; `None` if neither is recorded.
+    /// Sensors of a task, with the states of its simulation; `None` if neither kind is recorded.
     pub(crate) fn new<A: Arm<N>, S: Real>(
         task: &Task<A, N>,
         sensors: Option<&Sensors<S, N>>,
@@ -101,7 +101,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
 }
 
 impl<V: Real, const N: usize> Sensed<V, N> {
-    /// At rest at the initial readings of accelerometers and gyros.
+    /// Filters at rest at the initial readings of accelerometers and gyros.
     pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
         let mut own = Self {
             accelerometers: [[V::splat(0.0); 2]; N],

@@ -21,7 +21,7 @@ pub(crate) struct StepLengthSensitivity<S, const N: usize> {
 }
 
 impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
-    /// For a step of length `h` with its trace.
+    /// Derivatives for a step of length `h` with its trace.
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, L: Lanes, G: Gears>(
         trace: &Trace<N>,
@@ -87,7 +87,7 @@ impl Stretching {
         }
     }
 
-    /// For a held motor, whose stages and end are those of settling.
+    /// Derivatives for a held motor, whose stages and end are those of settling.
     fn settling(v: Stages, a: Stages) -> Self {
         Self {
             place: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],

@@ -63,7 +63,7 @@ pub(crate) struct Settling {
 }
 
 impl Settling {
-    /// For a step of length `h`, with velocities as angles in `half` [s].
+    /// Motion over a step of length `h`; velocities are angles per `half` [s].
     fn new(time: f64, speed: f64, h: f64, half: f64) -> Self {
         let parts = [0.5 * h, h];
         let left = parts.map(|t| (-t / time).exp());

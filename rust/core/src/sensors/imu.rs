@@ -31,7 +31,7 @@ pub(crate) fn ideal<A: Arm<N>, R: Real, const N: usize>(
 }
 
 impl<R: Real, const N: usize> Mounted<R, N> {
-    /// At rest at the initial signals, for steps of `h` [s].
+    /// Low-passes at rest at the initial signals, for steps of `h` [s].
     pub(crate) fn at_rest<A: Arm<N>>(
         config: &Config<A, N>,
         h: f64,

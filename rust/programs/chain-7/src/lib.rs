@@ -3,5 +3,5 @@
 use strainwave_core::arm::SerialChain;
 use strainwave_core::program::GeneralPrograms;
 
-/// For every gear law and effect.
+/// Programs for every gear law and effect.
 pub static GENERAL: GeneralPrograms<SerialChain<7>, 7> = GeneralPrograms::compile();

@@ -4,7 +4,7 @@ use strainwave_core::arm::OneLink;
 use strainwave_core::joint::gear::Slopes;
 use strainwave_core::program::{FastPrograms, GeneralPrograms, forward_avx512, simulate};
 
-/// For every gear law and effect.
+/// Programs for every gear law and effect.
 pub static GENERAL: GeneralPrograms<OneLink, 1> = GeneralPrograms::compile();
 
 /// Programs for linear and three-slope gears. Derivatives on AVX2 use the general program, which

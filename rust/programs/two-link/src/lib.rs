@@ -6,7 +6,7 @@ use strainwave_core::program::{FastPrograms, GeneralPrograms, forward_avx512, si
 
 type Arm = TwoLink<true>;
 
-/// For every gear law and effect.
+/// Programs for every gear law and effect.
 pub static GENERAL: GeneralPrograms<Arm, 2> = GeneralPrograms::compile();
 
 /// Programs for linear and three-slope gears. Derivatives on AVX2 use the general program, which

@@ -86,11 +86,11 @@ const OF_A_LINK: [Parameter; PER_LINK] = [
     ),
 ];
 
-/// For both joint types.
+/// Unit of mass, for both joint types.
 const MASS: [&str; 2] = ["kg"; 2];
-/// For both joint types.
+/// Unit of first moments, for both joint types.
 const FIRST_MOMENT: [&str; 2] = ["kg m"; 2];
-/// For both joint types.
+/// Unit of inertias, for both joint types.
 const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 
 /// A chain of `N` links on a fixed base.
@@ -164,7 +164,7 @@ impl<const N: usize> SerialChain<N> {
 /// Joint positions.
 #[derive(Clone, Copy)]
 pub struct Posture<R, const N: usize> {
-    /// Of revolute joints.
+    /// Sines and cosines of revolute joints.
     turn: [Turn<R>; N],
     /// Displacements [m] of prismatic joints.
     shift: [R; N],
@@ -556,7 +556,7 @@ mod tests {
             arm.check(&values, &[None; 2]).map_err(|(place, _)| place)
         };
         assert_eq!(changed(10, 0.0), Err(10));
-        assert_eq!(changed(11, 3.0), Err(14)); // farther out than the inertia about the origin allows
-        assert_eq!(changed(4, 1.0), Err(4)); // more than the two others together
+        assert_eq!(changed(11, 3.0), Err(14)); // center of mass farther out than the inertia about the origin allows
+        assert_eq!(changed(4, 1.0), Err(4)); // larger than the sum of the other two
     }
 }

@@ -14,7 +14,7 @@ pub struct PowerFriction<R> {
     pub exponent: R,
 }
 
-/// Velocity [rad/s] at which the friction is f_P.
+/// Velocity [rad/s] at which the friction is about f_P.
 const REFERENCE: f64 = 100.0;
 /// Offset of the relative velocity, which keeps the slope at rest finite.
 const SOFT: f64 = 0.01;
