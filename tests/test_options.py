@@ -277,16 +277,16 @@ def test_the_published_route_runs_to_the_end(small: Path) -> None:
 
 
 def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: dict[str, Any] = {}
+    received: dict[str, Any] = {}
 
     def spy(module: Any, name: str, kind: type) -> None:
-        own = getattr(module, name)
+        original = getattr(module, name)
 
         def called(*given: Any, **named: Any) -> Any:
-            for one in (*given, *named.values()):
-                if isinstance(one, kind):
-                    seen[f"{name}"] = one
-            return own(*given, **named)
+            for argument in (*given, *named.values()):
+                if isinstance(argument, kind):
+                    received[f"{name}"] = argument
+            return original(*given, **named)
 
         monkeypatch.setattr(module, name, called)
 
@@ -305,13 +305,13 @@ def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.Mo
         TuningOptions(max_iterations=1),
     )
     identification = pipeline.identify(small, options=run_options)
-    assert seen["fit"] == run_options.rigid
-    assert seen["link_side"] == run_options.links
-    assert seen["respond"] == run_options.responses
-    assert seen["fit_joint"] == run_options.physical
-    assert seen["fit_record"].linear == run_options.statespace
-    assert seen["fit_record"].physical == run_options.physical
-    assert seen["tune"] == run_options.tuning
+    assert received["fit"] == run_options.rigid
+    assert received["link_side"] == run_options.links
+    assert received["respond"] == run_options.responses
+    assert received["fit_joint"] == run_options.physical
+    assert received["fit_record"].linear == run_options.statespace
+    assert received["fit_record"].physical == run_options.physical
+    assert received["tune"] == run_options.tuning
     document = json.loads(result.to_json(result.to_document(identification)))
     assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
     assert document["options"]["tuning"]["max_iterations"] == 1

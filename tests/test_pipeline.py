@@ -26,8 +26,8 @@ def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, An
     def of(arm: str) -> tuple[Identification, dict[str, Any]]:
         if arm not in cache:
             folder = shared_data / "lab" / arm
-            found = pipeline.identify(folder / "study.toml")
-            cache[arm] = found, json.loads((folder / "truth.json").read_text())
+            identification = pipeline.identify(folder / "study.toml")
+            cache[arm] = identification, json.loads((folder / "truth.json").read_text())
         return cache[arm]
 
     return of

@@ -9,7 +9,7 @@ from strainwave.study_draft.names import UNITS, Named
 from strainwave.study_draft.signal_features import relation
 
 _OPPOSITE = -0.5  # correlation below which the sensor's sign is reversed
-_SI = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}
+_SI = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}  # quantity -> SI unit
 
 
 def chosen_axis(

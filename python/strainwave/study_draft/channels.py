@@ -13,7 +13,7 @@ from strainwave.study_draft.joint_columns import JointColumns
 from strainwave.study_draft.joints import named_columns
 from strainwave.study_draft.signal_features import proportion, relation
 
-_IMU_AXIS = re.compile(r"[ag][xyz][1-9]")
+_IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
 def map_channels(record: Record) -> Mapping:
@@ -64,9 +64,9 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
         joint_facts.link_sensors |= extra_facts.link_sensors
         joint_facts.gear_ratio = joint_facts.gear_ratio or extra_facts.gear_ratio
     used = {guess.column for guess in mapping.guesses.values()}
-    for column, why in extra.unused.items():
+    for column, reason in extra.unused.items():
         if column not in known | used:
-            mapping.unused[column] = why
+            mapping.unused[column] = reason
     for column in record.columns:
         if column not in known | used | set(mapping.unused):
             mapping.unused[column] = f"its channel is another column's in {fullest.path.name}"

@@ -25,6 +25,7 @@ from strainwave.study_draft.signal_features import (
 _SLOW_HZ = 5.0  # [Hz] upper frequency of a motion of the whole arm
 _SLOW = 0.9  # minimum share of an input's power below _SLOW_HZ in a motion record
 _MANY = 40  # minimum number of jumps of a random input; step records have fewer
+# name of a validation record
 _CHECK = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 
 

@@ -39,20 +39,27 @@ _WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
     ("voltage", "cmd command ctrl control input drive"),
     ("time", "t time timestamp stamp ts zeit elapsed clock seconds sec"),
 )
+# word -> side of the gear
 _SIDES: dict[str, Side] = {
     **dict.fromkeys(["m", "mot", "motor", "rotor", "qm", "hs"], "motor"),
     **dict.fromkeys(["l", "link", "arm", "load", "output", "out", "secondary", "ls"], "link"),
 }
+# words of a commanded angle or velocity, which is a reference
 _COMMANDED = ("cmd", "command", "commanded")
+# words that have other meanings too
 _UNSURE = ("v", "i", "a", "w", "th", "cmd", "command", "ctrl", "control", "input", "drive", "sp")
+# words of columns that have no quantity
 _NO_AXIS = ("orientation", "quaternion", "temp", "temperature", "status", "id", "seq")
 
+# words that do not distinguish joints
 _GENERAL = (
     *("joint", "axis", "j", "robot", "imu", "sensor"),
     *("meas", "measured", "act", "actual", "state", "data", "value"),
 )
 
 COUNTS = ("counts", "count", "cnt", "ticks", "tick", "inc", "incs")
+"""Unit names of encoder counts, whose factor to SI the name does not give."""
+# unit -> factor to SI
 _ROTATION = {"rad": 1.0, "mrad": 1e-3, "deg": pi / 180, "degrees": pi / 180, "rev": 2 * pi}
 _TRAVEL = {"m": 1.0, "mm": 1e-3, "um": 1e-6}
 _RATE = {
@@ -65,6 +72,7 @@ _RATE = {
     "rpm": pi / 30,
     "rps": 2 * pi,
 }
+# quantity -> unit -> factor to SI
 UNITS: dict[Quantity, dict[str, float]] = {
     "time": {"s": 1.0, "sec": 1.0, "ms": 1e-3, "msec": 1e-3, "us": 1e-6, "usec": 1e-6, "ns": 1e-9},
     "angle": _ROTATION | {"turns": 2 * pi} | _TRAVEL,
@@ -79,6 +87,7 @@ UNITS: dict[Quantity, dict[str, float]] = {
 }
 LINEAR = (*_TRAVEL, "n", "kn", "mps", "mms")
 """Units of a prismatic joint."""
+# words after which m and l mean motor and link, not units
 _ROTATIONAL = ("theta", "th", "angle", "ang", "phi", "motorangle", "dtheta", "thetadot", "omega")
 
 
@@ -92,9 +101,9 @@ class Named:
     word_left: str = ""  # unrecognised word; in a table it may be the name of the joint
     unit: str | None = None
     side: Side | None = None
-    commanded: bool = False
+    commanded: bool = False  # whether the name has a word of a command
     word: str = ""  # word that determined the quantity
-    sure: bool = False
+    sure: bool = False  # whether the word is unambiguous
     own: bool = False  # whether the name is a channel name
     placed: bool = True  # False: the joint is a guess
 

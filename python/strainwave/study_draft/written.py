@@ -11,7 +11,7 @@ from strainwave.study_draft.experiment_type import Proposed
 from strainwave.study_draft.inspection import Record
 
 TODO = "TODO"
-_WIDTH = 100
+_WIDTH = 100  # [characters] maximum length of a line
 _HEAD = (
     "Written by `strainwave init` from {files}. {todo} Every other line is a guess; the comment "
     "says why, and whether it is sure, likely or unsure. docs/study.md has every key. When all is "
@@ -34,7 +34,7 @@ _EXPERIMENTS = (
     "In every [[experiment]], control is unsure: a joint without input, or with one of few levels, "
     "is taken as open, any other as under a servo. Records to check with are never fitted."
 )
-_WHERE = {
+_WHERE = {  # key -> unit, meaning and source of the value
     "link_length": "[m] from axis 1 to axis 2: the drawing, or measure it",
     "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet; "
     "1 where torque and angle are both logged behind the gear",

@@ -341,15 +341,15 @@ def test_the_command_line_refuses_in_one_sentence(tmp_path: Path) -> None:
     text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS.replace("/imu1", "/imu7")
     path = studies.write(tmp_path, text)
     arguments = ["identify", str(path), "--out", str(tmp_path / "out")]
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "strainwave", *arguments],
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 2
-    assert done.stderr.count("\n") == 1
-    assert "no topic '/imu7'" in done.stderr
+    assert process.returncode == 2
+    assert process.stderr.count("\n") == 1
+    assert "no topic '/imu7'" in process.stderr
     assert not (tmp_path / "out").exists()
 
 

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 BAGS = (".mcap", ".db3", ".bag")
+"""Suffixes of bag files."""
 _LOOKED_AT = 20  # messages per topic that are inspected; several nodes may share a topic
 _SHOWN = 24  # maximum number of names in an error message
 _NANO = 1e-9  # [s] per ns
@@ -39,8 +40,8 @@ def is_bag(path: Path) -> bool:
 class _Topic:
     """Summary of a topic from its first messages."""
 
-    kind: str
-    count: int
+    kind: str  # message type
+    count: int  # number of messages
     names: tuple[str, ...]  # names of columns; empty if the topic has no messages
     unreadable: str | None = None  # reason
 

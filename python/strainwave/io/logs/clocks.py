@@ -1,6 +1,6 @@
 """Resample time-stamped columns to one uniform clock.
 
-The columns of a table share their time stamps and form one track. Each topic of a bag has its own
+The columns of a table share their time stamps and form one track. Each topic of a bag has separate
 time stamps; the first track, with the motor angle, sets the clock, because the motor angle is
 differentiated most often.
 """

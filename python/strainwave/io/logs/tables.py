@@ -24,6 +24,7 @@ from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.logs import mat
 
 DELIMITERS = (",", ";", "\t")
+"""Delimiters of CSV files; the most frequent one in the header applies."""
 LARGEST = 1e60
 """Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
 _PROBE = 1 << 16  # [bytes] that must contain the header and the first row
@@ -207,7 +208,7 @@ def _read_csv(
 
 
 def _reader(data: bytes) -> Any:
-    """Copy bytes into Arrow's own memory and return a reader of them.
+    """Copy bytes into memory of Arrow and return a reader of them.
 
     Arrow's threads can release their input after the result is available. Releasing a Python object
     requires the interpreter; if it has shut down by then, the process crashes.
@@ -432,7 +433,7 @@ def first_impossible(values: FloatArray) -> int | None:
     return None if is_valid.all() else int(np.argmin(is_valid))
 
 
-_OPENERS: dict[str, Callable[[Path], Table]] = {
+_OPENERS: dict[str, Callable[[Path], Table]] = {  # suffix -> function
     ".csv": _open_csv,
     ".csv.gz": _open_csv_gz,
     ".parquet": _open_parquet,
