@@ -1,4 +1,4 @@
-"""The final table and the verdict: refusals win, nothing impossible stands, one status for all."""
+"""Final table and verdict: precedence of stages, rejection of impossible values, status."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ WHOLE = (("alpha", None), ("beta", None), ("gamma", None), *((n, j) for j in (1,
 
 
 def true(name: str, joint: int | None) -> float:
-    """Of the built-in arm, sums included."""
+    """True value of a parameter of the built-in arm, including derived parameters."""
     alpha, beta, gamma = (TRUTH[n, None] for n in ("alpha", "beta", "gamma"))
     if name == "rigid_inertia":
         return alpha + TRUTH["motor_inertia", 1] / N**2
@@ -67,7 +67,7 @@ def true(name: str, joint: int | None) -> float:
 def made(
     name: str, joint: int | None, stage: str, size: float | None = 1.0, spread: float = 0.01
 ) -> Parameter:
-    """A parameter so many times its true value, with a relative deviation."""
+    """Parameter of `size` times its true value, with the relative standard deviation `spread`."""
     unit = "kg m^2" if joint is None else unit_of(name, ELASTIC.arm.joints[joint - 1])
     if size is None:
         return Parameter(name, joint, None, None, unit, stage)
@@ -108,7 +108,7 @@ def joint_of(
 
 
 def clean_fit(parameters: tuple[Parameter, ...]) -> ArmModel:
-    """A fit whose residuals are noise."""
+    """Fit with residuals at noise level."""
     return replace(arm_model(parameters, np.eye(len(parameters))), criticism=None)
 
 
@@ -123,9 +123,9 @@ def run(
     stages: tuple[str, ...] = ("rigid", "decoupled", "tuned"),
     study: Study = ELASTIC,
 ) -> Identification:
-    """A run that found everything as it is, but for the sizes given; None for a refusal.
+    """Run that estimates the true values times the given sizes; None means not identified.
 
-    Sums of viscous frictions are derived from their parts, as the stages do.
+    The total viscous friction is the sum of its parts, as in the stages.
     """
     rigid, joints, tuned = rigid or {}, dict(joints or {}), dict(tuned or {})
     for sizes in (joints, tuned):
@@ -163,12 +163,12 @@ def run(
 
 
 def _total(sizes: Sizes, joint: int) -> float:
-    """d_M + n^2 d_L of the sizes, a refused part as large as it is; over the true sum."""
-    found = 0.0
+    """Sum d_M + n^2 d_L, relative to its true value; parts without a value have their true value."""
+    total = 0.0
     for name, weight in (("motor_viscous_friction", 1.0), ("link_viscous_friction", N**2)):
         size = sizes.get((name, joint), 1.0)
-        found += weight * true(name, joint) * (1.0 if size is None else size)
-    return found / true("total_viscous_friction", joint)
+        total += weight * true(name, joint) * (1.0 if size is None else size)
+    return total / true("total_viscous_friction", joint)
 
 
 def row(found: Identification, name: str, joint: int | None = None) -> Parameter:
@@ -200,10 +200,10 @@ def test_whatever_the_stages_say(
     tuned: Sizes,
     last: int,
 ) -> None:
-    """Refusals win, nothing impossible stands or counts, the groups part the table."""
+    """The last stage decides, no impossible value is published, and the groups are disjoint."""
     stages = ("rigid", "decoupled", "tuned")[:last]
-    found = run(rigid, joints, tuned, stages=stages)
-    parameters, verdict = found.parameters, found.verdict
+    identification = run(rigid, joints, tuned, stages=stages)
+    parameters, verdict = identification.parameters, identification.verdict
     keys = [(p.name, p.joint) for p in parameters]
     assert len(set(keys)) == len(keys)
     for p in parameters:
@@ -211,18 +211,22 @@ def test_whatever_the_stages_say(
     if last == 3:
         for key, size in tuned.items():
             if size is None:
-                assert row(found, *key).value is None
+                assert row(identification, *key).value is None
         assert {p.stage for p in parameters} == {"tuned"}
-    else:  # before, what sums of two links are made of adds up
+    else:  # before the whole-arm fit, sums equal their parts
         body = {p.name: p for p in parameters if p.stage == "decoupled"}
-        if "alpha" in body and row(found, "beta").value is not None:
-            link, gamma = row(found, "link_inertia", 1).value, row(found, "gamma").value
-            alpha, beta = body["alpha"].value, row(found, "beta").value
+        if "alpha" in body and row(identification, "beta").value is not None:
+            link, gamma = (
+                row(identification, "link_inertia", 1).value,
+                row(identification, "gamma").value,
+            )
+            alpha, beta = body["alpha"].value, row(identification, "beta").value
             if None not in (link, alpha, gamma):
                 assert link == pytest.approx(alpha + beta + 2.0 * gamma)  # type: ignore[operator]
     for j in (1, 2) if last > 1 else ():
         motor, link, total = (
-            row(found, f"{what}_viscous_friction", j).value for what in ("motor", "link", "total")
+            row(identification, f"{what}_viscous_friction", j).value
+            for what in ("motor", "link", "total")
         )
         if motor is not None and link is not None:
             assert total == pytest.approx(motor + N**2 * link)
@@ -230,7 +234,7 @@ def test_whatever_the_stages_say(
     labels = [label for group in groups for label in group]
     assert len(set(labels)) == len(labels)
     assert {p.label for p in parameters} <= set(labels)
-    for decision in found.decisions:
+    for decision in identification.decisions:
         if decision.identified:
             assert decision.parameter.value is not None
             assert half_width(decision.parameter) is not None
@@ -242,47 +246,49 @@ def test_whatever_the_stages_say(
 
 
 def test_a_refusal_of_the_whole_arm_fit_wins_over_an_earlier_value() -> None:
-    """As observed: 11.71 +- 0.17 of the decoupled stage where the whole-arm fit gave null."""
+    """Regression: the table had 11.71 +- 0.17 of the decoupled stage despite null of the fit."""
     split: Sizes = {("link_viscous_friction", 1): None, ("motor_viscous_friction", 1): None}
-    found = run(joints={("link_viscous_friction", 1): 20.0}, tuned=split)
-    assert row(found, "link_viscous_friction", 1).value is None
-    assert row(found, "motor_viscous_friction", 1).value is None
-    assert found.verdict.status == "determined"  # the split is secondary
-    found = run(tuned={("gear_damping", 2): None})
-    assert found.verdict.status == "partly-determined"
-    assert found.verdict.not_identified == ("gear_damping 2",)
-    assert found.reason == "not identified: gear_damping 2"
+    result = run(joints={("link_viscous_friction", 1): 20.0}, tuned=split)
+    assert row(result, "link_viscous_friction", 1).value is None
+    assert row(result, "motor_viscous_friction", 1).value is None
+    assert (
+        result.verdict.status == "determined"
+    )  # the parts of viscous friction are not primary parameters
+    result = run(tuned={("gear_damping", 2): None})
+    assert result.verdict.status == "partly-determined"
+    assert result.verdict.not_identified == ("gear_damping 2",)
+    assert result.reason == "not identified: gear_damping 2"
 
 
 def test_a_fit_with_an_impossible_value_decides_nothing() -> None:
-    """What the rigid step gave stands, the rest of the joint is rejected, with a warning."""
-    found = run(joints={("gear_damping", 2): -1.0}, stages=("rigid", "decoupled"))
-    assert row(found, "motor_inertia", 2).stage == "rigid"
-    assert row(found, "total_viscous_friction", 2).stage == "rigid"
+    """The rigid estimates remain; other values of the joint are rejected with a warning."""
+    result = run(joints={("gear_damping", 2): -1.0}, stages=("rigid", "decoupled"))
+    assert row(result, "motor_inertia", 2).stage == "rigid"
+    assert row(result, "total_viscous_friction", 2).stage == "rigid"
     for name in ("gear_stiffness", "gear_damping", "link_inertia"):
-        assert row(found, name, 2).value is None
-        assert f"{name} 2" in found.verdict.rejected
-    assert row(found, "gear_stiffness", 1).value is not None
-    (said,) = [w for w in published_warnings(found) if w.code == "rejected"]
-    assert said.where == "joint 2"
-    assert "gear_damping 2 = -4" in said.message
+        assert row(result, name, 2).value is None
+        assert f"{name} 2" in result.verdict.rejected
+    assert row(result, "gear_stiffness", 1).value is not None
+    (warning,) = [w for w in published_warnings(result) if w.code == "rejected"]
+    assert warning.where == "joint 2"
+    assert "gear_damping 2 = -4" in warning.message
 
 
 def test_a_joint_s_decoupled_values_win_and_carry_the_arm_s() -> None:
-    found = run(joints={("link_inertia", 2): 1.02}, stages=("rigid", "decoupled"))
-    beta, alpha = row(found, "beta"), row(found, "alpha")
-    assert beta.value == row(found, "link_inertia", 2).value
+    result = run(joints={("link_inertia", 2): 1.02}, stages=("rigid", "decoupled"))
+    beta, alpha = row(result, "beta"), row(result, "alpha")
+    assert beta.value == row(result, "link_inertia", 2).value
     assert (beta.stage, alpha.stage) == ("decoupled", "decoupled")
-    rigid = row(found, "rigid_inertia", 1).value
+    rigid = row(result, "rigid_inertia", 1).value
     assert rigid is not None
     assert alpha.value is not None
-    motor = row(found, "motor_inertia", 1).value
+    motor = row(result, "motor_inertia", 1).value
     assert motor is not None
     assert rigid == pytest.approx(alpha.value + motor / N**2)
 
 
 def test_an_uncertain_friction_of_nearly_nothing_counts() -> None:
-    """Half-width over 2 % of the torque: 0.008 N m of Coulomb friction, 2.7e-4 of viscous."""
+    """Limit of the half-width, 2 % of the torque: 0.008 N m (Coulomb), 2.7e-4 N m s/rad (viscous)."""
     for name, std, counts in (
         ("motor_coulomb_friction", 0.0040, True),
         ("motor_coulomb_friction", 0.0042, False),
@@ -290,69 +296,71 @@ def test_an_uncertain_friction_of_nearly_nothing_counts() -> None:
         ("total_viscous_friction", 1.4e-4, False),
     ):
         for value in (1e-6, -1e-6):
-            found = run(stages=("rigid",))
-            assert found.rigid is not None
-            vague = Parameter(
+            result = run(stages=("rigid",))
+            assert result.rigid is not None
+            uncertain = Parameter(
                 name, 1, value, std, "-", "rigid", (value - 1.96 * std, value + 1.96 * std)
             )
-            kept = [p for p in found.rigid.parameters if (p.name, p.joint) != (name, 1)]
-            found = replace(found, rigid=rigid_of((*kept, vague)))
-            assert (f"{name} 1" in found.verdict.identified) == counts
-            p = row(found, name, 1)
+            others = [p for p in result.rigid.parameters if (p.name, p.joint) != (name, 1)]
+            result = replace(result, rigid=rigid_of((*others, uncertain)))
+            assert (f"{name} 1" in result.verdict.identified) == counts
+            p = row(result, name, 1)
             if value < 0.0:
                 assert p.value == (0.0 if counts else None)
                 assert not counts or p.ci95 == (0.0, value + 1.96 * std)
 
 
 def test_an_inertia_that_no_posture_allows_is_rejected() -> None:
-    found = run(tuned={("gamma", None): 1.3})  # gamma^2 > alpha beta
-    assert found.verdict.rejected == ("gamma",)
-    assert found.verdict.status == "partly-determined"
+    result = run(tuned={("gamma", None): 1.3})  # gamma^2 > alpha beta
+    assert result.verdict.rejected == ("gamma",)
+    assert result.verdict.status == "partly-determined"
 
 
 def test_what_ended_at_a_bound_is_rejected() -> None:
-    found = run()
-    assert found.tuned is not None
-    ended = replace(found.tuned, status="at-bounds", at_bounds=(("gear_damping", 1),))
-    found = replace(found, tuned=ended)
-    assert found.verdict.rejected == ("gear_damping 1",)
-    secondary = replace(ended, at_bounds=(("link_viscous_friction", 1),))
-    assert replace(found, tuned=secondary).verdict.status == "determined"
+    result = run()
+    assert result.tuned is not None
+    bounded = replace(result.tuned, status="at-bounds", at_bounds=(("gear_damping", 1),))
+    result = replace(result, tuned=bounded)
+    assert result.verdict.rejected == ("gear_damping 1",)
+    secondary = replace(bounded, at_bounds=(("link_viscous_friction", 1),))
+    assert replace(result, tuned=secondary).verdict.status == "determined"
 
 
 def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
-    found = run()
-    assert found.tuned is not None
-    found = replace(found, tuned=replace(found.tuned, status="iteration-limit"))
-    assert found.verdict.status == "partly-determined"
-    assert found.reason == "the whole-arm fit did not converge"
+    result = run()
+    assert result.tuned is not None
+    result = replace(result, tuned=replace(result.tuned, status="iteration-limit"))
+    assert result.verdict.status == "partly-determined"
+    assert result.reason == "the whole-arm fit did not converge"
 
 
 def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
-    found = run()
-    assert found.tuned is not None
-    far = AgreementTest("inertias", None, 50.0, 4, 6.3)
-    one = replace(found, tuned=replace(found.tuned, agreement=(far,)))
-    assert all(p.value is None for p in one.parameters)
-    assert (one.verdict.status, one.verdict.exit_code) == ("not-determined", 3)
-    friction = AgreementTest("friction", 2, 50.0, 3, 6.5)
-    one = replace(found, tuned=replace(found.tuned, agreement=(friction,)))
-    assert {p.label for p in one.parameters if p.value is None} == {
+    result = run()
+    assert result.tuned is not None
+    inertia_test = AgreementTest("inertias", None, 50.0, 4, 6.3)
+    contradicted = replace(result, tuned=replace(result.tuned, agreement=(inertia_test,)))
+    assert all(p.value is None for p in contradicted.parameters)
+    assert (contradicted.verdict.status, contradicted.verdict.exit_code) == ("not-determined", 3)
+    friction_test = AgreementTest("friction", 2, 50.0, 3, 6.5)
+    contradicted = replace(result, tuned=replace(result.tuned, agreement=(friction_test,)))
+    assert {p.label for p in contradicted.parameters if p.value is None} == {
         "motor_viscous_friction 2",
         "link_viscous_friction 2",
         "total_viscous_friction 2",
         "motor_coulomb_friction 2",
     }
-    # all values together disagree although no group does by itself: the group that is furthest
-    together = (AgreementTest("all", None, 60.0, 9, 6.0), replace(friction, deviations=3.5))
-    one = replace(found, tuned=replace(found.tuned, agreement=together))
-    assert one.verdict.status == "partly-determined"
-    assert one.verdict.rejected[-1] == "motor_coulomb_friction 2"
-    assert one.verdict.reasons[0].startswith(
+    # if only the test of all values fails, the group with the largest difference is rejected
+    tests = (AgreementTest("all", None, 60.0, 9, 6.0), replace(friction_test, deviations=3.5))
+    contradicted = replace(result, tuned=replace(result.tuned, agreement=tests))
+    assert contradicted.verdict.status == "partly-determined"
+    assert contradicted.verdict.rejected[-1] == "motor_coulomb_friction 2"
+    assert contradicted.verdict.reasons[0].startswith(
         "the stages disagree by 3.5 standard deviations on joint 2's friction"
     )
-    near = AgreementTest("inertias", None, 15.0, 4, 2.8)
-    assert replace(found, tuned=replace(found.tuned, agreement=(near,))).verdict.exit_code == 0
+    small_test = AgreementTest("inertias", None, 15.0, 4, 2.8)
+    assert (
+        replace(result, tuned=replace(result.tuned, agreement=(small_test,))).verdict.exit_code == 0
+    )
 
 
 @pytest.mark.parametrize(
@@ -362,18 +370,18 @@ def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
 def test_a_value_that_a_likely_effect_moves_is_rejected(
     shift: float, deviations: float, *, rejected: bool
 ) -> None:
-    """By more than 5 % and out of its interval; both are needed."""
-    found = run()
-    assert found.tuned is not None
-    value = row(found, "gear_stiffness", 2).value
+    """A value is rejected if the shift exceeds both 5 % and the confidence interval."""
+    result = run()
+    assert result.tuned is not None
+    value = row(result, "gear_stiffness", 2).value
     assert value is not None
     moved = ParameterShift("gear_stiffness", 2, value, shift * value, deviations)
     cause = Cause(1, "hysteresis", (), 100.0, 0.3, (moved,))
-    doubted = replace(found, tuned=replace(found.tuned, criticism=Criticism((), (), (cause,))))
-    assert doubted.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
-    assert (doubted.verdict.status == "determined") != rejected
+    with_cause = replace(result, tuned=replace(result.tuned, criticism=Criticism((), (), (cause,))))
+    assert with_cause.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
+    assert (with_cause.verdict.status == "determined") != rejected
     if rejected:
-        (warning,) = [w for w in published_warnings(doubted) if w.code == "rejected"]
+        (warning,) = [w for w in published_warnings(with_cause) if w.code == "rejected"]
         assert "hysteresis of joint 1" in warning.message
         assert f"gear_stiffness 2 = {value:.4g}" in warning.message
 
@@ -384,7 +392,7 @@ def check_of(
     unexplained: dict[str, float] | None = None,
     servo: bool = False,
 ) -> Prediction:
-    """A check record of the elastic arm, or of the drives, that exercises both gears."""
+    """Validation record of the arm or of the drives that excites both gears."""
     time: FloatArray = 0.01 * np.arange(100, dtype=np.float64)
     motion = np.column_stack([np.sin(time) for _ in channels])
     return Prediction(
@@ -405,12 +413,12 @@ def check_of(
 def test_a_check_record_that_is_not_predicted_excludes_determined(
     channel: str, *, servo: bool
 ) -> None:
-    """The reason has record, channel, number and remedy; neither model of it is validated."""
-    found = replace(run(), checks=(check_of((channel,)),))
-    assert found.verdict.status == "determined"
-    wrong = check_of((channel,), unexplained={channel: 41.0}, servo=servo)
-    missed = replace(found, checks=(wrong,))
-    verdict = missed.verdict
+    """The reason contains record, channel, error and remedy; neither model is validated."""
+    result = replace(run(), checks=(check_of((channel,)),))
+    assert result.verdict.status == "determined"
+    unpredicted_check = check_of((channel,), unexplained={channel: 41.0}, servo=servo)
+    unpredicted = replace(result, checks=(unpredicted_check,))
+    verdict = unpredicted.verdict
     assert (verdict.status, verdict.exit_code) == ("partly-determined", 3)
     assert not verdict.validated.rigid
     assert not verdict.validated.elastic
@@ -419,7 +427,7 @@ def test_a_check_record_that_is_not_predicted_excludes_determined(
         assert part in reason
     if channel == "omega_m1":
         assert ("correct kp" in reason) == servo
-    (warning,) = [w for w in published_warnings(missed) if w.code == "not-predicted"]
+    (warning,) = [w for w in published_warnings(unpredicted) if w.code == "not-predicted"]
     assert warning.where == "step-check"
 
 
@@ -429,36 +437,36 @@ def test_a_check_record_that_is_not_predicted_excludes_determined(
 def test_residuals_far_above_the_noise_exclude_determined(
     fit: float, noise: float, *, excluded: bool
 ) -> None:
-    """If they are a large share of the signal, too; a hardening sweep names the spring."""
-    found = run()
-    assert found.tuned is not None
+    """They must also be large relative to the signal; after a hardening sweep, advice is given."""
+    result = run()
+    assert result.tuned is not None
     residual = replace(criticism().residuals[0], deviation=1.0, noise=noise)
     tuned = replace(
-        found.tuned,
+        result.tuned,
         fit_percent={"prbs-j1": {"a1": fit}},
         criticism=Criticism((residual,), ()),
     )
-    missed = replace(found, tuned=tuned)
-    assert (missed.verdict.status != "determined") == excluded
+    poor_fit = replace(result, tuned=tuned)
+    assert (poor_fit.verdict.status != "determined") == excluded
     if excluded:
-        (reason,) = missed.verdict.reasons
+        (reason,) = poor_fit.verdict.reasons
         for part in ("a1", "prbs-j1:", "1e+03 times", "39 %"):
             assert part in reason
         assert "three-slope" not in reason
-        seen = replace(missed, checks=(check_of(("omega_m1",)),))
-        assert not seen.verdict.validated.elastic  # a model that does not fit predicts nothing
-        bent = replace(missed, sweeps=(Sweep(2, (), 1.0, 0.1, "hardening"),))
+        checked = replace(poor_fit, checks=(check_of(("omega_m1",)),))
+        assert not checked.verdict.validated.elastic  # a model that does not fit is not validated
+        hardening = replace(poor_fit, sweeps=(Sweep(2, (), 1.0, 0.1, "hardening"),))
         assert (
             'sweep of joint 2 shows hardening: give it spring = "three-slope"'
-            in (bent.verdict.reasons[0])
+            in (hardening.verdict.reasons[0])
         )
 
 
 def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
-    found = run(tuned=dict.fromkeys(WHOLE, 1000.0))
-    joints = tuple(replace(j, torque_per_volt=90.0) for j in found.study.arm.joints)
-    study = replace(found.study, arm=found.study.arm.with_joints(joints))
-    wrong = replace(found, study=study)
+    result = run(tuned=dict.fromkeys(WHOLE, 1000.0))
+    joints = tuple(replace(j, torque_per_volt=90.0) for j in result.study.arm.joints)
+    study = replace(result.study, arm=result.study.arm.with_joints(joints))
+    wrong = replace(result, study=study)
     assert wrong.verdict.status == "partly-determined"
     assert "torque_per_volt 1 = 90 N m/V" in wrong.verdict.reasons[0]
     assert "written as torque_per_volt = 0.09" in wrong.verdict.reasons[0]
@@ -484,16 +492,16 @@ def test_values_are_given_for_what_does_not_rest_on_a_fault(
     where: str, code: str, left: set[str]
 ) -> None:
     fault = Suspicion(code=code, where=where, message="m", remedy="r")
-    found = replace(run(), suspected=(fault,))
-    assert {p.stage for p in found.parameters if p.value is not None} == left
-    verdict = found.verdict
+    result = replace(run(), suspected=(fault,))
+    assert {p.stage for p in result.parameters if p.value is not None} == left
+    verdict = result.verdict
     assert (verdict.status, verdict.exit_code) == ("inconsistent-input", 3)
     assert verdict.suspected == (fault,)
     assert verdict.reasons[0] == "m"
 
 
 def test_what_springs_and_stages_call_for() -> None:
-    """A rigid drive has no link; three slopes are asked of the whole-arm fit alone."""
+    """A rigid drive has no link parameters; only the whole-arm fit requires three slopes."""
     parameters = tuple(
         Parameter(name, 1, 1.0, 0.01, "-", "rigid", (0.98, 1.02))
         for name in ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
@@ -501,8 +509,8 @@ def test_what_springs_and_stages_call_for() -> None:
     drive = replace(run(), study=rigid_drive(), rigid=rigid_of(parameters), joints=(), tuned=None)
     assert drive.verdict.status == "determined"
     assert replace(drive, rigid=None).verdict.status == "not-determined"
-    heavy = replace(drive, study=rigid_drive(9.81))
-    assert heavy.verdict.not_identified == ("gravity_torque_1",)
+    with_gravity = replace(drive, study=rigid_drive(9.81))
+    assert with_gravity.verdict.not_identified == ("gravity_torque_1",)
     curved = scara.study(ELASTIC.path, "three-slope")
     assert run(study=curved, stages=("rigid", "decoupled")).verdict.status == "determined"
     missing = run(study=curved).verdict.not_identified
@@ -518,23 +526,23 @@ def test_what_springs_and_stages_call_for() -> None:
 
 
 def test_stages_that_were_not_reached_are_named() -> None:
-    found = replace(run(), tuned=None)
-    assert found.verdict.status == "partly-determined"
-    assert found.verdict.reasons == ("the whole-arm fit was not reached",)
-    found = replace(found, joints=found.joints[:1])
-    assert "the decoupled stage gave no model of joint 2" in found.verdict.reasons
-    assert "gear_stiffness 2" in found.verdict.not_identified
+    result = replace(run(), tuned=None)
+    assert result.verdict.status == "partly-determined"
+    assert result.verdict.reasons == ("the whole-arm fit was not reached",)
+    result = replace(result, joints=result.joints[:1])
+    assert "the decoupled stage gave no model of joint 2" in result.verdict.reasons
+    assert "gear_stiffness 2" in result.verdict.not_identified
 
 
 def test_one_warning_for_one_cause() -> None:
     records = ("prbs-j1", "prbs-j2")
-    late = [
+    delays = [
         Diagnostic("misaligned", name, f"the link sensor of joint {j} is {ms} ms late in {name}")
         for name, ms in zip(records, (0.72, 0.5), strict=True)
         for j in (1, 2)
     ]
     other = Diagnostic("at-bounds", "beta", "ended at 0.72")
-    first, second, third = grouped([*late, other], records)
+    first, second, third = grouped([*delays, other], records)
     assert first.where == "prbs-j1, prbs-j2"
     assert first.experiments == records
     assert first.message == "the link sensor of joint 1 is 0.5 to 0.72 ms late in "
@@ -544,35 +552,35 @@ def test_one_warning_for_one_cause() -> None:
 
 def test_one_warning_for_one_cause_in_a_joint_of_several_records() -> None:
     records = ("prbs-j1", "prbs-j1-servo", "prbs-j2")
-    weak = [
+    spectra = [
         Diagnostic(
             "interaction-spectrum", f"{name}, joint {j}", f"in {share} % of the band of {name}"
         )
         for name, j, share in (("prbs-j1", 1, 20), ("prbs-j1-servo", 1, 35), ("prbs-j2", 2, 10))
     ]
-    alone = Diagnostic("coherence", "prbs-j2, joint 2", "coherence 0.4 in prbs-j2")
-    elsewhere = replace(weak[0], where="other, joint 1")
-    one, kept, foreign = grouped([*weak, alone, elsewhere], records)
-    assert one.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
-    assert one.experiments == records
-    assert one.message == "in 10 to 35 % of the band of "
-    assert kept == replace(alone, experiments=("prbs-j2",))
-    assert foreign == elsewhere
+    coherence = Diagnostic("coherence", "prbs-j2, joint 2", "coherence 0.4 in prbs-j2")
+    other_record = replace(spectra[0], where="other, joint 1")
+    merged, single, unmerged = grouped([*spectra, coherence, other_record], records)
+    assert merged.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
+    assert merged.experiments == records
+    assert merged.message == "in 10 to 35 % of the band of "
+    assert single == replace(coherence, experiments=("prbs-j2",))
+    assert unmerged == other_record
 
 
 def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None:
     early = Diagnostic("implausible", "gear_damping of joint 1", "negative")
-    found = replace(run(), warnings=(early,))
-    assert early not in published_warnings(found)
-    assert early in published_warnings(replace(found, tuned=None))
-    average = Diagnostic("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
-    assert found.tuned is not None
+    result = replace(run(), warnings=(early,))
+    assert early not in published_warnings(result)
+    assert early in published_warnings(replace(result, tuned=None))
+    slope_warning = Diagnostic("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
+    assert result.tuned is not None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))
-    kept = tuple(p for p in found.tuned.parameters if p.name != "gear_stiffness")
-    tuned = replace(found.tuned, parameters=kept + curve)
-    arm = found.study.arm
-    bent = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
-    study = replace(found.study, arm=bent)
-    found = replace(found, study=study, tuned=tuned, warnings=(average,))
-    assert published_warnings(found) == published_warnings(replace(found, warnings=()))
+    parameters = tuple(p for p in result.tuned.parameters if p.name != "gear_stiffness")
+    tuned = replace(result.tuned, parameters=parameters + curve)
+    arm = result.study.arm
+    curved = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
+    study = replace(result.study, arm=curved)
+    result = replace(result, study=study, tuned=tuned, warnings=(slope_warning,))
+    assert published_warnings(result) == published_warnings(replace(result, warnings=()))

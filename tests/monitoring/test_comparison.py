@@ -1,4 +1,4 @@
-"""Comparisons of results: false-alarm rate, detection, refusals."""
+"""Comparison of results: false-alarm rate, detection and input errors."""
 
 from __future__ import annotations
 
@@ -36,25 +36,25 @@ def test_the_false_alarm_rate_is_the_level(others: int) -> None:
     seed = secrets.randbits(32)
     rng = np.random.default_rng(seed)
     runs = 600
-    found = [pair(rng, others=others) for _ in range(runs)]
-    alarms = sum(one.differs for one in found)
+    comparisons = [pair(rng, others=others) for _ in range(runs)]
+    alarms = sum(one.differs for one in comparisons)
     assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, runs, 0.05), seed
-    assert alarms > 0, seed  # by chance at least 2 % of the runs have one
-    tests = [one.homogeneity if others > 1 else one.pairs[0].joint for one in found]
-    p = [test.p for test in tests if test is not None]
-    assert len(p) == runs
-    assert stats.kstest(p, "uniform").pvalue > FAILURE_P, seed
-    singles = [one.p for each in found for one in each.pairs[0].parameters[:1]]
-    assert stats.kstest(singles, "uniform").pvalue > FAILURE_P, seed
+    assert alarms > 0, seed  # the expected rate is at least 2 %
+    tests = [one.homogeneity if others > 1 else one.pairs[0].joint for one in comparisons]
+    p_values = [test.p for test in tests if test is not None]
+    assert len(p_values) == runs
+    assert stats.kstest(p_values, "uniform").pvalue > FAILURE_P, seed
+    single_p_values = [one.p for each in comparisons for one in each.pairs[0].parameters[:1]]
+    assert stats.kstest(single_p_values, "uniform").pvalue > FAILURE_P, seed
 
 
 def test_a_loss_of_two_percent_of_stiffness_is_detected() -> None:
-    """Ten standard deviations of a value, seven of the change."""
-    found = pair(np.random.default_rng(5), factor=0.98)
-    assert found.differs
-    verdicts = {one.first.label: found.verdict(one) for one in found.pairs[0].parameters}
+    """The loss is ten standard deviations of a value, and seven of the difference."""
+    comparison = pair(np.random.default_rng(5), factor=0.98)
+    assert comparison.differs
+    verdicts = {one.first.label: comparison.verdict(one) for one in comparison.pairs[0].parameters}
     assert verdicts == {name: DIFFERS if name == "gear_stiffness 1" else SAME for name in NAMES}
-    one = found.pairs[0].parameters[1]
+    one = comparison.pairs[0].parameters[1]
     assert one.percent == pytest.approx(-2.0, abs=0.8)
     assert one.z == pytest.approx(one.change / one.std)
 
@@ -66,29 +66,29 @@ def test_changes_are_detected_by_their_sum() -> None:
     first, second = (drawn(np.random.default_rng(0), S) for _ in range(2))
     for one, two in zip(first["parameters"], second["parameters"], strict=True):
         one["value"], two["value"] = 10.0, 10.5
-    found = compare([estimates(first, "a"), estimates(second, "b")])
-    assert all(found.verdict(one) == SAME for one in found.pairs[0].parameters)
-    assert found.pairs[0].joint is not None
-    assert found.verdict(found.pairs[0].joint) == DIFFERS
-    assert found.differs
+    comparison = compare([estimates(first, "a"), estimates(second, "b")])
+    assert all(comparison.verdict(one) == SAME for one in comparison.pairs[0].parameters)
+    assert comparison.pairs[0].joint is not None
+    assert comparison.verdict(comparison.pairs[0].joint) == DIFFERS
+    assert comparison.differs
 
 
 def test_the_joint_test_counts_independent_values() -> None:
-    found = pair(np.random.default_rng(2), others=2)
-    assert found.pairs[0].joint is not None
-    assert found.homogeneity is not None
-    assert (found.pairs[0].joint.rank, found.pairs[0].joint.n_values) == (4, 5)
-    assert (found.homogeneity.rank, found.homogeneity.n_values) == (8, 10)
+    comparison = pair(np.random.default_rng(2), others=2)
+    assert comparison.pairs[0].joint is not None
+    assert comparison.homogeneity is not None
+    assert (comparison.pairs[0].joint.rank, comparison.pairs[0].joint.n_values) == (4, 5)
+    assert (comparison.homogeneity.rank, comparison.homogeneity.n_values) == (8, 10)
 
 
 @given(st.permutations(range(3)), st.integers(0, 1000))
 def test_homogeneity_does_not_depend_on_the_order(order: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     results = [estimates(drawn(rng, covariance(rng)), f"{k}") for k in range(3)]
-    found = [compare(each).homogeneity for each in (results, [results[k] for k in order])]
-    assert found[0] is not None
-    assert found[1] is not None
-    assert found[0].statistic == pytest.approx(found[1].statistic, rel=1e-5)
+    tests = [compare(each).homogeneity for each in (results, [results[k] for k in order])]
+    assert tests[0] is not None
+    assert tests[1] is not None
+    assert tests[0].statistic == pytest.approx(tests[1].statistic, rel=1e-5)
 
 
 def test_results_without_covariance_are_compared_by_their_stds() -> None:
@@ -96,10 +96,10 @@ def test_results_without_covariance_are_compared_by_their_stds() -> None:
     S = covariance(rng)
     old = {key: value for key, value in drawn(rng, S).items() if key != "covariance"}
     changed = drawn(rng, S, {"gear_stiffness 1": 0.98})
-    found = compare([estimates(old, "old"), estimates(changed, "new")])
-    assert found.pairs[0].joint is None
-    assert found.differs
-    assert any("old" in note and "standard deviations alone" in note for note in found.notes)
+    comparison = compare([estimates(old, "old"), estimates(changed, "new")])
+    assert comparison.pairs[0].joint is None
+    assert comparison.differs
+    assert any("old" in note and "standard deviations alone" in note for note in comparison.notes)
 
 
 def test_parameters_of_one_result_only_are_left_out_with_the_reason() -> None:
@@ -120,35 +120,35 @@ def test_parameters_of_one_result_only_are_left_out_with_the_reason() -> None:
 
 
 def test_parameters_of_one_record_are_not_compared() -> None:
-    one = drawn(np.random.default_rng(0), np.eye(5))
-    one["parameters"][0]["name"] = "accelerometer_drift"
-    one["parameters"][1]["name"] = "friction_change[motion]"
-    assert [p.label for p in estimates(one, "a").parameters] == list(NAMES[2:])
+    document = drawn(np.random.default_rng(0), np.eye(5))
+    document["parameters"][0]["name"] = "accelerometer_drift"
+    document["parameters"][1]["name"] = "friction_change[motion]"
+    assert [p.label for p in estimates(document, "a").parameters] == list(NAMES[2:])
 
 
 def test_a_value_near_zero_has_no_change_in_percent() -> None:
     S = np.diag([1.0, 1.0, 1.0, 1.0, 1.0])
-    one = drawn(np.random.default_rng(0), S)
-    one["parameters"][0]["value"] = 1.5
-    (pair,) = compare([estimates(one, "a"), estimates(one, "b")]).pairs
+    document = drawn(np.random.default_rng(0), S)
+    document["parameters"][0]["value"] = 1.5
+    (pair,) = compare([estimates(document, "a"), estimates(document, "b")]).pairs
     assert pair.parameters[0].percent is None
     assert pair.parameters[1].percent == 0.0
 
 
 def test_refusals() -> None:
-    one = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
+    result = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
     with pytest.raises(InvalidInput, match="level"):
-        compare([one, one], level=0.0)
+        compare([result, result], level=0.0)
     with pytest.raises(InvalidInput, match="two results"):
-        compare([one])
+        compare([result])
     with pytest.raises(NotIdentifiable, match="nothing to compare"):
-        compare([one, replace(one, parameters=())])
+        compare([result, replace(result, parameters=())])
 
 
 def test_notes_on_undetermined_results_and_equal_logs() -> None:
-    one = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
-    same = replace(one, study=("study.toml", "12ab"), status="partly-determined")
-    notes = compare([same, replace(same, label="b")]).notes
+    result = estimates(drawn(np.random.default_rng(0), np.eye(5)), "a")
+    first = replace(result, study=("study.toml", "12ab"), status="partly-determined")
+    notes = compare([first, replace(first, label="b")]).notes
     assert "a is partly-determined" in notes
     assert any("not independent" in note for note in notes)
 
@@ -165,33 +165,33 @@ def test_values_of_different_stages_are_noted() -> None:
 def test_labels_distinguish_files(tmp_path: Path) -> None:
     document = drawn(np.random.default_rng(0), np.eye(5))
     folders = [write(document, tmp_path / year / "arm") for year in ("2025", "2026")]
-    found = read_estimates([folders[0], folders[1] / "result.json"])
-    assert [one.label for one in found] == [str(folder / "result.json") for folder in folders]
-    assert found[0].covariance is not None
+    results = read_estimates([folders[0], folders[1] / "result.json"])
+    assert [one.label for one in results] == [str(folder / "result.json") for folder in folders]
+    assert results[0].covariance is not None
     other = write(document, tmp_path / "other")
     assert [one.label for one in read_estimates([folders[0], other])] == ["arm", "other"]
 
 
 def test_invalid_files_are_named(tmp_path: Path) -> None:
     document = drawn(np.random.default_rng(0), np.eye(5))
-    fine = write(document, tmp_path / "fine")
+    valid = write(document, tmp_path / "fine")
     broken = write(document | {"covariance": {"names": []}}, tmp_path / "broken")
     with pytest.raises(InvalidInput, match="broken"):
-        read_estimates([fine, broken])
+        read_estimates([valid, broken])
     with pytest.raises(InvalidInput, match="missing"):
-        read_estimates([fine, tmp_path / "missing"])
+        read_estimates([valid, tmp_path / "missing"])
 
 
 @pytest.mark.parametrize("nu", [1.0, 2.0, 7.0, 19.0, 60.0])
 def test_degrees_follow_from_the_interval(nu: float) -> None:
-    reach = 2.5 * float(stats.t.ppf(0.975, nu))
-    p = Parameter("beta", None, 1.0, 2.5, "kg m^2", "rigid", (1.0 - reach, 1.0 + reach))
+    half_width = 2.5 * float(stats.t.ppf(0.975, nu))
+    p = Parameter("beta", None, 1.0, 2.5, "kg m^2", "rigid", (1.0 - half_width, 1.0 + half_width))
     assert degrees_of(p) == pytest.approx(nu, rel=1e-3)
     assert degrees_of(replace(p, ci95=(1.0 - 4.9, 1.0 + 4.9))) == float("inf")
 
 
 def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estimates:
-    """Estimates of the rigid stage from a new motion of the built-in arm with rigid gears."""
+    """Rigid step on a new motion record of the built-in arm with rigid gears."""
     study = rigid_two_link()
     values = values_of(study, 5)
     values["motor_coulomb_friction", 1] *= friction
@@ -199,24 +199,28 @@ def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estima
     table = {"t": log.time, **log.channels}
     for name in ("u1", "u2"):
         table[name] = table[name] + rng.normal(scale=0.02, size=len(log.time))
-    only = replace(study, experiments=(MOTION,))
-    found = sw.identify(only, data={"motion": table}, stages=("rigid",), threads=1)
-    return estimates_of(found.document, Path(f"{seed}/result.json"))
+    motion_study = replace(study, experiments=(MOTION,))
+    result = sw.identify(motion_study, data={"motion": table}, stages=("rigid",), threads=1)
+    return estimates_of(result.document, Path(f"{seed}/result.json"))
 
 
 def test_visits_to_an_unchanged_arm_agree() -> None:
     """40 pairs of visits at a level of 5 %: at most two alarms are expected."""
     seed = secrets.randbits(20)
     rng = np.random.default_rng(seed)
-    found = [compare([repeat(seed + k, rng), repeat(seed + 100 + k, rng)]) for k in range(40)]
-    alarms = sum(one.differs for one in found)
+    comparisons = [compare([repeat(seed + k, rng), repeat(seed + 100 + k, rng)]) for k in range(40)]
+    alarms = sum(one.differs for one in comparisons)
     assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, 40, 0.05), seed
-    z = [one.z for each in found for one in each.pairs[0].parameters]
-    assert 0.6 < float(np.std(z)) < 1.5, seed  # standard deviations are realistic
+    z_scores = [one.z for each in comparisons for one in each.pairs[0].parameters]
+    assert 0.6 < float(np.std(z_scores)) < 1.5, seed  # standard deviations are realistic
 
 
 def test_ten_percent_more_friction_is_detected() -> None:
     rng = np.random.default_rng(4)
-    found = compare([repeat(1, rng), repeat(2, rng, friction=1.1)])
-    named = [one.first.label for one in found.pairs[0].parameters if found.verdict(one) == DIFFERS]
-    assert named == ["motor_coulomb_friction 1"]
+    comparison = compare([repeat(1, rng), repeat(2, rng, friction=1.1)])
+    differing = [
+        one.first.label
+        for one in comparison.pairs[0].parameters
+        if comparison.verdict(one) == DIFFERS
+    ]
+    assert differing == ["motor_coulomb_friction 1"]

@@ -32,8 +32,8 @@ def printed(found: ResultComparison, folder: Path | None = None) -> str:
 
 
 def test_the_document_contains_every_test(tmp_path: Path) -> None:
-    found = made(0.98, others=2)
-    output.write(found, tmp_path)
+    comparison = made(0.98, others=2)
+    output.write(comparison, tmp_path)
     document = json.loads((tmp_path / "comparison.json").read_text())
     assert document["schema"] == "strainwave/comparison/1"
     assert document["differs"] is True
@@ -67,8 +67,8 @@ def test_the_terminal_has_a_row_per_parameter_and_the_verdict() -> None:
 
 
 def test_the_figure_shows_all_differences() -> None:
-    found = made(0.5)
-    figure = output.forest(found, found.pairs[0])
+    comparison = made(0.5)
+    figure = output.forest(comparison, comparison.pairs[0])
     assert figure is not None
     upper, lower = figure.panels
     assert [getattr(mark, "name", "") for mark in upper.marks] == [DIFFERS, "agrees"]

@@ -1,4 +1,4 @@
-"""Joint tests and adjusted p-values against their distributions and SciPy."""
+"""Joint tests and adjusted p-values, compared with their distributions and SciPy."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ def test_the_statistic_equals_the_quadratic_form(seed: int, n: int) -> None:
     rng = np.random.default_rng(seed)
     root = rng.normal(size=(n, n)) + 2.0 * np.eye(n)
     S, d = root @ root.T, rng.normal(size=n)
-    found = joint_test(d, [S], [KNOWN])
-    assert found is not None
-    if np.linalg.cond(S) < 1e6:  # otherwise directions count as dependent
+    test = joint_test(d, [S], [KNOWN])
+    assert test is not None
+    if np.linalg.cond(S) < 1e6:  # otherwise the test omits directions as dependent
         expected = float(d @ np.linalg.solve(S, d))
-        assert found.statistic == pytest.approx(expected, rel=1e-6)
-        assert found.rank == n
-        assert found.p == pytest.approx(stats.chi2.sf(expected, n), rel=1e-5)
+        assert test.statistic == pytest.approx(expected, rel=1e-6)
+        assert test.rank == n
+        assert test.p == pytest.approx(stats.chi2.sf(expected, n), rel=1e-5)
 
 
 def test_dependent_values_do_not_count_and_units_do_not_matter() -> None:
@@ -33,27 +33,27 @@ def test_dependent_values_do_not_count_and_units_do_not_matter() -> None:
     root = rng.normal(size=(3, 3))
     S3, d3 = root @ root.T, rng.normal(size=3)
     units = np.diag([1e-6, 1e4, 1.0, 1e3])
-    found = joint_test(units @ W @ d3, [units @ W @ S3 @ W.T @ units], [KNOWN])
-    plain = joint_test(d3, [S3], [KNOWN])
-    assert found is not None
-    assert plain is not None
-    assert (found.rank, found.n_values) == (3, 4)
-    assert found.statistic == pytest.approx(plain.statistic, rel=1e-6)
+    test = joint_test(units @ W @ d3, [units @ W @ S3 @ W.T @ units], [KNOWN])
+    reference = joint_test(d3, [S3], [KNOWN])
+    assert test is not None
+    assert reference is not None
+    assert (test.rank, test.n_values) == (3, 4)
+    assert test.statistic == pytest.approx(reference.statistic, rel=1e-6)
 
 
 def test_estimated_covariances_keep_the_level() -> None:
-    """Each covariance from 12 samples: an exact chi-square would reject a fifth of all."""
+    """For covariances with 12 degrees of freedom, a chi-square test would reject about 20 %."""
     rng = np.random.default_rng(8)
     nu, n, runs = 12, 4, 2000
     p, naive = np.empty(runs), np.empty(runs)
     for k in range(runs):
         parts = [np.cov(rng.normal(size=(nu + 1, n)), rowvar=False) * scale for scale in (1.0, 3.0)]
         d = rng.normal(size=n) + np.sqrt(3.0) * rng.normal(size=n)
-        found, plain = joint_test(d, parts, [nu, nu]), joint_test(d, parts, [KNOWN, KNOWN])
-        assert found is not None
-        assert plain is not None
-        p[k], naive[k] = found.p, plain.p
-    # 99.9 % of a binomial of 2000 at 5 %, and half a per cent for the approximation
+        test, reference = joint_test(d, parts, [nu, nu]), joint_test(d, parts, [KNOWN, KNOWN])
+        assert test is not None
+        assert reference is not None
+        p[k], naive[k] = test.p, reference.p
+    # 99.9 % interval of a binomial distribution, plus 0.5 % for the approximation of the test
     low, high = stats.binom.ppf([5e-4, 1 - 5e-4], runs, 0.05) / runs
     assert low - 0.005 < np.mean(p < 0.05) < high + 0.005
     assert np.mean(naive < 0.05) > 0.12

@@ -1,4 +1,4 @@
-"""Output that comparisons and trends share."""
+"""Output functions for comparisons and trends."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ def test_p_values_as_text(p: float, text: str) -> None:
 def test_tables_are_never_truncated(width: int) -> None:
     text = io.StringIO()
     table = output.printed_table()
-    for head in ("parameter", "value"):
-        table.add_column(head)
+    for heading in ("parameter", "value"):
+        table.add_column(heading)
     table.add_row("motor_viscous_friction 1", "1.234567e-04")
     output.print_table(Console(file=text, width=width), table)
     assert "motor_viscous_friction 1 1.234567e-04" in text.getvalue()

@@ -1,4 +1,4 @@
-"""Changes over time: against textbook tests, false-alarm rate, detection."""
+"""Changes over time: comparison with standard tests, false-alarm rate and detection."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ def series(
     value: FloatArray, std: FloatArray | float = 1.0, covariates: FloatArray | None = None
 ) -> Series:
     n = len(value)
-    given_ = np.empty((n, 0)) if covariates is None else covariates
+    covariate_table = np.empty((n, 0)) if covariates is None else covariates
     return Series(
-        7.0 * np.arange(n, dtype=np.float64), value, np.broadcast_to(std, n).copy(), given_
+        7.0 * np.arange(n, dtype=np.float64), value, np.broadcast_to(std, n).copy(), covariate_table
     )
 
 
@@ -45,17 +45,17 @@ def found(one: Series, seed: int = 0) -> Change:
 
 @given(st.integers(0, 2**32 - 1), st.integers(8, 30))
 def test_a_drift_equals_linear_regression_if_visits_scatter(seed: int, n: int) -> None:
-    """With equal, small standard deviations of the runs: ordinary least squares, Student's t."""
+    """For small, equal standard deviations, the test is ordinary least squares with Student's t."""
     value = 100.0 + 50.0 * np.random.default_rng(seed).normal(size=n)
-    one = series(value, 0.01)
-    change, plain = found(one), stats.linregress(one.time, value)
-    assert change.drift == pytest.approx(plain.slope, rel=1e-6)
-    assert change.drift_std == pytest.approx(plain.stderr, rel=1e-4)
-    assert change.drift_p == pytest.approx(plain.pvalue, rel=1e-3)
+    visits = series(value, 0.01)
+    change, regression = found(visits), stats.linregress(visits.time, value)
+    assert change.drift == pytest.approx(regression.slope, rel=1e-6)
+    assert change.drift_std == pytest.approx(regression.stderr, rel=1e-4)
+    assert change.drift_p == pytest.approx(regression.pvalue, rel=1e-3)
 
 
 def test_standard_deviations_of_runs_are_the_minimum() -> None:
-    """Values that agree better than their standard deviations allow no smaller p-value."""
+    """The p-value does not decrease if the scatter is below the standard deviations."""
     n = 20
     value = 100.0 + 1e-3 * np.random.default_rng(0).normal(size=n) + 0.1 * (np.arange(n) >= 10)
     change = found(series(value, 1.0))
@@ -67,23 +67,25 @@ def test_standard_deviations_of_runs_are_the_minimum() -> None:
 @pytest.mark.parametrize("between", [0.0, 1.0, 5.0])
 @pytest.mark.parametrize("n", [7, 16])
 def test_the_false_alarm_rate_is_the_level(n: int, between: float) -> None:
-    """Unequal standard deviations and a covariate; conservative without scatter of visits."""
+    """Unequal standard deviations and a covariate; conservative without scatter between visits."""
     seed = secrets.randbits(32)
     rng = np.random.default_rng(seed)
     runs = 300
     p = np.empty(runs)
     for k in range(runs):
         std = np.exp(0.5 * rng.normal(size=n))
-        warm = rng.normal(size=(n, 1))
-        value = 50.0 + 3.0 * warm[:, 0] + between * rng.normal(size=n) + std * rng.normal(size=n)
-        change = change_of(series(value, std, warm), rng)
+        temperature = rng.normal(size=(n, 1))
+        value = (
+            50.0 + 3.0 * temperature[:, 0] + between * rng.normal(size=n) + std * rng.normal(size=n)
+        )
+        change = change_of(series(value, std, temperature), rng)
         assert change is not None
         p[k] = change.p
     for level in (0.2, 0.05):
         alarms = int(np.sum(p < level))
-        # the weights are estimated: tolerate a rate 20 % above the level
+        # the weights are estimated, so the rate may exceed the level by 20 %
         assert alarms <= stats.binom.ppf(1.0 - FAILURE_P, runs, 1.2 * level), (seed, level)
-    if between == 5.0:  # and not lower if the scatter between visits dominates
+    if between == 5.0:  # not conservative if the scatter between visits dominates
         assert np.sum(p < 0.2) >= stats.binom.ppf(FAILURE_P, runs, 0.2 / 1.5), seed
 
 
@@ -113,32 +115,34 @@ def test_the_beginning_of_a_drift_is_located() -> None:
 
 def test_a_covariate_explains_a_change() -> None:
     rng = np.random.default_rng(2)
-    warm = 20.0 + np.linspace(0.0, 8.0, 20) + 3.0 * rng.normal(size=20)
-    value = 0.06 * (1.0 - 0.01 * (warm - 20.0)) + 1e-4 * rng.normal(size=20)
+    temperature = 20.0 + np.linspace(0.0, 8.0, 20) + 3.0 * rng.normal(size=20)
+    value = 0.06 * (1.0 - 0.01 * (temperature - 20.0)) + 1e-4 * rng.normal(size=20)
     assert found(series(value, 5e-5)).p < 0.01
-    assert found(series(value, 5e-5, warm[:, None])).p > 0.05
+    assert found(series(value, 5e-5, temperature[:, None])).p > 0.05
 
 
 def test_redundant_covariates_are_dropped() -> None:
     rng = np.random.default_rng(0)
-    warm = rng.normal(size=12)
-    table = np.column_stack([warm, np.full(12, 3.0), 2.0 * warm - 5.0, rng.normal(size=12)])
+    temperature = rng.normal(size=12)
+    table = np.column_stack(
+        [temperature, np.full(12, 3.0), 2.0 * temperature - 5.0, rng.normal(size=12)]
+    )
     X = regressors(series(np.zeros(12), 1.0, table))
     assert X.shape == (12, 3)
     np.testing.assert_allclose(X[:, 1:].mean(axis=0), 0.0, atol=1e-12)
 
 
 def test_time_as_a_covariate_allows_no_test() -> None:
-    one = series(np.arange(10.0), 1.0, np.arange(10.0)[:, None])
-    assert change_of(one, np.random.default_rng(0)) is None
+    visits = series(np.arange(10.0), 1.0, np.arange(10.0)[:, None])
+    assert change_of(visits, np.random.default_rng(0)) is None
 
 
 def test_too_few_visits_or_equal_times_allow_no_test() -> None:
     rng = np.random.default_rng(0)
     assert change_of(series(np.zeros(MIN_VISITS)), rng) is None
     assert change_of(series(rng.normal(size=MIN_VISITS + 1)), rng) is not None
-    still = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
-    assert change_of(still, rng) is None
+    equal_times = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
+    assert change_of(equal_times, rng) is None
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 4.0))
@@ -160,22 +164,24 @@ def test_the_moment_estimate_is_unbiased() -> None:
     rng = np.random.default_rng(0)
     std = np.exp(0.5 * rng.normal(size=30))
     X = np.ones((30, 1))
-    found_ = [
+    variances = [
         moment_variance(2.0 * rng.normal(size=30) + std * rng.normal(size=30), std, X)
         for _ in range(400)
     ]
-    assert float(np.mean(found_)) == pytest.approx(4.0, rel=0.08)  # four standard errors
+    assert float(np.mean(variances)) == pytest.approx(
+        4.0, rel=0.08
+    )  # tolerance: four standard errors
 
 
 def test_the_union_of_caps_equals_a_monte_carlo_count() -> None:
-    """Steps and drifts in 12 visits; a million directions at 5 %."""
+    """Steps and drifts in 12 visits, compared with 1,000,000 random directions."""
     rng = np.random.default_rng(7)
     n = 12
     columns = np.column_stack(
         [np.arange(n), *((np.arange(n) >= k).astype(float) for k in range(2, n))]
     )
-    whole = np.linalg.qr(np.ones((n, 1)), mode="complete")[0]
-    free = whole[:, 1:]
+    basis = np.linalg.qr(np.ones((n, 1)), mode="complete")[0]
+    free = basis[:, 1:]
     directions = free @ (free.T @ columns)
     directions /= np.sqrt(np.sum(directions**2, axis=0))
     u = rng.normal(size=(1_000_000, n - 1))
@@ -186,15 +192,17 @@ def test_the_union_of_caps_equals_a_monte_carlo_count() -> None:
         p = union_of_caps(limit, directions, free, rng)
         assert p == pytest.approx(
             1.0 - quantile, rel=0.08
-        )  # 3 % of 1000 counts, as much of samples
+        )  # 3 % for 1,000 counts, and 3 % for the samples of union_of_caps
 
 
 def test_one_direction_is_student_s_and_small_p_values_add_up() -> None:
     rng = np.random.default_rng(0)
-    free, apart = np.eye(9), np.eye(9)[:, :4]
+    free, orthogonal = np.eye(9), np.eye(9)[:, :4]
     for t2 in (0.3, 9.0, 400.0):
         share = t2 / (t2 + 8.0)
-        assert union_of_caps(share, apart[:, :1], free, rng) == pytest.approx(student_tails(t2, 8))
-    assert union_of_caps(share, apart, free, rng) == pytest.approx(4.0 * student_tails(t2, 8))
-    assert union_of_caps(1.0, apart, free, rng) == 0.0
-    assert union_of_caps(0.0, apart, free, rng) == pytest.approx(1.0)
+        assert union_of_caps(share, orthogonal[:, :1], free, rng) == pytest.approx(
+            student_tails(t2, 8)
+        )
+    assert union_of_caps(share, orthogonal, free, rng) == pytest.approx(4.0 * student_tails(t2, 8))
+    assert union_of_caps(1.0, orthogonal, free, rng) == 0.0
+    assert union_of_caps(0.0, orthogonal, free, rng) == pytest.approx(1.0)

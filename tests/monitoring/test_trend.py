@@ -1,4 +1,4 @@
-"""Trends of a fleet: detection, false alarms, order, files and terminal."""
+"""Trends of a fleet: detection, false-alarm rate, order, files and terminal output."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Trend:
 
 
 def test_changed_arms_come_first(fleet: Trend) -> None:
-    named = {arm.history.arm: fleet.concerns(arm) for arm in fleet.arms}
-    assert list(named)[:2] == ["arm-3", "arm-2"]
-    assert [one.history.label for one in named["arm-3"]] == ["motor_coulomb_friction 1"]
-    (softer,) = named["arm-2"]
-    assert softer.history.label == "gear_stiffness 1"
-    assert softer.words == "step at 2026-04-27"  # visit 16 of weekly ones
-    assert softer.percent == pytest.approx(-2.0, abs=0.5)
-    assert not named["arm-<1>"]
-    assert not named["arm-4"]
+    concerns = {arm.history.arm: fleet.concerns(arm) for arm in fleet.arms}
+    assert list(concerns)[:2] == ["arm-3", "arm-2"]
+    assert [one.history.label for one in concerns["arm-3"]] == ["motor_coulomb_friction 1"]
+    (stiffness,) = concerns["arm-2"]
+    assert stiffness.history.label == "gear_stiffness 1"
+    assert stiffness.words == "step at 2026-04-27"  # visit 16, one visit per week
+    assert stiffness.percent == pytest.approx(-2.0, abs=0.5)
+    assert not concerns["arm-<1>"]
+    assert not concerns["arm-4"]
     assert [arm.p for arm in fleet.arms] == sorted(arm.p for arm in fleet.arms)
     assert fleet.concern
 
@@ -55,18 +55,18 @@ def test_the_same_store_gives_the_same_result(fleet: Trend) -> None:
 
 
 def test_the_false_alarm_rate_is_at_most_the_level() -> None:
-    """200 arms of 12 correlated parameters, at the 1 % of the command."""
+    """200 arms with 12 correlated parameters, at the default level of 1 %."""
     seed = secrets.randbits(32)
-    counted = false_alarms(np.random.default_rng(seed), 200)
-    named = sum(alarms for _, alarms in counted.values())
-    assert named <= stats.binom.ppf(1.0 - FAILURE_P, 200, 0.012), seed
+    counts = false_alarms(np.random.default_rng(seed), 200)
+    n_alarms = sum(alarms for _, alarms in counts.values())
+    assert n_alarms <= stats.binom.ppf(1.0 - FAILURE_P, 200, 0.012), seed
 
 
 def test_a_loss_of_stiffness_is_detected_within_few_visits() -> None:
-    what, size, own, between, _, wear = CASES[2]
-    assert (what, between, wear) == ("stiffness -2 %", 0.002, step)
+    name, size, noise_std, between_std, _, wear = CASES[2]
+    assert (name, between_std, wear) == ("stiffness -2 %", 0.002, step)
     rng = np.random.default_rng(1)
-    delays = [delay(rng, size, own, between, wear) for _ in range(20)]
+    delays = [delay(rng, size, noise_std, between_std, wear) for _ in range(20)]
     assert np.median(delays) <= 2
     assert max(delays) < PATIENCE
 
@@ -81,10 +81,10 @@ def test_refusals(tmp_path: Path) -> None:
 
 
 def test_many_arms_of_one_visit_bring_a_hint(fleet: Trend) -> None:
-    """As if every visit had a folder of its own, and --arm were forgotten."""
+    """Each visit has its own folder, and --arm is missing."""
     arm = fleet.arms[0].history
-    alone = [replace(arm, arm=visit.run, visits=(visit,)) for visit in arm.visits]
-    notes = trend(Histories((arm, *alone), (), "recorded")).notes
+    single_visits = [replace(arm, arm=visit.run, visits=(visit,)) for visit in arm.visits]
+    notes = trend(Histories((arm, *single_visits), (), "recorded")).notes
     assert len(notes) == 1
     assert notes[0].startswith("24 of 25 arms have one visit; an arm is the folder")
     assert "--arm" in notes[0]
