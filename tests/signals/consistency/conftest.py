@@ -1,4 +1,4 @@
-"""One arm, simulated once; every test alters its logs or its study."""
+"""Simulated arms with fault-free input. Each test changes the logs or the study."""
 
 from __future__ import annotations
 
@@ -16,43 +16,47 @@ from strainwave.virtual.experiments import simulate_study
 
 
 def _simulated(folder: Path, *, vertical: bool) -> Input:
-    """Motions and, of the horizontal arm, a PRBS record of the built-in rig with linear springs."""
+    """Simulate the built-in arm with linear springs: motion records, and PRBS if horizontal."""
     study = scara.study(folder, "linear")
     values = scara.parameters(3, "linear")
     if vertical:
         study = replace(study, arm=replace(study.arm, gravity=9.81))
         values["gravity_torque_1", None] = 45.0
         values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
-    wanted = {"motion", "motion-check"} | (set() if vertical else {"prbs-j1", "prbs-j2"})
-    kept = tuple(e for e in study.experiments if e.name in wanted)
+    names = {"motion", "motion-check"} | (set() if vertical else {"prbs-j1", "prbs-j2"})
+    experiments = tuple(e for e in study.experiments if e.name in names)
     simulate_study(
-        replace(study, experiments=kept), values, folder, noise=SensorNoise(), as_recorded=False
+        replace(study, experiments=experiments),
+        values,
+        folder,
+        noise=SensorNoise(),
+        as_recorded=False,
     )
-    written = read_study(folder / "study.toml")
-    return read_logs(written), written
+    simulated = read_study(folder / "study.toml")
+    return read_logs(simulated), simulated
 
 
 @pytest.fixture(scope="session")
 def horizontal_arm(tmp_path_factory: pytest.TempPathFactory) -> Input:
-    """Without gravity, with a PRBS record of either joint."""
+    """Arm without gravity: motion records and a PRBS record of each joint."""
     return _simulated(tmp_path_factory.mktemp("horizontal"), vertical=False)
 
 
 @pytest.fixture(scope="session")
 def vertical_arm(tmp_path_factory: pytest.TempPathFactory) -> Input:
-    """Under gravity, with motions alone."""
+    """Arm with gravity: motion records only."""
     return _simulated(tmp_path_factory.mktemp("vertical"), vertical=True)
 
 
 @pytest.fixture(scope="session", params=["horizontal", "vertical"])
 def arm(request: pytest.FixtureRequest) -> Input:
-    """Either arm."""
-    given: Input = request.getfixturevalue(f"{request.param}_arm")
-    return given
+    """Run the test on the horizontal and on the vertical arm."""
+    selected: Input = request.getfixturevalue(f"{request.param}_arm")
+    return selected
 
 
 @pytest.fixture(scope="session")
 def small_arm() -> Input:
-    """The small arm of the repository, which is not made by the program's own simulator."""
+    """Small arm of the repository, simulated with an independent simulator."""
     study = read_study(Path(__file__).parents[2] / "data" / "small-arm" / "study.toml")
     return read_logs(study), study

@@ -1,4 +1,4 @@
-"""Turning points of an encoder are no end of its range; a sensor at its end is."""
+"""The saturation check detects clipped sensors and ignores reversals, rests and slow peaks."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_an_angle_that_turns_is_not_clipped(
 
 @given(share=st.floats(0.4, 0.8), hz=st.floats(0.6, 20.0))
 def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
-    swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # no period of whole samples
+    swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # The period is not a whole number of samples.
     clipped = rounded(np.clip(swing, -share, share), 131072)
     assert found(clipped) == ["theta_l1"]
     assert found(clipped, motor=100.0 * swing) == ["theta_l1"]

@@ -1,4 +1,4 @@
-"""Faults of the input are named by the right code and number; clean input is silent."""
+"""The input check reports each fault with its code and factor, and accepts fault-free input."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ DEGREE = np.pi / 180.0
 
 
 def the_one(given: Input) -> Suspicion:
-    found = check(*given).suspected
-    assert len(found) == 1, [each.message for each in found]
-    return found[0]
+    suspicions = check(*given).suspected
+    assert len(suspicions) == 1, [each.message for each in suspicions]
+    return suspicions[0]
 
 
 def with_joint(given: Input, joint: int, **keys: Any) -> Input:
@@ -50,7 +50,7 @@ def test_clean_input_is_silent(arm: Input) -> None:
 
 @pytest.mark.parametrize("number", [23, 38, 71, 88, 98, 107, 133, 144])
 def test_a_short_motion_is_vague_and_not_wrong(number: int) -> None:
-    """6 s of healthy arms whose joints turn alike, whose servo lags, or that are nearly still."""
+    """Fault-free records of 6 s: similar motion of both joints, servo lag, or almost no motion."""
     assert suspected(number) == ()
 
 
@@ -87,39 +87,39 @@ def test_real_arms_are_silent(name: str, shared_data: Path) -> None:
 def test_units_and_signs_are_named(
     arm: Input, name: str, factor: float, code: str, said: str
 ) -> None:
-    found = the_one(changed(arm, **{name: factor}))
-    assert (found.code, found.where) == (code, name)
-    assert found.factor == pytest.approx(factor, rel=1e-3)
-    assert said in found.message
-    # mended as it says, nothing is left to say
-    assert f'channels.{name} = {{ column = "{name}", scale = {1.0 / factor:.7g}' in found.remedy
+    suspicion = the_one(changed(arm, **{name: factor}))
+    assert (suspicion.code, suspicion.where) == (code, name)
+    assert suspicion.factor == pytest.approx(factor, rel=1e-3)
+    assert said in suspicion.message
+    # The remedy states the correction that removes the fault.
+    assert f'channels.{name} = {{ column = "{name}", scale = {1.0 / factor:.7g}' in suspicion.remedy
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
 def test_the_unit_of_time_is_named(arm: Input, factor: float, unit: str) -> None:
     logs, study = arm
-    slow = tuple(
+    rescaled = tuple(
         replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
     )
-    found = the_one((slow, study))
-    assert (found.code, found.where) == ("wrong-unit", "t")
-    assert found.factor == pytest.approx(factor)
-    assert unit in found.message
+    suspicion = the_one((rescaled, study))
+    assert (suspicion.code, suspicion.where) == ("wrong-unit", "t")
+    assert suspicion.factor == pytest.approx(factor)
+    assert unit in suspicion.message
 
 
 @pytest.mark.parametrize("kind", ["a", "u", "theta_m"])
 def test_swapped_joints_are_named(arm: Input, kind: str) -> None:
-    found = the_one(swapped(arm, kind))
-    assert (found.code, found.where) == ("swapped-channels", f"{kind}1, {kind}2")
-    assert f'channels.{kind}1 = "{kind}2"' in found.remedy
+    suspicion = the_one(swapped(arm, kind))
+    assert (suspicion.code, suspicion.where) == ("swapped-channels", f"{kind}1, {kind}2")
+    assert f'channels.{kind}1 = "{kind}2"' in suspicion.remedy
 
 
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("ratio", [1.0, 0.02, 0.005])
 def test_gear_ratios_are_named(arm: Input, joint: int, ratio: float) -> None:
-    found = the_one(with_joint(arm, joint, gear_ratio=ratio))
-    assert (found.code, found.where) == ("wrong-gear-ratio", f"joint {joint} gear_ratio")
-    assert found.factor == pytest.approx(ratio / 0.01, rel=0.03)
+    suspicion = the_one(with_joint(arm, joint, gear_ratio=ratio))
+    assert (suspicion.code, suspicion.where) == ("wrong-gear-ratio", f"joint {joint} gear_ratio")
+    assert suspicion.factor == pytest.approx(ratio / 0.01, rel=0.03)
 
 
 @pytest.mark.parametrize("degrees", [-10.0, 10.0])
@@ -137,7 +137,7 @@ def test_an_encoder_s_zero_is_no_gear_ratio(arm: Input, degrees: float) -> None:
 def test_a_table_that_tilts_is_no_gear_ratio(arm: Input, degrees: float) -> None:
     logs, study = arm
     ratios = np.array([joint.gear_ratio for joint in study.arm.joints])
-    where = 0.5 * np.pi if study.arm.gravity else 0.5  # an upright arm has it turned
+    where = 0.5 * np.pi if study.arm.gravity else 0.5  # The tilt of a vertical arm rotates gravity.
     tilted = []
     for log in logs:
         angle = np.cumsum([n * log.channels[f"theta_m{i}"] for i, n in enumerate(ratios, 1)], 0)
@@ -149,11 +149,14 @@ def test_a_table_that_tilts_is_no_gear_ratio(arm: Input, degrees: float) -> None
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None:
-    right = arm[1].arm.joints[joint - 1].accelerometer_distance or 0.0
-    found = the_one(with_joint(arm, joint, accelerometer_distance=right + 0.35))
-    assert (found.code, found.where) == ("wrong-geometry", f"joint {joint} accelerometer_distance")
-    assert found.factor == pytest.approx((right + 0.35) / right, rel=0.03)
-    assert "measured from axis 1" in found.message
+    true_distance = arm[1].arm.joints[joint - 1].accelerometer_distance or 0.0
+    suspicion = the_one(with_joint(arm, joint, accelerometer_distance=true_distance + 0.35))
+    assert (suspicion.code, suspicion.where) == (
+        "wrong-geometry",
+        f"joint {joint} accelerometer_distance",
+    )
+    assert suspicion.factor == pytest.approx((true_distance + 0.35) / true_distance, rel=0.03)
+    assert "measured from axis 1" in suspicion.message
 
 
 @pytest.mark.parametrize(("joint", "factor"), [(1, 1.05), (2, 1.05), (2, 0.9)])
@@ -165,38 +168,38 @@ def test_the_rigid_fit_holds_torque_constants_against_each_other(
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
     write_study(study, tmp_path / "study.toml")
-    found = pipeline.identify(tmp_path / "study.toml", stages=["rigid"])
-    assert found.verdict.status == "inconsistent-input"
-    (torques,) = found.suspected
-    assert (torques.code, torques.where) == ("wrong-torque-constant", "torque_per_volt")
-    assert torques.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.01)
-    assert "[[joint]] 2 by it" in torques.remedy
+    result = pipeline.identify(tmp_path / "study.toml", stages=["rigid"])
+    assert result.verdict.status == "inconsistent-input"
+    (suspicion,) = result.suspected
+    assert (suspicion.code, suspicion.where) == ("wrong-torque-constant", "torque_per_volt")
+    assert suspicion.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.01)
+    assert "[[joint]] 2 by it" in suspicion.remedy
 
 
 def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     logs, study = small_arm
     motion = [log for log in logs if log.experiment.use == "motion"]
-    found = rigid.fit([motor_side(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm))
-    assert found.torque_ratio is not None
-    value, std = found.torque_ratio
+    estimate = rigid.fit([motor_side(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm))
+    assert estimate.torque_ratio is not None
+    value, std = estimate.torque_ratio
     assert abs(value - 1.0) < 4.0 * std + 1e-3
     assert std < 0.01
 
 
 def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
     e = small_arm[1].arm.joints[0].torque_per_volt or 1.0
-    found = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
-    assert found.code == "wrong-torque-constant"
-    assert "about" in found.remedy
-    assert found.factor == pytest.approx(10.0, rel=0.3)
+    suspicion = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
+    assert suspicion.code == "wrong-torque-constant"
+    assert "about" in suspicion.remedy
+    assert suspicion.factor == pytest.approx(10.0, rel=0.3)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
 def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -> None:
     n = small_arm[1].arm.joints[1].gear_ratio
-    found = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
-    assert (found.code, found.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
-    assert found.factor == pytest.approx(factor, rel=0.02)
+    suspicion = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
+    assert (suspicion.code, suspicion.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
+    assert suspicion.factor == pytest.approx(factor, rel=0.02)
 
 
 @pytest.mark.parametrize(
@@ -207,52 +210,52 @@ def test_geometry_and_scale_are_no_gear_ratio(
 ) -> None:
     logs, study = changed(small_arm, a2=scale)
     longer = replace(study.arm, link_length=length * (study.arm.link_length or 0.0))
-    found = the_one((logs, replace(study, arm=longer)))
-    assert found.where == where
-    assert found.factor == pytest.approx(length * scale, rel=0.02)
+    suspicion = the_one((logs, replace(study, arm=longer)))
+    assert suspicion.where == where
+    assert suspicion.factor == pytest.approx(length * scale, rel=0.02)
 
 
 def test_a_millisecond_is_left_to_the_whole_arm_fit(arm: Input) -> None:
-    late = delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 1e-3, 0.0)
-    assert check(*late).suspected == ()
+    delayed_input = delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 1e-3, 0.0)
+    assert check(*delayed_input).suspected == ()
 
 
 def test_a_large_delay_is_named(arm: Input) -> None:
-    found = the_one(delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 2e-2, 0.0))
-    assert found.code == "misaligned"
-    assert found.delay_s == pytest.approx(2e-2, rel=0.1)
+    suspicion = the_one(delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 2e-2, 0.0))
+    assert suspicion.code == "misaligned"
+    assert suspicion.delay_s == pytest.approx(2e-2, rel=0.1)
 
 
 def test_another_clock_is_named(arm: Input) -> None:
-    fast = 1.5e-3 if arm[1].arm.gravity else 1e-3  # gravity leaves less that moves with the clock
-    found = the_one(delayed(arm, ("a1", "a2"), 0.0, fast))
-    assert (found.code, found.where) == ("clock-drift", "a1, a2")
-    assert found.factor == pytest.approx(1.0 + fast, abs=3e-4)
+    rate = 1.5e-3 if arm[1].arm.gravity else 1e-3  # Gravity reduces the sensitivity.
+    suspicion = the_one(delayed(arm, ("a1", "a2"), 0.0, rate))
+    assert (suspicion.code, suspicion.where) == ("clock-drift", "a1, a2")
+    assert suspicion.factor == pytest.approx(1.0 + rate, abs=3e-4)
 
 
 def test_a_clipped_sensor_is_named(arm: Input) -> None:
     logs, study = arm
     top = max(float(log.channels["a2"].max()) for log in logs)
-    low = tuple(
+    clipped_logs = tuple(
         replace(log, channels={**log.channels, "a2": np.minimum(log.channels["a2"], 0.6 * top)})
         for log in logs
     )
-    found = check(low, study).suspected
-    assert [(each.code, each.where) for each in found] == [("clipped", "a2")]
+    suspicions = check(clipped_logs, study).suspected
+    assert [(each.code, each.where) for each in suspicions] == [("clipped", "a2")]
 
 
 def test_a_fault_ends_in_exit_code_3_with_its_remedy(arm: Input, tmp_path: Path) -> None:
-    """The rigid model asks nothing of the accelerometers and is given; nothing else is."""
+    """The result contains only the rigid model, which does not use the accelerometers."""
     logs, study = changed(arm, a1=1.0 / 9.80665)
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": log.time, **log.channels})
     write_study(study, tmp_path / "study.toml")
-    found = pipeline.identify(tmp_path / "study.toml")
-    assert found.verdict.status == "inconsistent-input"
-    assert [each.where for each in found.suspected] == ["a1"]
-    assert found.rigid is not None
-    assert not found.joints
-    assert found.tuned is None
+    result = pipeline.identify(tmp_path / "study.toml")
+    assert result.verdict.status == "inconsistent-input"
+    assert [each.where for each in result.suspected] == ["a1"]
+    assert result.rigid is not None
+    assert not result.joints
+    assert result.tuned is None
 
 
 def test_time_in_milliseconds_leaves_no_traceback(arm: Input, tmp_path: Path) -> None:
@@ -260,6 +263,6 @@ def test_time_in_milliseconds_leaves_no_traceback(arm: Input, tmp_path: Path) ->
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": 1e3 * log.time, **log.channels})
     write_study(study, tmp_path / "study.toml")
-    found = pipeline.identify(tmp_path / "study.toml")
-    assert found.verdict.status == "inconsistent-input"
-    assert found.rigid is None
+    result = pipeline.identify(tmp_path / "study.toml")
+    assert result.verdict.status == "inconsistent-input"
+    assert result.rigid is None

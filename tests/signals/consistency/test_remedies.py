@@ -1,4 +1,4 @@
-"""Every remedy, obeyed, makes the input consistent: faults in, corrections out, checked again."""
+"""Applying the remedy of each simulated fault makes the input consistent."""
 
 from __future__ import annotations
 
@@ -92,8 +92,8 @@ def timed(factor: float) -> Fault:
 def keyed(*corrections: Correction) -> Fault:
     def fault(given: Input) -> Input:
         study = corrected_study(given[1], corrections)
-        own = {each.name: each for each in study.experiments}
-        return tuple(replace(log, experiment=own[log.name]) for log in given[0]), study
+        by_name = {each.name: each for each in study.experiments}
+        return tuple(replace(log, experiment=by_name[log.name]) for log in given[0]), study
 
     return fault
 
@@ -147,7 +147,7 @@ VERTICAL: dict[str, tuple[Fault, tuple[str, ...]]] = {
 
 
 def obeyed(given: Input, corrections: Sequence[Correction]) -> Input:
-    """The input after what the remedies ask for, read anew."""
+    """Apply corrections to the logs and the study, and read the input again."""
     logs, study = given
     data = {}
     for log in logs:
@@ -199,9 +199,9 @@ def test_an_obeyed_remedy_of_gravity(vertical_arm: Input, fault: str) -> None:
 
 def test_the_delay_of_a_command_is_known_to_a_tenth_of_a_millisecond(horizontal_arm: Input) -> None:
     for delay in (1.5e-3, 3e-3, 1e-2):
-        (found,) = check(*delayed(delay, "u1")(horizontal_arm)).suspected
-        assert found.delay_s == pytest.approx(delay, abs=1e-4)
-        assert found.where == "u1"
+        (suspicion,) = check(*delayed(delay, "u1")(horizontal_arm)).suspected
+        assert suspicion.delay_s == pytest.approx(delay, abs=1e-4)
+        assert suspicion.where == "u1"
 
 
 def test_a_delay_within_a_sample_is_no_fault(horizontal_arm: Input) -> None:
