@@ -69,13 +69,14 @@ impl<R: Real, const N: usize> Modes<R, N> {
     }
 }
 
-/// The first joint that bears the weight of the `i`-th link: the first one if axes are parallel.
+/// The first joint that carries the load of the `i`-th link: the first joint if axes are parallel,
+/// else the link's.
 pub(crate) const fn first_bearing<A: Arm<N>, const N: usize>(i: usize) -> usize {
     if A::PLANAR { 0 } else { i }
 }
 
-/// Angle of the `i`-th link in space [rad], or its joint angle if axes are not parallel; likewise
-/// velocities.
+/// Angle of the `i`-th link in space [rad], or its joint angle if axes are not parallel. The same
+/// function applies to velocities.
 #[inline(always)]
 pub(crate) fn angle_in_space<A: Arm<N>, R: Real, const N: usize>(of_links: &[R; N], i: usize) -> R {
     let mut angle = of_links[i];

@@ -46,7 +46,7 @@ impl<R: Real> Effect<R> for Backlash<R> {
         torsion - self.half * torsion / widest
     }
 
-    /// The middle of the dead band at zero strain; slightly off below [`LEAST`].
+    /// The middle of the dead band at zero strain; approximate for strains below [`LEAST`].
     fn torsion(&self, strain: R) -> R {
         strain + self.half * strain / strain.abs().max(R::splat(LEAST))
     }

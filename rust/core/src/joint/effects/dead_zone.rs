@@ -1,4 +1,4 @@
-//! Dead zone of a drive: small commands do not move it.
+//! Dead zone of a drive: small commands have no effect.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, VOLTAGE};

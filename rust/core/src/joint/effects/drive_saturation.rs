@@ -1,4 +1,4 @@
-//! Saturation of a motor: its torque constant falls with current.
+//! Saturation of a motor: its torque constant decreases with current.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign};

@@ -56,7 +56,7 @@ impl<R: Real> Hysteresis<R> {
 /// Extremum between 0 and 1 of `a s + b s^2 + c s^3`, whose slopes at the ends have opposite signs.
 fn turning(a: f64, b: f64, c: f64) -> f64 {
     let discriminant = (b * b - 3.0 * a * c).max(0.0);
-    // the form of the quadratic's root that does not cancel in the common case b < 0
+    // form of the quadratic formula without cancellation in the common case b < 0
     (a / (discriminant.sqrt().copysign(a) - b)).clamp(0.0, 1.0)
 }
 
@@ -163,8 +163,8 @@ mod tests {
                 rate: rate + t * (acceleration + 0.5 * t * jerk),
             };
             let found = hysteresis().follow(z, &twist(0.0), &twist(time), time);
-            // The ends do not show two changes of sign; with jerks as small as these, that moves
-            // the reversal by less than a nanoradian.
+            // Two reversals between the ends are not detected. With jerks as small as these, the
+            // resulting error of the reversal is below a nanoradian.
             prop_assert!((found - integrated(z, angle, time)).abs() < 2e-5);
         }
 

@@ -1,4 +1,4 @@
-//! Dry friction that grows with the torque of the gear.
+//! Coulomb friction that increases with the torque of the gear.
 
 use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign};

@@ -1,4 +1,4 @@
-//! Friction that grows with a power of the velocity, such as that of grease.
+//! Friction that increases with a power of the velocity, such as that of grease.
 
 use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE};

@@ -4,7 +4,7 @@ use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
 use crate::parameter::{Parameter, Sign, TORQUE, VELOCITY};
 use crate::scalar::Real;
 
-/// Friction beyond Coulomb's that falls with velocity: f_S exp(-(dtheta_M/w_s)^2).
+/// Friction in excess of Coulomb friction that decreases with velocity: f_S exp(-(dtheta_M/w_s)^2).
 #[derive(Clone, Copy, Debug)]
 pub struct Stribeck<R> {
     /// f_S [N m] at the motor.

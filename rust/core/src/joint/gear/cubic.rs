@@ -1,11 +1,11 @@
-//! A stiffness that grows with the square of the torsion: T = k_G delta + k_3 delta^3.
+//! A stiffness that increases with the square of the torsion: T = k_G delta + k_3 delta^3.
 
 use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign};
 use crate::scalar::Real;
 
-/// The cubic law, the first two terms of any odd smooth one (Tuttle and Seering, IEEE Transactions
-/// on Robotics and Automation 12(3), 1996).
+/// The cubic law: the first two terms of the series of any odd smooth law (Tuttle and Seering, IEEE
+/// Transactions on Robotics and Automation 12(3), 1996).
 #[derive(Clone, Copy, Debug)]
 pub struct Cubic;
 
