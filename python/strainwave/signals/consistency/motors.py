@@ -231,8 +231,9 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
         (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2)
 
     Returns the ratio and its standard deviation. The standard deviation is at least
-    abs(r - 1) / sqrt(cost(1) - cost(r)), the likelihood-ratio value for a ratio of 1. Returns None
-    for one joint, or if the motion does not determine the ratio.
+    abs(r - 1) sqrt(s / (cost(1) - cost(r))), the likelihood-ratio value for a ratio of 1, where s
+    is the cost per degree of freedom, at least 1. Returns None for one joint, or if the motion
+    does not determine the ratio.
     """
     if len(found) < 2 or found[0].shared != found[1].shared or not found[0].shared:
         return None

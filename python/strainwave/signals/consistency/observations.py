@@ -265,12 +265,12 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
         scales = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
         if not scales:
             continue
-        each = mean(part, [v for v, _ in scales], [s for _, s in scales])
+        observation = mean(part, [v for v, _ in scales], [s for _, s in scales])
         if part == "own":
-            own_agrees = abs(each.value - 1.0) < _SCALE_AGREES
+            own_agrees = abs(observation.value - 1.0) < _SCALE_AGREES
         if part == "elbow" and own_agrees:  # The scale of the sensor is correct.
-            each = replace(each, tolerance=_LENGTH_TOLERANCE)
-        yield each
+            observation = replace(observation, tolerance=_LENGTH_TOLERANCE)
+        yield observation
     turns = [e.turn for e in kept if e.turn is not None]
     if turns:
         yield mean("turn", [v for v, _ in turns], [s for _, s in turns])
