@@ -27,8 +27,8 @@ from strainwave.numerics.filters import (
 from strainwave.signals import link_motion as links
 from strainwave.signals.fusion import bias_of, complement, fuse
 
-INNER = slice(400, -400)
-SHARED = (Lag(2, 300.0),)
+INNER = slice(400, -400)  # samples without filter transients
+SHARED = (Lag(2, 300.0),)  # low-pass of both accelerometers
 
 
 @cache
@@ -144,9 +144,8 @@ def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
     t = SAMPLE * np.arange(8000)
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     fused = fuse(30.0 * np.cos(30.0 * t), np.sin(30.0 * t) + 5.0, fusion, SAMPLE)
-    assert fused == pytest.approx(
-        np.sin(30.0 * t) + 5.0, abs=2e-5
-    )  # trapezoidal rule: (w T)^2 / 12
+    # error of the trapezoidal rule: (w T)^2 / 12
+    assert fused == pytest.approx(np.sin(30.0 * t) + 5.0, abs=2e-5)
 
 
 @pytest.mark.parametrize(("order", "offset"), [(1, 0.2 * 0.5), (2, 0.2 * 0.5 * np.sqrt(2.0))])

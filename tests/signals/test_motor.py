@@ -21,7 +21,7 @@ from strainwave.virtual import scara
 from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
 
 TIME: FloatArray = CLOCK * np.arange(8000, dtype=np.float64)
-INNER = slice(1000, -1000)
+INNER = slice(1000, -1000)  # samples without filter transients
 
 
 def log_of(channels: dict[str, FloatArray]) -> Log:

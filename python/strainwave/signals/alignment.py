@@ -21,8 +21,8 @@ _FEW_LINES = 12  # minimum number of spectral lines minus the number of coeffici
 _MOST_STANDING = 0.2  # maximum share of a record at standstill; stiction resembles a delay
 _KNEES = (0.25, 0.7, 2.0)  # widths of the tanh terms, in standard deviations of the torque
 # [rad] phase error at the upper band edge, one standard deviation. Sensor: due to D_L and nonlinear
-# springs. Drive: due to Coulomb friction and the lag of the link sensor. Simulated arms without
-# delay have phase errors of up to twice these values.
+# springs. Drive: due to Coulomb friction and the lag of the link sensor. Arms without delay
+# showed phase errors of up to twice these values.
 _SENSOR_PHASE, _DRIVE_PHASE = 0.015, 0.05
 _HANN_CORRELATION = 1.5  # factor on standard deviations: a Hann window correlates adjacent lines
 
@@ -30,15 +30,18 @@ _HANN_CORRELATION = 1.5  # factor on standard deviations: a Hann window correlat
 def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     """Estimate the delay of a link acceleration relative to the motor encoder of joint i (from 0).
 
-    The spring gives n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ..., with the link
-    torques T linear in the base parameters. A delay D of the link sensor adds D times the
-    derivative of its contribution to ddtheta_L, and a scale 1 + e subtracts e times that
-    contribution. Least squares over the spectral lines in which the link moves estimates all
-    coefficients at once.
+    The spring gives
 
-    A nonlinear spring adds nonlinear functions of T if this joint is excited. Under the torque of
-    another joint the spring bends differently, which biases the delay by half a sample. D_L
-    increases D by d_L / k.
+        n ddtheta_M - ddtheta_L = (1/k) T'' - (d_G/k^2) T''' + ...,
+
+    with the link torques T linear in the base parameters. A delay D of the link sensor adds D times
+    the derivative of its contribution to ddtheta_L. A scale 1 + e subtracts e times that
+    contribution. Least squares over the spectral lines in which the link moves estimates all
+    coefficients at once. D_L increases D by d_L / k.
+
+    For a nonlinear spring, the regression includes nonlinear functions of T. They are accurate only
+    if this joint is excited; with another joint excited, the delay would be biased by half a
+    sample.
 
     Returns None if the link has no sensor, if the record has too few spectral lines, or if the
     spring is nonlinear and only another joint is excited.
@@ -138,6 +141,7 @@ def _torque_columns(signals: LinkSignals, arm: Arm, acceleration: FloatArray) ->
 
 
 def _slope(signal: FloatArray, sample_time: float, order: int) -> FloatArray:
+    """Time derivative of the given order."""
     for _ in range(order):
         signal = differentiate(signal, sample_time)
     return signal

@@ -28,7 +28,7 @@ from strainwave.dynamics.mounting import (
 )
 from strainwave.dynamics.rotations import angles, attitude
 
-Key = tuple[str, int | None]
+Key = tuple[str, int | None]  # parameter name, joint
 
 _TRIED = 16  # number of best starting values from which the search continues
 _STEPS = 120  # maximum number of iterations of each search

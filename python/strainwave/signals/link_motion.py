@@ -48,6 +48,7 @@ __all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"
 
 _EDGE = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
 _SPREAD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
+# Channel of each link sensor, without the joint number
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
 _UNSURE = 4.0  # standard deviations of a velocity below which its sign is uncertain
 _BRIDGED = 0.005  # [s] maximum duration of an interpolated stretch that linear models use
@@ -59,14 +60,14 @@ _PASSES = 4
 def both_sides(
     logs: Sequence[Log], arm: Arm, options: LinkOptions | None = None
 ) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
-    """Motor-side and link-side motion of several records, corrected for the delays of link sensors.
+    """Compute motor-side and link-side motion of several records, corrected for sensor delays.
 
     A delay belongs to a sensor and is the same in all records. It is estimated from all of them,
     see `strainwave.signals.alignment`. The channel is shifted by the delay if it exceeds four
     standard deviations and if no delay exceeds `LONGEST_DELAY`.
 
     Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
-    InvalidInput as `link_side`.
+    InvalidInput under the same conditions as `link_side`.
     """
     total = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_PASSES):

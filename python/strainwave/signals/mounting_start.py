@@ -19,9 +19,9 @@ from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import imu_starts
 
-Key = tuple[str, int | None]
+Key = tuple[str, int | None]  # parameter name, joint
 
-_SLOW = 2.0  # [Hz] upper limit of the band in which links follow motors; resonances are near 10 Hz
+_SLOW = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
 _PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
 _EDGE = 1.0  # excluded edge of a record, in periods of the cutoff (low-pass transient)
 _LEAST = 64  # minimum number of samples of a record

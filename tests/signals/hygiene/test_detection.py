@@ -32,7 +32,7 @@ CERTAIN: dict[hygiene.Kind, float] = {
 
 ARM = Arm.of(scara.study(Path(), "linear").arm)
 TIME: FloatArray = np.arange(12_000, dtype=np.float64) * 2.5e-4
-COUNT = 2.0 * np.pi / 8192
+COUNT = 2.0 * np.pi / 8192  # [rad] of the simulated encoder
 rng = np.random.default_rng
 
 

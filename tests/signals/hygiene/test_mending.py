@@ -22,7 +22,7 @@ from strainwave.signals.link_motion import link_side
 from strainwave.signals.motor import motor_side
 
 ARM = Arm.of(rig().arm)
-CUTOFF = 100.0
+CUTOFF = 100.0  # [Hz] low-pass of the whole-arm dataset
 
 
 @cache

@@ -15,10 +15,13 @@ Kind = Literal["spikes", "frozen", "encoder-steps", "flat-tops", "mains-hum"]
 """Kinds of defects, which are also warning codes; see docs/troubleshooting.md."""
 
 ENCODERS = ("theta_m", "theta_l", "deflection")
+"""Angle sensors."""
+
 NOISY = ("a", "gyro", "ax", "ay", "az", "gx", "gy", "gz")
 """Sensors whose reading changes from sample to sample because of noise or motion."""
 
 INPUTS = ("u", "torque")
+"""Motor inputs."""
 
 _MOST_SAMPLES = 65_536  # maximum number of samples for statistics of the changes of a channel
 _USUAL = 0.995  # quantile of the absolute changes that defines the usual change

@@ -9,6 +9,7 @@ from strainwave.signals.hygiene.defects import Defect, Kind
 
 _LISTED = 4  # maximum number of stretches that a warning lists
 
+# Recommended action for each kind of defect
 _REMEDY: Mapping[Kind, str] = {
     "spikes": "Check the cable, its shield and the plug",
     "frozen": "Look for lost packets, a loose plug, or a sensor that hangs",
