@@ -60,19 +60,19 @@ def not_exercised(found: Identification) -> str:
 
     Returns a clause without a full stop.
     """
-    moving = [check for check in found.checks if not check.of_drive]
+    motion_checks = [check for check in found.checks if not check.of_drive]
     record = (
         'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage '
         "of every motor and the servo's references"
     )
     if found.tuned is None:
         return "there is no whole-arm fit to predict with"
-    if not moving:
+    if not motion_checks:
         return f"no check record can be simulated; {record}"
-    missed = ", ".join(check.experiment for check in moving if check.unexplained)
-    if missed:
-        return f"the whole-arm fit does not predict {missed}"
-    names = ", ".join(dict.fromkeys(check.experiment for check in moving))
+    unpredicted = ", ".join(check.experiment for check in motion_checks if check.unexplained)
+    if unpredicted:
+        return f"the whole-arm fit does not predict {unpredicted}"
+    names = ", ".join(dict.fromkeys(check.experiment for check in motion_checks))
     return f"{names} would be predicted alike with other gear stiffness; {record}"
 
 
@@ -84,15 +84,15 @@ def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple
     about one of its joints ("prbs-j1, joint 1"), are merged. The order is that of the first warning
     of each cause.
     """
-    alike: dict[tuple[str, ...], list[Diagnostic]] = {}
+    groups: dict[tuple[str, ...], list[Diagnostic]] = {}
     for each in warnings:
         cause = (
             (each.code, _NUMBER.sub("#", _without_place(each)))
             if _record(each) in experiments
             else (each.code, each.where, each.message)
         )
-        alike.setdefault(cause, []).append(each)
-    return tuple(_one(group, experiments) for group in alike.values())
+        groups.setdefault(cause, []).append(each)
+    return tuple(_one(group, experiments) for group in groups.values())
 
 
 def _record(warning: Diagnostic) -> str:

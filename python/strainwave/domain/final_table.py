@@ -98,23 +98,23 @@ def decide(
     Returns one decision for each parameter and joint: parameters of the whole arm first, then joint
     by joint.
     """
-    faulty = min((first_faulty(one, study) for one in suspected), default=_NONE)
+    first_faulty_stage = min((first_faulty(one, study) for one in suspected), default=_NONE)
     table: _Table = {}
     if rigid is not None:
         table = _plausible(rigid.parameters, "rigid", spread_to_all=False)
-    if faulty <= _RIGID:
+    if first_faulty_stage <= _RIGID:
         table = _all_rejected(table.values(), _FAULT)
-    decided = [one for one in joints if not _discard(table, one, faulty)]
-    for joint in decided:
+    accepted = [one for one in joints if not _discard(table, one, first_faulty_stage)]
+    for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
     if tuned is not None:
-        _take_tuned(table, tuned, faulty)
+        _take_tuned(table, tuned, first_faulty_stage)
     else:
-        _make_consistent(table, study.arm, decided)
+        _make_consistent(table, study.arm, accepted)
     _one_spring(table, study, tuned is not None)
     _check_body(table)
-    levels = {one.joint: one for one in activity}
-    rows = [_decision(entry, study, levels) for entry in table.values()]
+    levels_by_joint = {one.joint: one for one in activity}
+    rows = [_decision(entry, study, levels_by_joint) for entry in table.values()]
     names = dict.fromkeys([*_FIRST_OF_A_JOINT, *parameter_table()])
     order = {name: place for place, name in enumerate(names)}
 
@@ -133,13 +133,15 @@ def first_faulty(suspicion: Suspicion, study: Study) -> int:
     stages.
     """
     words = re.findall(r"[A-Za-z0-9_]+", suspicion.where)
-    links = any(_LINK_SIDE.fullmatch(word) for word in words) or suspicion.code == "wrong-geometry"
-    motors = any(_MOTOR_SIDE.fullmatch(word) for word in words)
-    of_channel = _DECOUPLED if links and not motors else _RIGID
+    has_link_side = (
+        any(_LINK_SIDE.fullmatch(word) for word in words) or suspicion.code == "wrong-geometry"
+    )
+    has_motor_side = any(_MOTOR_SIDE.fullmatch(word) for word in words)
+    channel_stage = _DECOUPLED if has_link_side and not has_motor_side else _RIGID
     names = {e.name: e.use for e in study.experiments}
-    whole = re.split(r"[,;:\s]+", suspicion.where)
-    uses = [_STAGE_OF_USE.get(names[word], _NONE) for word in whole if word in names]
-    return max(of_channel, min(uses, default=_RIGID))
+    places = re.split(r"[,;:\s]+", suspicion.where)
+    uses = [_STAGE_OF_USE.get(names[word], _NONE) for word in places if word in names]
+    return max(channel_stage, min(uses, default=_RIGID))
 
 
 def _key(parameter: Parameter) -> Key:
@@ -184,8 +186,8 @@ def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
     if faulty <= _DECOUPLED:
         entries = _all_rejected(entries.values(), _FAULT)
     elif joint.status == "implausible":
-        whys = {e.rejected for e in entries.values()} - {""}
-        entries = _all_rejected(entries.values(), next(iter(whys), _WRONG_MODEL))
+        reasons = {e.rejected for e in entries.values()} - {""}
+        entries = _all_rejected(entries.values(), next(iter(reasons), _WRONG_MODEL))
     if not any(entry.rejected for entry in entries.values()):
         return False
     for key, entry in entries.items():
@@ -225,17 +227,17 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
 
 def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
     """Values that a likely effect would shift significantly, each with the reason for rejection."""
-    moved: dict[Key, str] = {}
+    reasons: dict[Key, str] = {}
     for cause in tuned.criticism.causes if tuned.criticism else ():
-        why = (
+        reason = (
             f"{cause.effect} of joint {cause.joint}, which explains part of the residuals, would"
             f" move it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"
         )
-        for each in cause.shifts:
-            large = abs(each.shift) > MAX_EFFECT_SHIFT * abs(each.without)
-            if large and abs(each.deviations) > _REACH:
-                moved.setdefault((each.name, each.joint), why)
-    return moved
+        for shift in cause.shifts:
+            is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
+            if is_large and abs(shift.deviations) > _REACH:
+                reasons.setdefault((shift.name, shift.joint), reason)
+    return reasons
 
 
 def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[JointModel]) -> None:
@@ -326,17 +328,20 @@ def _check_body(table: _Table) -> None:
 
 def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
     """Decide one row: accept its value, set it to zero, or reject it."""
-    p, why = entry.parameter, entry.rejected
-    if p.value is not None and not why and not is_physical(p.name, p.value):
+    p, reason = entry.parameter, entry.rejected
+    if p.value is not None and not reason and not is_physical(p.name, p.value):
         nearest = _at_zero(p, study, levels)
         if nearest is not None:
             return Decision(nearest, identified=True)
-        why = f"{p.value:.3g} {p.unit} is no value that an arm has"
-    if p.value is None or why:
-        empty = replace(p, value=None, std=None, ci95=None)
+        reason = f"{p.value:.3g} {p.unit} is no value that an arm has"
+    if p.value is None or reason:
+        without_value = replace(p, value=None, std=None, ci95=None)
         # without a value, there is nothing to reject
         return Decision(
-            empty, identified=False, rejected=why if p.value is not None else "", raw=p.value
+            without_value,
+            identified=False,
+            rejected=reason if p.value is not None else "",
+            raw=p.value,
         )
     return Decision(p, identified=_is_identified(p, study, levels))
 

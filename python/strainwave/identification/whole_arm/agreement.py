@@ -239,8 +239,8 @@ def _share(fit: Fit, shifted: FloatArray) -> float:
         return np.zeros((*evaluated.difference.shape, width))
 
     factor = fit.objective.bordered(fit.z, width, nothing, shifted)
-    own, target = factor[n:, n:-1], factor[n:, -1]
-    remaining = target - own @ np.linalg.lstsq(own, target)[0]
+    jacobian, target = factor[n:, n:-1], factor[n:, -1]
+    remaining = target - jacobian @ np.linalg.lstsq(jacobian, target)[0]
     return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))
 
 

@@ -204,9 +204,9 @@ def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -
     labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
     sums = np.zeros((len(labels), n))
     np.add.at(sums, segment, gradients)
-    root_curvature = np.sqrt(1.0 + rows.residual**2)
-    curved = shared / root_curvature.reshape(-1, 1)
-    columns = shared.reshape(-1, width, n) * (rows.root * root_curvature)[..., None]
+    robust_scale = np.sqrt(1.0 + rows.residual**2)
+    scaled = shared / robust_scale.reshape(-1, 1)
+    columns = shared.reshape(-1, width, n) * (rows.root * robust_scale)[..., None]
     steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
     for k, channel in enumerate(record.channels):
         errors = _autocovariance(rows.residual[:, k], float(noise[k]))
@@ -216,7 +216,7 @@ def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -
         own_noise[: len(filtered)] = errors[0] * share * _softened(filtered / filtered[0])
         covariances = gradient_covariances(columns[:, k], (errors, own_noise))
         steady, of_noise = steady + covariances[0], of_noise + covariances[1]
-    return _Evidence(sums, shared.T @ shared, curved.T @ curved, steady, of_noise)
+    return _Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
 
 
 def _softened(correlation: FloatArray) -> FloatArray:

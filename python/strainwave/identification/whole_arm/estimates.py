@@ -22,7 +22,8 @@ from strainwave.identification.whole_arm.parametrisation import (
     combination,
 )
 
-_IDENTIFIED = 0.3  # maximum relative standard deviation of a published parameter
+# maximum relative standard deviation of a published viscous friction, slope or knee
+_IDENTIFIED = 0.3
 _OFF = 1e-6  # step of mounting unknowns for central differences [m or rad]
 _REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _NOT_REACHED = (
