@@ -64,6 +64,7 @@ def test_lags_have_their_step_response(order: int) -> None:
 
 
 def test_a_straight_signal_comes_late_by_the_lag() -> None:
+    """The delay of a ramp is the sum of the delays of the low-pass filters."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     ramp = lagged(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE)
     late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
@@ -71,6 +72,7 @@ def test_a_straight_signal_comes_late_by_the_lag() -> None:
 
 
 def test_the_current_loop_is_the_drives() -> None:
+    """The current-loop lag reproduces the simulated motor torque."""
     _, run = run_of(None, None)
     torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
     # The simulated voltage is zero before the first sample; its transient is excluded.
@@ -96,6 +98,7 @@ def test_an_angle_keeps_its_size_behind_a_lag() -> None:
 
 @pytest.mark.parametrize("between", ["smooth", "held", "straight"])
 def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -> None:
+    """The delay of a ramp is the sum of the lags, plus half a sample if it is held."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
     late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
@@ -150,6 +153,7 @@ def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
 
 @pytest.mark.parametrize(("order", "offset"), [(1, 0.2 * 0.5), (2, 0.2 * 0.5 * np.sqrt(2.0))])
 def test_a_bias_ends_as_an_offset(order: int, offset: float) -> None:
+    """A constant bias of the rate causes a constant offset of the fused signal."""
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     fused = fuse(np.full(40000, 0.5), np.zeros(40000), fusion, SAMPLE)
     assert fused[-1] == pytest.approx(offset, rel=1e-3)
@@ -165,6 +169,7 @@ def test_the_complement_rolls_off_with_its_order() -> None:
 
 
 def test_a_bias_is_found_beside_a_vibration() -> None:
+    """A vibration of the spring does not affect the bias estimate."""
     t = SAMPLE * np.arange(16000)
     w = 2.0 * np.pi * 13.0
     motor = 0.4 * np.sin(2.0 * t)
@@ -177,6 +182,7 @@ def test_a_bias_is_found_beside_a_vibration() -> None:
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
+    """Without noise and quantization, the link motion equals the filtered simulation."""
     study, run = run_of(gravity, None)
     motion = links.link_side(log_of(run), Arm.of(study.arm))
     assert motion.shared == SHARED
@@ -194,6 +200,7 @@ def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
 
 
 def test_biases_are_taken_off_and_reported() -> None:
+    """Accelerometer biases are subtracted and reported in the signals."""
     study, run = run_of()
     log = log_of(run)
     a1 = log.channels["a1"] + 0.12
@@ -207,6 +214,7 @@ def test_biases_are_taken_off_and_reported() -> None:
 
 
 def test_the_fusion_shows_how_wrong_it_is() -> None:
+    """The estimated fusion error agrees with the true error within a factor of 1.6."""
     study, run = run_of(None, None)
     truth = lagged(run["link_velocity"], SHARED, SAMPLE)
     errors = []
@@ -287,6 +295,7 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("samples", [-4, 4])
 def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
+    """A shift of one channel is estimated as a delay and reported, without correction."""
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
     reference = links.link_side(log, Arm.of(study.arm))
@@ -332,6 +341,7 @@ def test_late_link_sensors_are_moved_back_in_all_records() -> None:
 
 
 def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
+    """A delay above `LONGEST_DELAY` is reported but not corrected."""
     study, run = run_of()
     log = log_of(run, 1, seed=3)
     (motion,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))
@@ -402,6 +412,7 @@ def test_lab_channels_are_aligned_until_one_is_moved(
 
 
 def test_what_cannot_be_used_is_refused() -> None:
+    """Missing parameters and short records raise InvalidInput."""
     study, run = run_of()
     log = log_of(run)
     without_distance = tuple(

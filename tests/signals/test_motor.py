@@ -73,6 +73,7 @@ def test_encoder_noise_and_band_are_found() -> None:
 
 
 def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
+    """The torque is delayed by half a sample and the lag of the current loop."""
     joint = replace(rigid_drive().arm.joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
     w = 2.0 * np.pi * 5.0
     torque = signals.drive_torque(np.sin(w * TIME), joint, CLOCK)
@@ -187,6 +188,7 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
 @pytest.mark.parametrize("kept", [slice(None), slice(7, None, 13)])
 @pytest.mark.parametrize("cutoff", [2.0, 40.0, 450.0])
 def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slice) -> None:
+    """Filtering in blocks gives the same result as filtering the whole signal."""
     signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
     reference = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
     filtered = low_pass(signal, cutoff, 1e-3, kept=kept)
@@ -203,6 +205,7 @@ def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slic
 def test_free_friction_spans_constants_where_and_only_where_uncertain(
     directions: list[float], spacing: int
 ) -> None:
+    """The shapes sum to one at uncertain directions and to zero elsewhere."""
     direction = np.array(directions)
     total = np.zeros(len(direction))
     for first, shape in free_friction(direction, spacing):
@@ -211,6 +214,7 @@ def test_free_friction_spans_constants_where_and_only_where_uncertain(
 
 
 def test_sticking_is_found_where_the_arm_sticks() -> None:
+    """Certain directions agree with the sign of the velocity of a simulated arm."""
     study = scara.study(Path("nowhere"), "linear")
     motion = signals.motor_side(
         motion_log(study, scara.parameters(5, "linear"), 0), Arm.of(study.arm)

@@ -51,6 +51,7 @@ def test_an_open_joint_is_driven_by_its_voltage_and_a_servoed_one_by_its_prbs() 
 
 
 def test_what_the_recorded_input_needs_is_named() -> None:
+    """The error message names the missing servo or channel."""
     study, _ = rig_logs()
     log = log_named("step-j1")
     assert missing_recorded_input(Arm.of(study.arm), log) is None
@@ -106,6 +107,7 @@ def test_an_open_loop_record_is_predicted_too() -> None:
 
 
 def test_a_motor_that_stands_gets_no_fit() -> None:
+    """The fit percentage of a motor at standstill is NaN, with a warning."""
     study, _ = rig_logs()
     log = log_named("step-j1")
     channels = {**log.channels, "theta_m2": np.zeros(len(log))}

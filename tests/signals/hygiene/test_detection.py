@@ -78,6 +78,7 @@ def with_channel(log: Log, name: str, x: FloatArray) -> Log:
 
 
 def test_every_kind_can_be_drawn() -> None:
+    """Each kind of defect has a detector, sizes and a test size."""
     assert set(SIZES) == set(CERTAIN) == set(hygiene.DETECTORS)
 
 
@@ -86,6 +87,7 @@ def test_every_kind_can_be_drawn() -> None:
 def test_a_large_defect_is_named_wherever_it_is(
     kind: hygiene.Kind, seed: int, factor: float
 ) -> None:
+    """A sufficiently large defect is detected at any position."""
     size = CERTAIN[kind] * (1.0 if kind == "flat-tops" else factor)
     if kind == "encoder-steps":
         size = round(size)
@@ -150,6 +152,7 @@ def test_a_counter_that_wraps_is_unwrapped(bits: int, seed: int) -> None:
 
 
 def test_clean_logs_have_none() -> None:
+    """Logs without defects give no detection and no warning."""
     assert [found(log) for log in clean()] == [[], []]
     study = read_study(SMALL_ARM)
     assert hygiene.without_defects(read_logs(study), Arm.of(study.arm))[1] == ()
@@ -168,6 +171,7 @@ def test_clean_logs_have_none() -> None:
     ],
 )
 def test_shared_logs_have_none(name: str) -> None:
+    """Shared logs give no warning and are unchanged."""
     study = read_study(SHARED / name / "study.toml")
     logs = read_logs(study)
     usable, warnings = hygiene.without_defects(logs, Arm.of(study.arm))

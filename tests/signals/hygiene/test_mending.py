@@ -45,6 +45,7 @@ def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -
     st.floats(-3.0, 3.0),
 )
 def test_a_straight_line_is_bridged_by_itself(where: list[bool], slope: float) -> None:
+    """Linear interpolation restores a straight line exactly."""
     is_defective = np.array(where)
     is_defective[0] = is_defective[-1] = False
     x = slope * np.arange(len(is_defective))
@@ -88,6 +89,7 @@ def test_a_step_is_taken_off_in_whole_counts() -> None:
 def test_what_is_much_defective_is_not_used(
     channel: str, share: float, used: tuple[str, ...] | None
 ) -> None:
+    """A channel with many defects is excluded; a motor angle or input excludes the record."""
     stop = 4000 + int(share * len(log()))
     usable, left_out = mended(log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0, "")])
     if used is None:
@@ -110,6 +112,7 @@ def test_an_encoder_of_many_steps_is_not_used() -> None:
 
 
 def test_rigid_equations_leave_it_out() -> None:
+    """The rigid step excludes samples with defective torque or motion."""
     of_torque = motor_side(spoilt("u1", 5000, 5003), ARM)
     assert not of_torque.valid[5000:5003, 0].any()
     assert of_torque.valid[5000:5003, 1].all()
@@ -118,11 +121,13 @@ def test_rigid_equations_leave_it_out() -> None:
 
 
 def test_linear_models_go_on_through_a_short_bridge_only() -> None:
+    """Linear models use short interpolated stretches and exclude long ones."""
     assert link_side(spoilt("a1", 5000, 5003), ARM).valid[5000:5003].all()
     assert not link_side(spoilt("a1", 5000, 5100, "frozen"), ARM).valid[5000:5100].any()
 
 
 def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
+    """The whole-arm fit excludes rows whose filter includes defective samples."""
     record = dataset_of(spoilt("a2", 5000, 5003), ARM, CUTOFF)
     assert record.counted is not None
     names = [channel.name for channel in record.channels]
@@ -138,6 +143,7 @@ def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
 
 
 def test_masks_are_thinned_with_their_channels() -> None:
+    """Masks are decimated together with their channels."""
     record = coarsened(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
     assert record.counted is not None
     assert not record.counted.all()
