@@ -59,10 +59,10 @@ def pem(
 ) -> StateSpace:
     """Estimate a state-space model by the prediction-error method.
 
-    `data`: All records are fitted together; each has its own initial state.
-    `order`: None: the order of `start`. Use `select_order` to compare orders.
-    `start`: None: the better of two subspace estimates. A start with another sampling period is
-        converted.
+    - `data`: All records are fitted together; each has its own initial state.
+    - `order`: None: the order of `start`. Use `select_order` to compare orders.
+    - `start`: None: the better of two subspace estimates. A start with another sampling period is
+      converted.
 
     `status` is "converged"; "iteration-limit" or "stalled", both with a warning; or
     "not-determined" if the data do not determine all parameters. A warning also reports an output

@@ -63,13 +63,13 @@ def subspace(
 ) -> StateSpace:
     """Estimate a state-space model by a subspace method.
 
-    `data`: No row of the Hankel matrix spans two records.
-    `order`: None: the order with the largest ratio of successive singular values.
-    `method`: "auto" computes "moesp" and "predictor" and returns the one that predicts better.
-    `horizon`: Number of past samples, and of future samples, in a row. None: the order of an ARX
-        model by Akaike's criterion.
-    `feedthrough`: Whether each input acts on the outputs without delay. None: True for inputs with
-        first-order hold, because their slope depends on the next sample.
+    - `data`: No row of the Hankel matrix spans two records.
+    - `order`: None: the order with the largest ratio of successive singular values.
+    - `method`: "auto" computes "moesp" and "predictor" and returns the one that predicts better.
+    - `horizon`: Number of past samples, and of future samples, in a row. None: the order of an ARX
+      model by Akaike's criterion.
+    - `feedthrough`: Whether each input acts on the outputs without delay. None: True for inputs
+      with first-order hold, because their slope depends on the next sample.
 
     `status` is "estimated", or "not-determined" with a warning if the predictor diverges on the
     data.
