@@ -16,7 +16,7 @@ _NUMBER = re.compile(
 )
 """A number in a message, except joint numbers ("joint 2") and digits in names ("u1")."""
 _IN_JOINT = re.compile(r", joint (\d+)$")
-_OF_ONE_STAGE = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
+_STAGE_CODES = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
 """Codes of warnings about one parameter in one stage."""
 
 
@@ -27,7 +27,7 @@ def published_warnings(found: Identification) -> tuple[Diagnostic, ...]:
     the warnings of its stage. Each reason for rejection has one warning.
     """
     decisions = found.decisions
-    warnings = [*_still_true(found, decisions), *rejections(decisions)]
+    warnings = [*_current_warnings(found, decisions), *rejections(decisions)]
     warnings += model_defects(found)
     for size in implausible_joints(found.study.arm, found.parameters):
         warnings.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
@@ -51,7 +51,7 @@ def rejections(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
         joints = ", ".join(str(n) for n in sorted(n for n in joint_numbers if n is not None))
         where = f"joint {joints}" if joints and None not in joint_numbers else "arm"
         if len(rows) == 1:
-            where = _place(rows[0].parameter)
+            where = _place_name(rows[0].parameter)
         yield Diagnostic("rejected", where, f"{reason}; what it gave does not count: {values}")
 
 
@@ -92,7 +92,7 @@ def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple
             else (each.code, each.where, each.message)
         )
         groups.setdefault(cause, []).append(each)
-    return tuple(_one(group, experiments) for group in groups.values())
+    return tuple(_merge(group, experiments) for group in groups.values())
 
 
 def _record(warning: Diagnostic) -> str:
@@ -103,7 +103,7 @@ def _without_place(warning: Diagnostic) -> str:
     return warning.message.replace(_record(warning), "")
 
 
-def _one(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
+def _merge(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
     first = group[0]
     if _record(first) not in experiments:
         return first
@@ -121,13 +121,13 @@ def _one(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
     return replace(first, where=where, message=message, experiments=names)
 
 
-def _still_true(found: Identification, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
+def _current_warnings(found: Identification, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
     """Yield all warnings except those about parameters that a later stage decides."""
-    final = {_place(d.parameter): d for d in decisions}
+    final = {_place_name(d.parameter): d for d in decisions}
     tuned_warnings = set(found.tuned.warnings) if found.tuned is not None else set()
     for warning in found.warnings:
         decision = final.get(warning.where)
-        if warning.code in _OF_ONE_STAGE and warning not in tuned_warnings:
+        if warning.code in _STAGE_CODES and warning not in tuned_warnings:
             if decision is None:  # the whole-arm fit has a stiffness curve instead
                 is_superseded = found.tuned is not None and warning.where.startswith(
                     "gear_stiffness "
@@ -141,6 +141,6 @@ def _still_true(found: Identification, decisions: Sequence[Decision]) -> Iterato
         yield warning
 
 
-def _place(p: Parameter) -> str:
+def _place_name(p: Parameter) -> str:
     """Name of a parameter in warnings."""
     return p.name if p.joint is None else f"{p.name} of joint {p.joint}"

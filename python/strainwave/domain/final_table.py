@@ -39,15 +39,15 @@ _LINK_SIDE = re.compile(
 )
 _MOTOR_SIDE = re.compile(r"(?:u|torque|theta_m|omega_m|ref)\d+")
 # standard deviations below zero from which a negative value is significant
-_SURELY = 2.0
+_MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
-_NOTHING = 0.02
-_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
-_FAULT = "it rests on channels that contradict one another or the study"
-_CONTRADICTED = "the rigid and the whole-arm fit contradict each other"
-_WRONG_MODEL = "the decoupled fit of the joint holds an impossible value"
-_SPLIT = ("motor_viscous_friction", "link_viscous_friction")
-_FIRST_OF_A_JOINT = (
+_MAX_NEGLIGIBLE_SHARE = 0.02
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_FAULT_REASON = "it rests on channels that contradict one another or the study"
+_CONTRADICTION_REASON = "the rigid and the whole-arm fit contradict each other"
+_IMPLAUSIBLE_REASON = "the decoupled fit of the joint holds an impossible value"
+_VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
+_FIRST_ROWS = (
     "rigid_inertia",
     "inertia",
     "motor_inertia",
@@ -101,21 +101,21 @@ def decide(
     first_faulty_stage = min((first_faulty(one, study) for one in suspected), default=_NONE)
     table: _Table = {}
     if rigid is not None:
-        table = _plausible(rigid.parameters, "rigid", spread_to_all=False)
+        table = _stage_table(rigid.parameters, "rigid", spread_to_all=False)
     if first_faulty_stage <= _RIGID:
-        table = _all_rejected(table.values(), _FAULT)
+        table = _reject_all(table.values(), _FAULT_REASON)
     accepted = [one for one in joints if not _discard(table, one, first_faulty_stage)]
     for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
     if tuned is not None:
-        _take_tuned(table, tuned, first_faulty_stage)
+        _enter_whole_arm(table, tuned, first_faulty_stage)
     else:
         _make_consistent(table, study.arm, accepted)
-    _one_spring(table, study, tuned is not None)
-    _check_body(table)
+    _remove_equivalent_stiffness(table, study, tuned is not None)
+    _reject_gamma(table)
     levels_by_joint = {one.joint: one for one in activity}
     rows = [_decision(entry, study, levels_by_joint) for entry in table.values()]
-    names = dict.fromkeys([*_FIRST_OF_A_JOINT, *parameter_table()])
+    names = dict.fromkeys([*_FIRST_ROWS, *parameter_table()])
     order = {name: place for place, name in enumerate(names)}
 
     def place(row: Decision) -> tuple[int, int]:
@@ -155,11 +155,11 @@ def _impossible(parameters: Iterable[Parameter]) -> list[Parameter]:
         for p in parameters
         if p.value is not None
         and not is_physical(p.name, p.value)
-        and p.value + _SURELY * (p.std or 0.0) < 0.0
+        and p.value + _MIN_STDS_BELOW_ZERO * (p.std or 0.0) < 0.0
     ]
 
 
-def _plausible(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bool) -> _Table:
+def _stage_table(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bool) -> _Table:
     """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
     impossible = _impossible(parameters)
     if not impossible:
@@ -176,18 +176,18 @@ def _plausible(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bo
     }
 
 
-def _all_rejected(entries: Iterable[_Entry], why: str) -> _Table:
+def _reject_all(entries: Iterable[_Entry], why: str) -> _Table:
     return {_key(e.parameter): replace(e, rejected=why) for e in entries}
 
 
 def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
     """Return whether the decoupled fit of a joint is rejected, and if so add it to the table."""
-    entries = _plausible(joint.parameters, "decoupled", spread_to_all=True)
+    entries = _stage_table(joint.parameters, "decoupled", spread_to_all=True)
     if faulty <= _DECOUPLED:
-        entries = _all_rejected(entries.values(), _FAULT)
+        entries = _reject_all(entries.values(), _FAULT_REASON)
     elif joint.status == "implausible":
         reasons = {e.rejected for e in entries.values()} - {""}
-        entries = _all_rejected(entries.values(), next(iter(reasons), _WRONG_MODEL))
+        entries = _reject_all(entries.values(), next(iter(reasons), _IMPLAUSIBLE_REASON))
     if not any(entry.rejected for entry in entries.values()):
         return False
     for key, entry in entries.items():
@@ -195,7 +195,7 @@ def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
     return True
 
 
-def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
+def _enter_whole_arm(table: _Table, tuned: ArmModel, faulty: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
     If the stages contradict each other in inertias or gravity torques, the torque of a joint is
@@ -205,13 +205,13 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
     """
     if faulty <= _TUNED:
         for p in tuned.parameters:
-            table.setdefault(_key(p), _Entry(p, _FAULT))
+            table.setdefault(_key(p), _Entry(p, _FAULT_REASON))
         return
     bounded = set(tuned.at_bounds)
     for p in tuned.parameters:
         at_bound_reason = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
-    for key, why in _moved_by_effects(tuned).items():
+    for key, why in _shifted_by_effects(tuned).items():
         if key in table and not table[key].rejected:
             table[key] = replace(table[key], rejected=why)
     failed_tests = contradictions(tuned.agreement)
@@ -222,10 +222,10 @@ def _take_tuned(table: _Table, tuned: ArmModel, faulty: int) -> None:
             "friction" in entry.parameter.name and entry.parameter.joint in friction_joints
         )
         if (is_torque_wrong or is_wrong_friction) and not entry.rejected:
-            table[key] = replace(entry, rejected=_CONTRADICTED)
+            table[key] = replace(entry, rejected=_CONTRADICTION_REASON)
 
 
-def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
+def _shifted_by_effects(tuned: ArmModel) -> dict[Key, str]:
     """Values that a likely effect would shift significantly, each with the reason for rejection."""
     reasons: dict[Key, str] = {}
     for cause in tuned.criticism.causes if tuned.criticism else ():
@@ -235,7 +235,7 @@ def _moved_by_effects(tuned: ArmModel) -> dict[Key, str]:
         )
         for shift in cause.shifts:
             is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
-            if is_large and abs(shift.deviations) > _REACH:
+            if is_large and abs(shift.deviations) > _CI95_HALF_WIDTH:
                 reasons.setdefault((shift.name, shift.joint), reason)
     return reasons
 
@@ -257,7 +257,7 @@ def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[Joint
 
     derived_rows: dict[Key, Row] = {}
     for key, row in kind_of(arm).from_link_inertias:
-        parameter = _renamed(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
+        parameter = _rename(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
         if parameter is not None and key not in row:
             table[key], derived_rows[key] = _Entry(parameter), row
     for key, row in lumped_inertias(arm).items():
@@ -273,7 +273,7 @@ def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[Joint
             table[key] = _Entry(total)
 
 
-def _renamed(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
+def _rename(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
     """Return a joint parameter under its name in the whole arm."""
     (_, parameter), *_ = parts
     return None if parameter is None else replace(parameter, name=key[0], joint=key[1])
@@ -294,11 +294,11 @@ def _sum(
             return None
         value += weight * p.value
         std += abs(weight) * p.std
-    interval = (value - _REACH * std, value + _REACH * std)
+    interval = (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std)
     return Parameter(name, joint, value, std, "kg m^2", "decoupled", interval)
 
 
-def _one_spring(table: _Table, study: Study, reached: bool) -> None:
+def _remove_equivalent_stiffness(table: _Table, study: Study, reached: bool) -> None:
     """Remove the equivalent stiffness of joints whose stiffness curve was fitted."""
     for number, joint in enumerate(study.arm.joints, start=1):
         law_names = joint.law.names
@@ -310,7 +310,7 @@ def _one_spring(table: _Table, study: Study, reached: bool) -> None:
             table.pop((STIFFNESS, number), None)
 
 
-def _check_body(table: _Table) -> None:
+def _reject_gamma(table: _Table) -> None:
     """Reject gamma unless alpha beta > gamma^2.
 
     Otherwise the inertia matrix is not positive definite in every posture.
@@ -330,7 +330,7 @@ def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> De
     """Decide one row: accept its value, set it to zero, or reject it."""
     p, reason = entry.parameter, entry.rejected
     if p.value is not None and not reason and not is_physical(p.name, p.value):
-        nearest = _at_zero(p, study, levels)
+        nearest = _set_to_zero(p, study, levels)
         if nearest is not None:
             return Decision(nearest, identified=True)
         reason = f"{p.value:.3g} {p.unit} is no value that an arm has"
@@ -346,13 +346,13 @@ def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> De
     return Decision(p, identified=_is_identified(p, study, levels))
 
 
-def _at_zero(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Parameter | None:
+def _set_to_zero(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Parameter | None:
     """Set an insignificant, negligible friction or damping to zero; None if not applicable."""
-    if physical_range(p.name) != "non-negative" or p.name in _SPLIT:
+    if physical_range(p.name) != "non-negative" or p.name in _VISCOUS_FRICTIONS:
         return None  # parts of the total viscous friction are not changed
     if p.value is None or p.ci95 is None or p.ci95[1] < 0.0:
         return None
-    if not _is_nothing(p, study, levels):
+    if not _is_negligible(p, study, levels):
         return None
     return replace(p, value=0.0, ci95=(0.0, p.ci95[1]))
 
@@ -366,14 +366,14 @@ def _is_identified(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
     half = half_width(p)
     if p.value is None or half is None or not half < float("inf"):
         return False
-    return half < abs(p.value) or _is_nothing(p, study, levels)
+    return half < abs(p.value) or _is_negligible(p, study, levels)
 
 
-def _is_nothing(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:
+def _is_negligible(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> bool:
     """Whether the interval's half-width contributes less than 2 % to the torque of every joint."""
     half = half_width(p)
     shares = list(_torque_shares(p, study, levels))
-    return half is not None and bool(shares) and max(shares) * half < _NOTHING
+    return half is not None and bool(shares) and max(shares) * half < _MAX_NEGLIGIBLE_SHARE
 
 
 def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Iterator[float]:

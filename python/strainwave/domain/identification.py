@@ -79,7 +79,7 @@ class Identification(Displayed):
 
 
 @dataclass(frozen=True, slots=True)
-class _Called:
+class _Requirements:
     """Stages and parameters that the requested stages and the study require."""
 
     stages: tuple[str, ...]
@@ -89,7 +89,7 @@ class _Called:
 def verdict_of(found: Identification) -> Verdict:
     """Compute the verdict on a run, as defined in docs/result.md."""
     decisions = found.decisions
-    required = _called_for(found)
+    required = _required_by(found)
     labels = {d.parameter.label for d in decisions}
     identified = tuple(d.parameter.label for d in decisions if d.identified)
     rejected = tuple(d.parameter.label for d in decisions if d.rejected)
@@ -113,7 +113,7 @@ def verdict_of(found: Identification) -> Verdict:
     )
 
 
-def _called_for(found: Identification) -> _Called:
+def _required_by(found: Identification) -> _Requirements:
     """Required stages among those requested, and the primary parameters that they estimate."""
     study = found.study
     arm, kind = study.arm, kind_of(study.arm)
@@ -142,11 +142,11 @@ def _called_for(found: Identification) -> _Called:
     if has_whole_arm:
         stages.append("tuned")
         names += kind.primary_of_all
-    return _Called(tuple(stages), tuple(dict.fromkeys(names)))
+    return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
 
 
 def _reasons(
-    found: Identification, called: _Called, identified: Sequence[str], rejected: Sequence[str]
+    found: Identification, called: _Requirements, identified: Sequence[str], rejected: Sequence[str]
 ) -> Iterator[str]:
     """Yield the reasons why a run is not determined, most important first."""
     if found.suspected:  # all other failures may follow from these
@@ -183,7 +183,7 @@ def _causes(tuned: ArmModel | None) -> str:
     return f", likely causes in this order: {causes}"
 
 
-def _stages_missing(found: Identification, called: _Called) -> Iterator[str]:
+def _stages_missing(found: Identification, called: _Requirements) -> Iterator[str]:
     elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.elastic]
     fitted = {joint.joint for joint in found.joints}
     if found.failures:

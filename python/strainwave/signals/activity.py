@@ -11,7 +11,9 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.channels import torque_channel
 
-_WINDOW = 0.01  # [s] of each velocity difference; reduces the effect of encoder quantization
+_DIFFERENCE_TIME = (
+    0.01  # [s] of each velocity difference; reduces the effect of encoder quantization
+)
 
 
 def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
@@ -27,7 +29,7 @@ def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
             mean_square
             for log in logs
             if log.experiment.use != "check"
-            for mean_square in [_squares(log, arm, number)]
+            for mean_square in [_mean_squares(log, arm, number)]
             if mean_square is not None
         ]
         if mean_squares:
@@ -36,14 +38,14 @@ def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
     return tuple(activities)
 
 
-def _squares(log: Log, arm: Arm, number: int) -> FloatArray | None:
+def _mean_squares(log: Log, arm: Arm, number: int) -> FloatArray | None:
     """Mean squares of torque, velocity and acceleration of one joint; None without its signals."""
     angle = log.channels.get(f"theta_m{number}")
     try:
         name = torque_channel(log, number)
     except InvalidInput:
         return None
-    step = max(1, round(_WINDOW / log.sample_time))
+    step = max(1, round(_DIFFERENCE_TIME / log.sample_time))
     if angle is None or len(angle) < 4 * step:
         return None
     joint = arm.joints[number - 1]

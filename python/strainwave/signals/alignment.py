@@ -12,19 +12,21 @@ from strainwave.domain import Delay, FloatArray, LinkSignals
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 
-_LOWEST = 2.0  # [Hz] lower band edge; friction and drift dominate below it
-_SMOOTH_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
-_SHARE = 0.9  # share of the power of the link velocity that defines its band
-_REACH = 1.1  # upper band edge over the frequency below which `_SHARE` of the power lies
-_DRIVE_REACH = 0.5  # upper band edge of the drive relative to the band of the encoder
-_FEW_LINES = 12  # minimum number of spectral lines minus the number of coefficients
-_MOST_STANDING = 0.2  # maximum share of a record at standstill; stiction resembles a delay
-_KNEES = (0.25, 0.7, 2.0)  # widths of the tanh terms, in standard deviations of the torque
+_MIN_FREQUENCY_HZ = 2.0  # [Hz] lower band edge; friction and drift dominate below it
+_MAX_CUTOFF_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
+_BAND_POWER_SHARE = 0.9  # share of the power of the link velocity that defines its band
+_BAND_MARGIN = (
+    1.1  # upper band edge over the frequency below which `_BAND_POWER_SHARE` of the power lies
+)
+_DRIVE_BAND_RATIO = 0.5  # upper band edge of the drive relative to the band of the encoder
+_MIN_EXTRA_LINES = 12  # minimum number of spectral lines minus the number of coefficients
+_MAX_STANDSTILL_SHARE = 0.2  # maximum share of a record at standstill; stiction resembles a delay
+_TANH_WIDTHS = (0.25, 0.7, 2.0)  # widths of the tanh terms, in standard deviations of the torque
 # [rad] phase error at the upper band edge, one standard deviation. Sensor: due to D_L and nonlinear
 # springs. Drive: due to Coulomb friction and the lag of the link sensor. Arms without delay
 # showed phase errors of up to twice these values.
-_SENSOR_PHASE, _DRIVE_PHASE = 0.015, 0.05
-_HANN_CORRELATION = 1.5  # factor on standard deviations: a Hann window correlates adjacent lines
+_SENSOR_PHASE_ERROR, _DRIVE_PHASE_ERROR = 0.015, 0.05
+_HANN_STD_FACTOR = 1.5  # factor on standard deviations: a Hann window correlates adjacent lines
 
 
 def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
@@ -54,28 +56,35 @@ def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     T = signals.sample_time
     n = arm.gear_ratios[i]
     motor_acceleration = n * differentiate(signals.motor_velocity[:, i], T)
-    cutoff = min(_SMOOTH_HZ, 0.1 / T)
+    cutoff = min(_MAX_CUTOFF_HZ, 0.1 / T)
     link_acceleration = low_pass(signals.link_acceleration, cutoff, T)
     torque = _torque_columns(signals, arm, link_acceleration)[:, i]
     target = low_pass(motor_acceleration, cutoff, T) - link_acceleration[:, i]
-    band = (_LOWEST, _REACH * _top(link_acceleration[:, i], T))
-    contributions = _shares(signals, arm, link_acceleration, i)
+    band = (_MIN_FREQUENCY_HZ, _BAND_MARGIN * _upper_frequency(link_acceleration[:, i], T))
+    contributions = _sensor_contributions(signals, arm, link_acceleration, i)
     columns = [
-        _slope(contributions, T, 1),
+        _differentiate_repeatedly(contributions, T, 1),
         contributions,
-        _slope(torque, T, 2),
-        _slope(torque, T, 3),
+        _differentiate_repeatedly(torque, T, 2),
+        _differentiate_repeatedly(torque, T, 3),
     ]
-    estimate = _regress(target, np.column_stack(columns), T, band, 1.0)
+    estimate = _fit_spectral_lines(target, np.column_stack(columns), T, band, 1.0)
     if estimate is not None and law.is_curved:
         spring_torque = torque @ estimate[0][2 * contributions.shape[1] :][: torque.shape[1]]
         spring_torque = spring_torque - spring_torque.mean()
         nonlinear = np.column_stack(
-            [np.tanh(spring_torque / (k * (spring_torque.std() + 1e-300))) for k in _KNEES]
+            [np.tanh(spring_torque / (k * (spring_torque.std() + 1e-300))) for k in _TANH_WIDTHS]
         )
-        columns += [_slope(nonlinear, T, 2), _slope(nonlinear, T, 3)]
-        estimate = _regress(target, np.column_stack(columns), T, band, 1.0)
-    return None if estimate is None else _delay(estimate[0][0], estimate[1][0], _SENSOR_PHASE, band)
+        columns += [
+            _differentiate_repeatedly(nonlinear, T, 2),
+            _differentiate_repeatedly(nonlinear, T, 3),
+        ]
+        estimate = _fit_spectral_lines(target, np.column_stack(columns), T, band, 1.0)
+    return (
+        None
+        if estimate is None
+        else _delay_with_model_error(estimate[0][0], estimate[1][0], _SENSOR_PHASE_ERROR, band)
+    )
 
 
 def drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay | None:
@@ -93,7 +102,7 @@ def drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay
     experiment = signals.experiment
     if experiment.use not in ("frequency", "sweep") or experiment.joint not in (None, i + 1):
         return None
-    if np.mean(np.abs(signals.direction[:, i]) < 0.5) > _MOST_STANDING:
+    if np.mean(np.abs(signals.direction[:, i]) < 0.5) > _MAX_STANDSTILL_SHARE:
         return None
     T = signals.sample_time
     u = signals.motor_torque[:, i]
@@ -101,20 +110,24 @@ def drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay
     friction = np.column_stack([signals.motor_velocity[:, i], signals.direction[:, i]])
     columns = np.column_stack([differentiate(u, T), u, friction, torque])
     motor_acceleration = differentiate(signals.motor_velocity[:, i], T)
-    band = (_LOWEST, _DRIVE_REACH * band_hz)
-    estimate = _regress(motor_acceleration, columns, T, band, 0.0)
+    band = (_MIN_FREQUENCY_HZ, _DRIVE_BAND_RATIO * band_hz)
+    estimate = _fit_spectral_lines(motor_acceleration, columns, T, band, 0.0)
     if estimate is None or estimate[0][1] == 0.0:
         return None
     value, std = estimate
-    return _delay(-value[0] / value[1], std[0] / value[1], _DRIVE_PHASE, band)
+    return _delay_with_model_error(
+        -value[0] / value[1], std[0] / value[1], _DRIVE_PHASE_ERROR, band
+    )
 
 
-def _delay(value: float, std: float, phase: float, band: tuple[float, float]) -> Delay:
+def _delay_with_model_error(
+    value: float, std: float, phase: float, band: tuple[float, float]
+) -> Delay:
     """Delay whose standard deviation includes the phase error of the regression model."""
     return Delay(float(value), float(np.hypot(std, phase / (2.0 * np.pi * band[1]))))
 
 
-def _shares(signals: LinkSignals, arm: Arm, link: FloatArray, i: int) -> FloatArray:
+def _sensor_contributions(signals: LinkSignals, arm: Arm, link: FloatArray, i: int) -> FloatArray:
     """Contribution of each sensor to a relative acceleration: of this link, then of link 1.
 
     A gyro or accelerometer on link 2 also measures the motion of link 1, which (9) subtracts.
@@ -140,23 +153,23 @@ def _torque_columns(signals: LinkSignals, arm: Arm, acceleration: FloatArray) ->
     return columns[:, :, inertial]
 
 
-def _slope(signal: FloatArray, sample_time: float, order: int) -> FloatArray:
+def _differentiate_repeatedly(signal: FloatArray, sample_time: float, order: int) -> FloatArray:
     """Time derivative of the given order."""
     for _ in range(order):
         signal = differentiate(signal, sample_time)
     return signal
 
 
-def _top(acceleration: FloatArray, sample_time: float) -> float:
-    """Frequency [Hz] below which `_SHARE` of the power of a link velocity lies."""
+def _upper_frequency(acceleration: FloatArray, sample_time: float) -> float:
+    """Frequency [Hz] below which `_BAND_POWER_SHARE` of the power of a link velocity lies."""
     power = np.abs(np.fft.rfft(np.hanning(len(acceleration)) * acceleration)) ** 2
     frequency = np.fft.rfftfreq(len(acceleration), sample_time)
-    above = frequency > _LOWEST
+    above = frequency > _MIN_FREQUENCY_HZ
     cumulative = np.cumsum(power[above] / frequency[above] ** 2)
-    return float(frequency[above][np.searchsorted(cumulative, _SHARE * cumulative[-1])])
+    return float(frequency[above][np.searchsorted(cumulative, _BAND_POWER_SHARE * cumulative[-1])])
 
 
-def _regress(
+def _fit_spectral_lines(
     target: FloatArray, columns: FloatArray, T: float, band: tuple[float, float], roll: float
 ) -> tuple[FloatArray, FloatArray] | None:
     """Estimate real coefficients over the spectral lines of a band, with weight frequency^-roll.
@@ -166,7 +179,7 @@ def _regress(
     """
     frequency = np.fft.rfftfreq(len(target), T)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    if inside.sum() < columns.shape[1] + _FEW_LINES:
+    if inside.sum() < columns.shape[1] + _MIN_EXTRA_LINES:
         return None
     window = np.hanning(len(target))[:, None]
     lines = np.fft.rfft(window * np.column_stack([target, columns]), axis=0)[inside]
@@ -178,6 +191,6 @@ def _regress(
     inverse = np.linalg.pinv(scaled[:, 1:], rcond=1e-5)
     estimate = inverse @ scaled[:, 0]
     residual = scaled[:, 0] - scaled[:, 1:] @ estimate
-    std = np.sqrt(((inverse * residual) ** 2).sum(axis=1)) * _HANN_CORRELATION
+    std = np.sqrt(((inverse * residual) ** 2).sum(axis=1)) * _HANN_STD_FACTOR
     factor = scale[0] / scale[1:]
     return estimate * factor, std * factor

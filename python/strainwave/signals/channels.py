@@ -11,10 +11,14 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.standstill import runs_of, sliding_direction
 
-_STANDING = 0.02  # [s] minimum duration of a standstill of the encoder
-_STANDING_SAMPLES = 6  # minimum duration of a standstill in samples
-_FLAT = 5  # minimum number of consecutive equal samples at an extreme value that are saturation
-_MUCH_SATURATION = 0.01  # share of saturated samples in a record above which a warning is issued
+_MIN_STANDSTILL_TIME = 0.02  # [s] minimum duration of a standstill of the encoder
+_MIN_STANDSTILL_SAMPLES = 6  # minimum duration of a standstill in samples
+_MIN_SATURATED_SAMPLES = (
+    5  # minimum number of consecutive equal samples at an extreme value that are saturation
+)
+_MAX_SATURATED_SHARE = (
+    0.01  # share of saturated samples in a record above which a warning is issued
+)
 
 
 def torque_channel(log: Log, joint: int) -> str:
@@ -57,7 +61,7 @@ def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> Floa
     uncertain.
     """
     columns = []
-    standstill_samples = max(_STANDING_SAMPLES, round(_STANDING / T))
+    standstill_samples = max(_MIN_STANDSTILL_SAMPLES, round(_MIN_STANDSTILL_TIME / T))
     for i, joint in enumerate(arm.joints):
         resolvable = resolution(joint, float(noise[i]))
         columns.append(sliding_direction(angle[:, i], resolvable, standstill_samples))
@@ -81,9 +85,11 @@ def saturation(
             continue
         magnitude = np.abs(log.channels[channel])
         limit = arm.servo.limit if arm.servo and channel.startswith("u") else None
-        saturated[:, i] = magnitude >= 0.999 * limit if limit else _flat_tops(log.channels[channel])
+        saturated[:, i] = (
+            magnitude >= 0.999 * limit if limit else _detect_flat_tops(log.channels[channel])
+        )
         share = float(saturated[:, i].mean())
-        if share > _MUCH_SATURATION:
+        if share > _MAX_SATURATED_SHARE:
             text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
             text += ". Record a slower motion"
             warnings.append(Diagnostic("saturated", log.name, text))
@@ -105,8 +111,8 @@ def unmeasured(log: Log, channels: Iterable[str], longer: int = 0) -> BoolArray:
     return interpolated
 
 
-def _flat_tops(signal: FloatArray) -> BoolArray:
-    """Runs of at least `_FLAT` equal samples at the maximum or minimum.
+def _detect_flat_tops(signal: FloatArray) -> BoolArray:
+    """Runs of at least `_MIN_SATURATED_SAMPLES` equal samples at the maximum or minimum.
 
     Extremes near zero and constant signals are not limits of a drive.
     """
@@ -117,7 +123,7 @@ def _flat_tops(signal: FloatArray) -> BoolArray:
         if abs(extreme) <= 0.8 * np.abs(signal).max():
             continue
         for start, stop in runs_of(signal == extreme).tolist():
-            saturated[start:stop] |= stop - start >= _FLAT
+            saturated[start:stop] |= stop - start >= _MIN_SATURATED_SAMPLES
     return saturated
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import Delay, Diagnostic, LinkSignals
 
-_CERTAIN = 4.0  # standard deviations above which a delay is significant
+_MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
 
 def late_sensors(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, ...]:
@@ -21,11 +21,11 @@ def late_sensors(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, 
     combined = []
     for i in range(n_joints):
         estimates = [d for record in records if (d := record.sensor_delay[i]) is not None]
-        combined.append(_together(estimates))
+        combined.append(_combine_delays(estimates))
     return tuple(combined)
 
 
-def _together(delays: Sequence[Delay]) -> Delay:
+def _combine_delays(delays: Sequence[Delay]) -> Delay:
     """Weighted mean of the delays of one sensor; its value is zero if it is not significant."""
     if not delays:
         return Delay(0.0, 0.0)
@@ -34,13 +34,13 @@ def _together(delays: Sequence[Delay]) -> Delay:
     mean = float(weight @ value)
     scatter = float(np.sqrt(weight @ (value - mean) ** 2 / len(value)))
     combined_std = max(float(np.min(std)), scatter)
-    is_significant = abs(mean) > _CERTAIN * combined_std
+    is_significant = abs(mean) > _MIN_SIGNIFICANCE * combined_std
     return Delay(mean if is_significant else 0.0, combined_std)
 
 
 def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Diagnostic]:
     """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
-    if delay is None or abs(delay.value) < _CERTAIN * delay.std:
+    if delay is None or abs(delay.value) < _MIN_SIGNIFICANCE * delay.std:
         return
     side = "behind" if delay.value > 0.0 else "ahead of"
     text = f"{what} is {1e3 * abs(delay.value):.3g} +- {1e3 * delay.std:.2g} ms {side} the motor"

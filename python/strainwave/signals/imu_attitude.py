@@ -30,15 +30,17 @@ from strainwave.dynamics.rotations import angles, attitude
 
 Key = tuple[str, int | None]  # parameter name, joint
 
-_TRIED = 16  # number of best starting values from which the search continues
-_STEPS = 120  # maximum number of iterations of each search
-_DAMPING = 1e-3  # initial Levenberg-Marquardt damping
-_ENOUGH = 1e-9  # relative decrease of the objective at convergence
-_ALIKE = 0.01  # relative difference of the objective below which two minima are identical
-_RIDGE = 1e-9  # relative ridge term for factors that the data do not determine
-_BEARINGS = 8  # number of starting values of the bearing, evenly spaced
-_NOTHING = 1e-9  # minimum column norm relative to the largest one
-_LONGEST = 0.7  # [rad or m] maximum step of any unknown
+_MAX_SEARCHES = 16  # number of best starting values from which the search continues
+_MAX_ITERATIONS = 120  # maximum number of iterations of each search
+_INITIAL_DAMPING = 1e-3  # initial Levenberg-Marquardt damping
+_RELATIVE_TOLERANCE = 1e-9  # relative decrease of the objective at convergence
+_MIN_COST_DIFFERENCE = (
+    0.01  # relative difference of the objective below which two minima are identical
+)
+_RELATIVE_RIDGE = 1e-9  # relative ridge term for factors that the data do not determine
+_N_BEARINGS = 8  # number of starting values of the bearing, evenly spaced
+_MIN_COLUMN_NORM = 1e-9  # minimum column norm relative to the largest one
+_MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
 def imu_starts(axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm) -> dict[Key, float]:
@@ -59,18 +61,19 @@ def imu_candidates(
     The arguments are as for `imu_starts`. With `flat`, the x and y axes of the IMU lie in the plane
     of motion.
     """
-    problems = [_Wanted.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
+    problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
     minima: list[tuple[float, dict[Key, float]]] = []
-    for cost, values in _searched(problems, axes, arm, flat=flat):
+    for cost, values in _search_minima(problems, axes, arm, flat=flat):
         differences = (
-            abs(cost - other_cost) > _ALIKE * max(cost, other_cost) for other_cost, _ in minima
+            abs(cost - other_cost) > _MIN_COST_DIFFERENCE * max(cost, other_cost)
+            for other_cost, _ in minima
         )
         if all(differences):
             minima.append((cost, values))
-    return [_outward(values, axes[0].joint) for _, values in minima]
+    return [_with_positive_distance(values, axes[0].joint) for _, values in minima]
 
 
-def _outward(values: dict[Key, float], joint: int) -> dict[Key, float]:
+def _with_positive_distance(values: dict[Key, float], joint: int) -> dict[Key, float]:
     """The equivalent mounting with a positive distance: half a turn about the joint axis."""
     distance = values.get((FROM_AXIS, joint), 1.0)
     if distance >= 0.0:
@@ -104,23 +107,25 @@ def in_mirror(values: Mapping[Key, float], joint: int) -> dict[Key, float]:
     return flipped
 
 
-class _Wanted:
+class _AxisProblem:
     """Linear least-squares problem for the factors of one axis: triangular root and target."""
 
     def __init__(self, axis: Axis, root: FloatArray, target: FloatArray) -> None:
         self.axis, self.root, self.target = axis, root, target
 
     @classmethod
-    def of(cls, axis: Axis, rows: FloatArray) -> _Wanted:
+    def of(cls, axis: Axis, rows: FloatArray) -> _AxisProblem:
         """R and Q'y of the rows: |R f - Q'y|^2 is the objective of factors f, up to a constant."""
         n = rows.shape[1] - 1
-        ridge = _RIDGE * max(float(np.linalg.norm(rows[:, :-1])), 1e-150) * np.eye(n, n + 1)
+        ridge = (
+            _RELATIVE_RIDGE * max(float(np.linalg.norm(rows[:, :-1])), 1e-150) * np.eye(n, n + 1)
+        )
         triangular = np.asarray(np.linalg.qr(np.concatenate([rows, ridge]), mode="r"))
         return cls(axis, triangular[:, :-1], triangular[:, -1])
 
 
-def _searched(
-    wanted: Sequence[_Wanted], axes: Sequence[Axis], arm: Arm, *, flat: bool
+def _search_minima(
+    wanted: Sequence[_AxisProblem], axes: Sequence[Axis], arm: Arm, *, flat: bool
 ) -> list[tuple[float, dict[Key, float]]]:
     """Local minima as (objective, mounting), in ascending order of the objective."""
     joint, keys = axes[0].joint, unknowns_of(axes, arm)
@@ -129,22 +134,22 @@ def _searched(
         keys = [key for key in keys if key[0] not in TURN[:2]]
     has_bearing = (BEARING, joint) in keys
     starts = []
-    for rotation in _turns(flat=flat) if has_rotation else [np.eye(3)]:
-        for k in range(_BEARINGS if has_bearing else 1):
+    for rotation in _starting_rotations(flat=flat) if has_rotation else [np.eye(3)]:
+        for k in range(_N_BEARINGS if has_bearing else 1):
             values = dict.fromkeys(keys, 0.0)
             if has_rotation:
                 rpy = angles(rotation).tolist()
                 values |= {(name, joint): angle for name, angle in zip(START, rpy, strict=True)}
             if has_bearing:
-                values[BEARING, joint] = 2.0 * np.pi * k / _BEARINGS
-            candidate = _placed(wanted, values, keys, arm)
+                values[BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
+            candidate = _with_optimal_position(wanted, values, keys, arm)
             starts.append((_cost(wanted, candidate, arm), candidate))
     starts.sort(key=lambda one: one[0])
-    minima = [_minimum(wanted, values, keys, arm) for _, values in starts[:_TRIED]]
+    minima = [_find_minimum(wanted, values, keys, arm) for _, values in starts[:_MAX_SEARCHES]]
     return sorted(minima, key=lambda one: one[0])
 
 
-def _turns(*, flat: bool) -> Iterator[FloatArray]:
+def _starting_rotations(*, flat: bool) -> Iterator[FloatArray]:
     """Starting rotations: right-angle rotations and two between each; or rotations in a plane."""
     if flat:
         for k, side in product(range(8), (1.0, -1.0)):
@@ -160,7 +165,7 @@ def _turns(*, flat: bool) -> Iterator[FloatArray]:
                 yield from (matrix @ rotation for rotation in intermediate)
 
 
-def _residual(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> FloatArray:
+def _residual(wanted: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> FloatArray:
     """Residuals of all axes for a mounting."""
     parts = [
         problem.root @ factors(problem.axis, arm, values) - problem.target for problem in wanted
@@ -168,13 +173,13 @@ def _residual(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> 
     return np.concatenate(parts)
 
 
-def _cost(wanted: Sequence[_Wanted], values: dict[Key, float], arm: Arm) -> float:
+def _cost(wanted: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> float:
     """Sum of squared residuals of a mounting."""
     return float(np.sum(_residual(wanted, values, arm) ** 2))
 
 
 def _jacobian(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> FloatArray:
     """Derivatives of the residuals with respect to the unknowns, (n_rows, n_keys)."""
     return np.concatenate(
@@ -182,8 +187,8 @@ def _jacobian(
     )
 
 
-def _placed(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+def _with_optimal_position(
+    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> dict[Key, float]:
     """Mounting with the optimal position and gyro factors for its attitude.
 
@@ -203,27 +208,29 @@ def _placed(
     return placed
 
 
-def _minimum(
-    wanted: Sequence[_Wanted], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+def _find_minimum(
+    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> tuple[float, dict[Key, float]]:
     """Levenberg-Marquardt search from a mounting: (objective, mounting) at the local minimum."""
-    cost, damping = _cost(wanted, values, arm), _DAMPING
-    for _ in range(_STEPS):
+    cost, damping = _cost(wanted, values, arm), _INITIAL_DAMPING
+    for _ in range(_MAX_ITERATIONS):
         jacobian, residual = _jacobian(wanted, values, keys, arm), _residual(wanted, values, arm)
         column_norm = np.linalg.norm(jacobian, axis=0)
-        column_norm = np.maximum(column_norm, _NOTHING * max(float(column_norm.max()), 1e-300))
+        column_norm = np.maximum(
+            column_norm, _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
+        )
         rows = np.concatenate([jacobian / column_norm, np.sqrt(damping) * np.eye(len(keys))])
         step = (
             np.linalg.lstsq(rows, np.concatenate([-residual, np.zeros(len(keys))]))[0] / column_norm
         )
         trial = dict(values)
-        step *= min(1.0, _LONGEST / max(float(np.max(np.abs(step))), 1e-300))
+        step *= min(1.0, _MAX_STEP / max(float(np.max(np.abs(step))), 1e-300))
         for key, change in zip(keys, step.tolist(), strict=True):
             trial[key] += change
         trial_cost = _cost(wanted, trial, arm)
         if trial_cost < cost:
             decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping
-            if decrease < _ENOUGH * cost:
+            if decrease < _RELATIVE_TOLERANCE * cost:
                 break
         else:
             damping *= 5.0

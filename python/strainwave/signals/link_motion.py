@@ -46,15 +46,19 @@ from strainwave.signals.fusion import bias_of, complement, fuse
 
 __all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"]
 
-_EDGE = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
-_SPREAD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
+_EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
+_MAX_DELAY_STD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
 # Channel of each link sensor, without the joint number
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
-_UNSURE = 4.0  # standard deviations of a velocity below which its sign is uncertain
-_BRIDGED = 0.005  # [s] maximum duration of an interpolated stretch that linear models use
-_BRIDGED_SAMPLES = 3  # samples of an interpolated stretch that linear models always use
+_MIN_VELOCITY_SIGNIFICANCE = (
+    4.0  # standard deviations of a velocity below which its sign is uncertain
+)
+_MAX_INTERPOLATED_TIME = (
+    0.005  # [s] maximum duration of an interpolated stretch that linear models use
+)
+_MIN_INTERPOLATED_SAMPLES = 3  # samples of an interpolated stretch that linear models always use
 # Maximum number of iterations of the delay estimate: the regression is linear only in short delays.
-_PASSES = 4
+_MAX_ITERATIONS = 4
 
 
 def both_sides(
@@ -70,7 +74,7 @@ def both_sides(
     InvalidInput under the same conditions as `link_side`.
     """
     total = (Delay(0.0, 0.0),) * arm.n_joints
-    for _ in range(_PASSES):
+    for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
         records = side_by_side([partial(link_side, log, arm, options, delays) for log in logs])
         remaining = late_sensors(records, arm.n_joints)
@@ -78,14 +82,14 @@ def both_sides(
             Delay(removed.value + remainder.value, remainder.std)
             for removed, remainder in zip(total, remaining, strict=True)
         )
-        if not any(late.value for late in remaining) or _beyond(total):
+        if not any(late.value for late in remaining) or _exceeds_longest_delay(total):
             break
-    if _beyond(total):
+    if _exceeds_longest_delay(total):
         return [link_side(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
     return [replace(record, removed_delay=total) for record in records], total
 
 
-def _beyond(delays: Sequence[Delay]) -> bool:
+def _exceeds_longest_delay(delays: Sequence[Delay]) -> bool:
     """Whether any delay exceeds `LONGEST_DELAY`. Such a delay is reported but not corrected."""
     return any(abs(delay.value) > LONGEST_DELAY for delay in delays)
 
@@ -114,12 +118,12 @@ def link_side(
     record is too short.
     """
     chosen = options or LinkOptions()
-    view = _View(_moved_back(log, arm, delays or ()), arm, chosen)
+    view = _FilteredLog(_remove_delays(log, arm, delays or ()), arm, chosen)
     torque = np.column_stack([view.torque(i) for i in range(arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
-    links = _links(view, motor_velocity)
+    links = _compute_link_motion(view, motor_velocity)
     sliding, direction = view.directions()
-    valid, warnings = _valid(view)
+    valid, warnings = _find_valid_samples(view)
     signals = LinkSignals(
         experiment=log.experiment,
         time=log.time,
@@ -143,10 +147,10 @@ def link_side(
         sensor_delay=(None,) * arm.n_joints,
         drive_delay=(None,) * arm.n_joints,
     )
-    return _aligned(signals, arm, view, warnings, alone=delays is None)
+    return _with_delays(signals, arm, view, warnings, alone=delays is None)
 
 
-def _moved_back(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
+def _remove_delays(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
     """Log whose link sensor channels are advanced by their delays [s]."""
     channels = dict(log.channels)
     for i, delay in enumerate(delays, start=1):
@@ -156,7 +160,7 @@ def _moved_back(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
     return replace(log, channels=channels)
 
 
-class _View:
+class _FilteredLog:
     """Channels of a log through the filters that all channels share."""
 
     def __init__(self, log: Log, arm: Arm, options: LinkOptions) -> None:
@@ -165,7 +169,7 @@ class _View:
         self.raw_angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
         self.channels = tuple(torque_channel(log, i) for i in numbers)
         self.sources = tuple(_source(log, arm, i) for i in numbers)
-        self.shared = _shared(arm.joints, self.sources)
+        self.shared = _distinct_lags(arm.joints, self.sources)
         # The largest band of all joints: a joint with little motion does not determine a band.
         self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
         differenced = any(s != "accelerometer" for s in self.sources)
@@ -175,7 +179,7 @@ class _View:
             + ([self.bandwidth_hz] if self.bandwidth_hz else [])
             + [0.1 / log.sample_time]
         )
-        self.edge = int(np.ceil(_EDGE / (slowest * log.sample_time)))
+        self.edge = int(np.ceil(_EDGE_PERIODS / (slowest * log.sample_time)))
         if len(log) < 4 * self.edge + 16:
             raise InvalidInput(
                 f"{len(log)} samples are too few for a filter of {slowest:.3g} Hz",
@@ -251,7 +255,9 @@ class _View:
         certain = directions(self.raw_angle, noise, self.arm, T)
         velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
         softened = np.clip(
-            velocity / np.maximum(_UNSURE * self._velocity_noise(noise), 1e-12), -1.0, 1.0
+            velocity / np.maximum(_MIN_VELOCITY_SIGNIFICANCE * self._velocity_noise(noise), 1e-12),
+            -1.0,
+            1.0,
         )
         return certain, self.through(
             np.where(certain != 0.0, certain, softened), between="straight"
@@ -276,7 +282,7 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     return "gyro" if f"gyro{joint}" in log.channels else "motor"
 
 
-def _own(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
+def _sensor_lag(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
     """Low-pass filter of the link sensor of a joint."""
     if source == "accelerometer" and joint.accelerometer_hz:
         return (Lag(2, joint.accelerometer_hz),)
@@ -285,14 +291,14 @@ def _own(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
     return ()
 
 
-def _shared(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
+def _distinct_lags(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
     """Low-pass filters of all sensors, without duplicates."""
-    owned = [lag for j, s in zip(joints, sources, strict=True) for lag in _own(j, s)]
+    owned = [lag for j, s in zip(joints, sources, strict=True) for lag in _sensor_lag(j, s)]
     return tuple(dict.fromkeys(owned))
 
 
 @dataclass
-class _Links:
+class _LinkMotion:
     """Motion of the links, computed from the base outward."""
 
     angle: FloatArray
@@ -303,20 +309,22 @@ class _Links:
     fusion_error: list[float]
 
 
-def _links(view: _View, motor_velocity: FloatArray) -> _Links:
+def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _LinkMotion:
     """Compute the motion of the links in order, from the base outward."""
     n = view.arm.gear_ratios
     T = view.log.sample_time
     motor_side = n * motor_velocity
     # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
-    links = _Links(n * view.motor_angle, motor_side.copy(), np.zeros_like(motor_side), [], [], [])
+    links = _LinkMotion(
+        n * view.motor_angle, motor_side.copy(), np.zeros_like(motor_side), [], [], []
+    )
     links.acceleration[:] = differentiate(motor_side, T)
     for i, source in enumerate(view.sources):
-        angle, slow = _slow(view, i, n[i] * view.motor_angle[:, i])
+        angle, slow = _low_frequency_motion(view, i, n[i] * view.motor_angle[:, i])
         if source != "accelerometer":
             if source == "gyro":
                 gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, _own(view.arm.joints[i], source))
+                rate = view.through(gyro, _sensor_lag(view.arm.joints[i], source))
                 slow = rate - links.velocity[:, :i].sum(axis=1)
             links.angle[:, i], links.velocity[:, i] = angle, slow
             links.acceleration[:, i] = differentiate(slow, T)
@@ -324,7 +332,7 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
             links.fusion.append(None)
             links.fusion_error.append(0.0)
             continue
-        read = view.through(view.log.channels[f"a{i + 1}"], _own(view.arm.joints[i], source))
+        read = view.through(view.log.channels[f"a{i + 1}"], _sensor_lag(view.arm.joints[i], source))
         acceleration = _acceleration(view.arm, read, i, links)
         bias = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - bias
@@ -344,7 +352,9 @@ def _links(view: _View, motor_velocity: FloatArray) -> _Links:
     return links
 
 
-def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _low_frequency_motion(
+    view: _FilteredLog, i: int, motor_side: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Link angle and velocity at low frequencies, from the link encoder, deflection or motor."""
     channels = view.log.channels
     if f"theta_l{i + 1}" in channels:
@@ -354,7 +364,7 @@ def _slow(view: _View, i: int, motor_side: FloatArray) -> tuple[FloatArray, Floa
     return motor_side, differentiate(motor_side, view.log.sample_time)
 
 
-def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArray:
+def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> FloatArray:
     """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
     joint = arm.joints[i]
     if joint.motion == "prismatic":
@@ -369,12 +379,14 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _Links) -> FloatArr
     return np.asarray(absolute - ddq[:, 0] - (arm.link_length or 0.0) / distance * base_motion)
 
 
-def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
+def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples outside record edges, saturation and interpolation, and warnings about sensors."""
     saturated, saturation_warnings = saturation(view.log, view.arm, view.channels)
     link_channels = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
     motors = [f"theta_m{i}" for i in range(1, view.arm.n_joints + 1)]
-    max_samples = max(_BRIDGED_SAMPLES, round(_BRIDGED / view.log.sample_time))
+    max_samples = max(
+        _MIN_INTERPOLATED_SAMPLES, round(_MAX_INTERPOLATED_TIME / view.log.sample_time)
+    )
     interpolated = unmeasured(view.log, (*view.channels, *motors, *link_channels), max_samples)
     valid = ~(saturated | interpolated[:, None])
     valid[: view.edge] = valid[-view.edge :] = False
@@ -392,8 +404,8 @@ def _valid(view: _View) -> tuple[BoolArray, list[Diagnostic]]:
     return valid, warnings
 
 
-def _aligned(
-    found: LinkSignals, arm: Arm, view: _View, warnings: list[Diagnostic], *, alone: bool
+def _with_delays(
+    found: LinkSignals, arm: Arm, view: _FilteredLog, warnings: list[Diagnostic], *, alone: bool
 ) -> LinkSignals:
     """Signals with the remaining channel delays and their warnings.
 
@@ -401,8 +413,8 @@ def _aligned(
     estimated from all records.
     """
     joints, name = range(arm.n_joints), found.experiment.name
-    sensor = tuple(_worth(sensor_delay(found, arm, i)) for i in joints)
-    drive = tuple(_worth(drive_delay(found, arm, i, view.band)) for i in joints)
+    sensor = tuple(_discard_uncertain(sensor_delay(found, arm, i)) for i in joints)
+    drive = tuple(_discard_uncertain(drive_delay(found, arm, i, view.band)) for i in joints)
     for i in joints:
         if alone:
             warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))
@@ -411,6 +423,6 @@ def _aligned(
     return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 
-def _worth(delay: Delay | None) -> Delay | None:
-    """The delay, or None if its standard deviation exceeds `_SPREAD`."""
-    return delay if delay is not None and delay.std < _SPREAD else None
+def _discard_uncertain(delay: Delay | None) -> Delay | None:
+    """The delay, or None if its standard deviation exceeds `_MAX_DELAY_STD`."""
+    return delay if delay is not None and delay.std < _MAX_DELAY_STD else None

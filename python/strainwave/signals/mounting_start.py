@@ -21,12 +21,12 @@ from strainwave.signals.imu_attitude import imu_starts
 
 Key = tuple[str, int | None]  # parameter name, joint
 
-_SLOW = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
-_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
-_EDGE = 1.0  # excluded edge of a record, in periods of the cutoff (low-pass transient)
-_LEAST = 64  # minimum number of samples of a record
-_WEAK = 1e-6  # minimum norm of a column relative to the largest one
-_NEAR = 0.02  # [m] minimum distance from the axis to measure angular acceleration
+_MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
+_MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
+_EDGE_PERIODS = 1.0  # excluded edge of a record, in periods of the cutoff (low-pass transient)
+_MIN_SAMPLES = 64  # minimum number of samples of a record
+_MIN_COLUMN_NORM = 1e-6  # minimum norm of a column relative to the largest one
+_MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
 
 
 def kinematics(
@@ -67,7 +67,7 @@ def mounting_starts(
     for joint in range(1, arm.n_joints + 1):
         axes = axes_on(logs if used is None else used, arm, joint)
         if unknowns_of(axes, arm):
-            tables = _tables(logs, arm, axes)
+            tables = _axis_tables(logs, arm, axes)
             if axes[0].kind == "tangential":
                 starting_values[DISTANCE, joint] = distance_of(tables[0])
             else:
@@ -87,57 +87,57 @@ def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[
     The axes belong to one link. Returns (n_quantities,) per axis. For a tangential accelerometer,
     the factor of f_y is one, and the factors of f_x and w^2 are zero.
     """
-    tables = _tables(logs, arm, axes)
-    return [_solved(axis, table) for axis, table in zip(axes, tables, strict=True)]
+    tables = _axis_tables(logs, arm, axes)
+    return [_fit_factors(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
 
-def _tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
+def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
     """Quantities of each axis and, in the last column, its reading; all centred per record."""
     tables: list[list[FloatArray]] = [[np.zeros((1, len(axis.quantities) + 1))] for axis in axes]
     for log in logs:
-        if len(log) < _LEAST or f"theta_m{arm.n_joints}" not in log.channels:
+        if len(log) < _MIN_SAMPLES or f"theta_m{arm.n_joints}" not in log.channels:
             continue
-        basis, rate = _by_motors(log, arm, axes[0].joint)
+        basis, rate = _motor_kinematics(log, arm, axes[0].joint)
         for axis, table in zip(axes, tables, strict=True):
             if axis.channel not in log.channels:
                 continue
-            reading = low_pass(log.channels[axis.channel], _slow(log), log.sample_time)
+            reading = low_pass(log.channels[axis.channel], _cutoff_hz(log), log.sample_time)
             columns = [rate] if axis.kind == "gyro" else list(basis.T)
-            rows = np.column_stack([*columns, reading])[_inside(log)]
+            rows = np.column_stack([*columns, reading])[_inner_samples(log)]
             table.append(rows - rows.mean(axis=0))
     return [np.concatenate(table) for table in tables]
 
 
-def _slow(log: Log) -> float:
+def _cutoff_hz(log: Log) -> float:
     """Cutoff frequency [Hz] for a record."""
-    return max(_SLOW, _PERIODS / (len(log) * log.sample_time))
+    return max(_MAX_FREQUENCY_HZ, _MIN_PERIODS / (len(log) * log.sample_time))
 
 
-def _by_motors(log: Log, arm: Arm, joint: int) -> tuple[FloatArray, FloatArray]:
+def _motor_kinematics(log: Log, arm: Arm, joint: int) -> tuple[FloatArray, FloatArray]:
     """Quantities (n_samples, 4) and angular rate (n_samples,) of a link, from the motors."""
     T, joints = log.sample_time, arm.joints
     angle = np.column_stack(
         [drive.gear_ratio * log.channels[f"theta_m{i}"] for i, drive in enumerate(joints, start=1)]
     )
-    q = low_pass(angle, _slow(log), T)
+    q = low_pass(angle, _cutoff_hz(log), T)
     dq = differentiate(q, T)
     basis = kinematics(q, dq, differentiate(dq, T), arm)[:, joint - 1]
     return basis, dq[:, :joint].sum(axis=1)
 
 
-def _inside(log: Log) -> slice:
+def _inner_samples(log: Log) -> slice:
     """Samples without the transient of the low-pass at both ends."""
-    edge = min(round(_EDGE / (_slow(log) * log.sample_time)), len(log) // 4)
+    edge = min(round(_EDGE_PERIODS / (_cutoff_hz(log) * log.sample_time)), len(log) // 4)
     return slice(edge, len(log) - edge)
 
 
-def _solved(axis: Axis, rows: FloatArray) -> FloatArray:
+def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:
     """Least squares for the factors of one axis over all records, without negligible columns."""
     if axis.kind == "tangential":
         return np.array([0.0, 1.0, distance_of(rows), 0.0])
     columns, reading = rows[:, :-1], rows[:, -1]
     column_norm = np.linalg.norm(columns, axis=0)
-    is_significant = column_norm > _WEAK * max(float(column_norm.max()), 1e-300)
+    is_significant = column_norm > _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
     estimate = np.zeros(columns.shape[1])
     estimate[is_significant] = np.linalg.lstsq(columns[:, is_significant], reading)[0]
     return estimate
@@ -174,16 +174,16 @@ def with_stand_ins(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> tuple
             continue
         linear = linear_factors(known, arm, axes)
         is_long_enough = any(
-            _slow(log) == _SLOW for log in known if axes[0].channel in log.channels
+            _cutoff_hz(log) == _MAX_FREQUENCY_HZ for log in known if axes[0].channel in log.channels
         )
         if not is_long_enough:  # an inaccurate position is worse than no sensor
-            logs_then = _left_out(logs_then, joint)
+            logs_then = _without_accelerometer(logs_then, joint)
             continue
-        logs_then, arm_then = _stood_in(logs_then, arm_then, axes, linear)
+        logs_then, arm_then = _with_equivalent_sensor(logs_then, arm_then, axes, linear)
     return logs_then, arm_then
 
 
-def _left_out(logs: Sequence[Log], joint: int) -> list[Log]:
+def _without_accelerometer(logs: Sequence[Log], joint: int) -> list[Log]:
     """Logs without the tangential accelerometer of a joint."""
     return [
         replace(log, channels={k: x for k, x in log.channels.items() if k != f"a{joint}"})
@@ -191,7 +191,7 @@ def _left_out(logs: Sequence[Log], joint: int) -> list[Log]:
     ]
 
 
-def _stood_in(
+def _with_equivalent_sensor(
     logs: list[Log], arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
 ) -> tuple[list[Log], Arm]:
     """Logs and arm with the equivalent accelerometer or gyro of one link."""
@@ -199,8 +199,8 @@ def _stood_in(
     drive = arm.joints[joint - 1]
     imu = drive.imu or Imu()
     accelerometers = [k for k, axis in enumerate(axes) if axis.kind != "gyro"]
-    weights, distance = _tangential([linear[k] for k in accelerometers], arm, joint)
-    if accelerometers and abs(distance) > _NEAR:
+    weights, distance = _tangential_weights([linear[k] for k in accelerometers], arm, joint)
+    if accelerometers and abs(distance) > _MIN_DISTANCE:
         hz = drive.accelerometer_hz if axes[0].kind == "tangential" else imu.accelerometer_hz
         changed_joint = replace(drive, accelerometer_distance=distance, accelerometer_hz=hz)
         selected, name = [axes[k] for k in accelerometers], f"a{joint}"
@@ -208,7 +208,7 @@ def _stood_in(
         selected = [axis for axis in axes if axis.kind == "gyro"]
         shares = np.array([f[0] for a, f in zip(axes, linear, strict=True) if a.kind == "gyro"])
         if not selected or not float(shares @ shares) > 0.1:
-            return _left_out(logs, joint), arm
+            return _without_accelerometer(logs, joint), arm
         # equal delay of the first-order and the second-order low-pass
         changed_joint = replace(drive, gyro_hz=imu.gyro_hz / np.sqrt(2.0) if imu.gyro_hz else None)
         weights, name = shares / float(shares @ shares), f"gyro{joint}"
@@ -223,13 +223,17 @@ def _stood_in(
                 w * f for w, f in zip(weights, [linear[k] for k in accelerometers], strict=True)
             )
             if name.startswith("a") and axes[0].kind != "tangential":
-                channels[name] = channels[name] - _beside(log, arm, joint, counts, distance)
+                channels[name] = channels[name] - _other_contributions(
+                    log, arm, joint, counts, distance
+                )
         new_logs.append(replace(log, channels=channels, masked=masked))
     joints = tuple(changed_joint if i == joint - 1 else j for i, j in enumerate(arm.joints))
     return new_logs, arm.with_joints(joints)
 
 
-def _tangential(linear: Sequence[FloatArray], arm: Arm, joint: int) -> tuple[FloatArray, float]:
+def _tangential_weights(
+    linear: Sequence[FloatArray], arm: Arm, joint: int
+) -> tuple[FloatArray, float]:
     """Weights of a sum of axes with factor one of f_y and zero of f_x, and its factor of alpha.
 
     On the first link, where f is small, the sum has factor one of alpha and zero of w^2. The factor
@@ -248,7 +252,9 @@ def _tangential(linear: Sequence[FloatArray], arm: Arm, joint: int) -> tuple[Flo
     return weights, float(matrix[2] @ weights)
 
 
-def _beside(log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float) -> FloatArray:
+def _other_contributions(
+    log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float
+) -> FloatArray:
     """Contribution of the other quantities to a sum, from the motors: (n_samples,)."""
-    basis, _ = _by_motors(log, arm, joint)
+    basis, _ = _motor_kinematics(log, arm, joint)
     return np.asarray(basis @ (counts - np.array([0.0, 1.0, distance, 0.0])))

@@ -29,7 +29,7 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
-                voltage[:, i] = _held(experiment.prbs, log.sample_time, len(log))
+                voltage[:, i] = _sample_prbs(experiment.prbs, log.sample_time, len(log))
     numbers = range(1, arm.n_joints + 1)
     servo_voltage = recorded_voltage[0] - voltage[0]
     return Drive(
@@ -140,12 +140,17 @@ def driving_voltages(arm: Arm, log: Log) -> FloatArray:
         torque_per_volt = joint.torque_per_volt or 1.0
         values = log.channels[name]
         if name != f"u{i}":
-            values = _commanded(values, joint.current_loop_hz, log.sample_time) / torque_per_volt
+            values = (
+                _command_from_torque(values, joint.current_loop_hz, log.sample_time)
+                / torque_per_volt
+            )
         columns.append(values)
     return np.column_stack(columns)
 
 
-def _commanded(torque: FloatArray, loop_hz: float | None, sample_time: float) -> FloatArray:
+def _command_from_torque(
+    torque: FloatArray, loop_hz: float | None, sample_time: float
+) -> FloatArray:
     """Held command between samples that produces the motor torque at the samples."""
     following = np.append(torque[1:], torque[-1])
     if loop_hz is None:
@@ -154,7 +159,7 @@ def _commanded(torque: FloatArray, loop_hz: float | None, sample_time: float) ->
     return np.asarray((following - decay * torque) / (1.0 - decay))
 
 
-def _held(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
+def _sample_prbs(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:
     """PRBS voltage at each sample, held over its clock."""
     sequence = excitation.prbs(prbs)
     clock_index = np.floor(np.arange(samples) * sample_time / prbs.clock + 1e-9).astype(int)

@@ -30,20 +30,20 @@ def sliding_direction(angle: FloatArray, resolution: float, standing: int) -> Fl
     angle.
     """
     direction = np.zeros(len(angle))
-    for start, stop, sign in _monotone_runs(angle, resolution):
+    for start, stop, sign in _find_monotone_runs(angle, resolution):
         run = sign * angle[start : stop + 1]
         inside = (run > run[0] + resolution) & (run < run[-1] - resolution)
         direction[start : stop + 1][inside] = sign
-    direction[_stands(angle, resolution, standing)] = 0.0
+    direction[_detect_standstill(angle, resolution, standing)] = 0.0
     return direction
 
 
-def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int, int]]:
+def _find_monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int, int]]:
     """(start, stop, sign) between turning points that differ by more than the resolution."""
     runs: list[tuple[int, int, int]] = []
     start, extreme, sign = 0, 0, 0
     low = high = 0
-    turns = _turns(angle)
+    turns = _turning_points(angle)
     values = dict(zip(turns, angle[turns].tolist(), strict=True))
     for k, value in values.items():
         if sign == 0:
@@ -62,7 +62,7 @@ def _monotone_runs(angle: FloatArray, resolution: float) -> list[tuple[int, int,
     return runs
 
 
-def _turns(angle: FloatArray) -> list[int]:
+def _turning_points(angle: FloatArray) -> list[int]:
     """The first sample, the last change of the angle, and all turning points between them."""
     steps = np.diff(angle)
     moving = np.flatnonzero(steps)
@@ -70,7 +70,7 @@ def _turns(angle: FloatArray) -> list[int]:
     return [0, *(moving[np.r_[reverses, True][: len(moving)]] + 1).tolist()]
 
 
-def _stands(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
+def _detect_standstill(angle: FloatArray, resolution: float, standing: int) -> BoolArray:
     """Samples in a window of `standing` samples in which the angle stays within the resolution."""
     width = max(2, standing)
     spread = running(np.maximum, angle, width) - running(np.minimum, angle, width)
@@ -112,12 +112,12 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
     for first, stop in edges.reshape(-1, 2).tolist():
         length = stop - first
         if length not in shapes_by_length:
-            shapes_by_length[length] = _shapes_of(length, spacing)
+            shapes_by_length[length] = _stretch_shapes(length, spacing)
         shapes += [(first + start, shape) for start, shape in shapes_by_length[length]]
     return shapes
 
 
-def _shapes_of(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
+def _stretch_shapes(length: int, spacing: int) -> list[tuple[int, FloatArray]]:
     """Shape functions, as (first sample, shape), of one stretch."""
     n_knots = max(1, round(length / spacing)) + (length > spacing)
     if n_knots == 1:

@@ -8,8 +8,8 @@ from strainwave.domain import FloatArray
 from strainwave.study_draft.names import UNITS, Named
 from strainwave.study_draft.signal_features import relation
 
-_OPPOSITE = -0.5  # correlation below which the sensor's sign is reversed
-_SI = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}  # quantity -> SI unit
+_MAX_REVERSED_CORRELATION = -0.5  # correlation below which the sensor's sign is reversed
+_SI_UNITS = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}  # quantity -> SI unit
 
 
 def chosen_axis(
@@ -23,7 +23,7 @@ def chosen_axis(
     """
     varying = {name: values for name, values in columns.items() if np.ptp(values) > 0.0}
     correlations = {
-        name: _goes_with(angle, values - values.mean(), quantity, time)
+        name: _motion_correlation(angle, values - values.mean(), quantity, time)
         for name, values in varying.items()
     }
     best = max(correlations, key=lambda name: abs(correlations[name]), default=None)
@@ -39,14 +39,14 @@ def scale_and_reason(each: Named, quantity: str, r: float, columns: int) -> tupl
     reason = ""
     if columns > 1:
         reason += f"; of {columns} columns the one that goes with the motor (r = {r:.2f})"
-    if r < _OPPOSITE:
+    if r < _MAX_REVERSED_CORRELATION:
         scale, reason = -scale, f"{reason}; it points the other way, so the sign is turned"
     if each.unit is None:
-        reason += f"; unit taken as {_SI[quantity]}"
+        reason += f"; unit taken as {_SI_UNITS[quantity]}"
     return scale, reason
 
 
-def _goes_with(
+def _motion_correlation(
     angle: FloatArray | None, values: FloatArray, quantity: str, time: FloatArray
 ) -> float:
     if angle is None or quantity == "deflection":

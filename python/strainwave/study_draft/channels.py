@@ -18,10 +18,10 @@ _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 def map_channels(record: Record) -> Mapping:
     """Guess the channels of the arm from the record with the most columns."""
-    return _mapped(record, record)
+    return _map_columns(record, record)
 
 
-def _mapped(record: Record, fullest: Record) -> Mapping:
+def _map_columns(record: Record, fullest: Record) -> Mapping:
     named, limit, notes = named_columns(record, fullest)
     n_joints = max((each.number or 1 for each in named.values()), default=1)
     mapping = Mapping(limit=limit, notes=notes)
@@ -32,7 +32,7 @@ def _mapped(record: Record, fullest: Record) -> Mapping:
     used = {guess.column for guess in mapping.guesses.values()}
     for name, values in record.columns.items():
         if name not in used and name not in mapping.unused:
-            mapping.unused[name] = _unknown(record, values, mapping)
+            mapping.unused[name] = _describe_unused(record, values, mapping)
     return mapping
 
 
@@ -55,7 +55,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
     known = {*fullest.columns, *mapping.unused, *(g.column for g in mapping.guesses.values())}
     if known.issuperset(record.columns):
         return
-    extra = _mapped(record, fullest)
+    extra = _map_columns(record, fullest)
     for channel, guess in extra.guesses.items():
         if channel not in mapping.guesses and guess.column not in known:
             mapping.guesses[channel] = guess
@@ -72,7 +72,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
             mapping.unused[column] = f"its channel is another column's in {fullest.path.name}"
 
 
-def _unknown(record: Record, values: FloatArray, mapping: Mapping) -> str:
+def _describe_unused(record: Record, values: FloatArray, mapping: Mapping) -> str:
     """Describe a column that has no channel."""
     if np.ptp(values) == 0.0:
         return "it never changes"

@@ -23,10 +23,12 @@ from strainwave.study_draft.signal_features import (
 )
 
 _SLOW_HZ = 5.0  # [Hz] upper frequency of a motion of the whole arm
-_SLOW = 0.9  # minimum share of an input's power below _SLOW_HZ in a motion record
-_MANY = 40  # minimum number of jumps of a random input; step records have fewer
+_MIN_LOW_FREQUENCY_SHARE = (
+    0.9  # minimum share of an input's power below _SLOW_HZ in a motion record
+)
+_MIN_RANDOM_JUMPS = 40  # minimum number of jumps of a random input; step records have fewer
 # name of a validation record
-_CHECK = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
+_CHECK_NAME = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 
 
 @dataclass(slots=True)
@@ -43,7 +45,7 @@ class Proposed:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
+class _JointInput:
     """Classification of one joint's input in a record."""
 
     joint: int
@@ -58,13 +60,13 @@ def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[
 
     `elastic` states whether the gear stiffness is to be identified.
     """
-    proposals = [_one(record, mapping, elastic) for record in records]
-    _sweeps(proposals)
-    _checks(proposals)
+    proposals = [_propose_use(record, mapping, elastic) for record in records]
+    _assign_sweeps(proposals)
+    _assign_checks(proposals)
     return proposals
 
 
-def _elastic_checks(found: list[Proposed]) -> None:
+def _assign_elastic_checks(found: list[Proposed]) -> None:
     """Use the last step record of each joint for validation, if other records fit the model."""
     checked = {each.joint for each in found if each.use == "check"}
     excited = {each.joint for each in found if each.use in ("frequency", "sweep")}
@@ -84,10 +86,10 @@ def unchecked_joints(found: Sequence[Proposed], joints: int) -> list[int]:
     return [joint for joint in range(1, joints + 1) if joint not in checked]
 
 
-def _one(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
-    inputs = [_joint(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
+def _propose_use(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
+    inputs = [_classify_input(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
     control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in inputs)
-    random_input = max((s for s in inputs if s.kind == "random"), key=_size, default=None)
+    random_input = max((s for s in inputs if s.kind == "random"), key=_priority, default=None)
     stepped = [s for s in inputs if s.kind == "steps"]
     if random_input is not None and elastic:
         sequence = random_input.sequence
@@ -110,30 +112,30 @@ def _one(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
     return Proposed(record, "motion", reason, None, control)
 
 
-def _joint(record: Record, mapping: Mapping, joint: int) -> _Seen:
+def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput:
     drive = _column(record, mapping, f"u{joint}", f"torque{joint}")
     reference = _column(record, mapping, f"ref{joint}")
     if drive is None or np.ptp(drive) == 0.0:
-        return _Seen(
+        return _JointInput(
             joint, "still", None, reference is not None and bool(np.ptp(reference) > 0.0), 0.0
         )
     std = float(np.std(drive))
     input_levels = levels(drive)
     jumps = switches(drive)
     servo = input_levels is None
-    if input_levels is not None and jumps >= _MANY and not runs_alike(drive):
-        return _Seen(joint, "random", sequence_of(drive, record.period), False, std)
+    if input_levels is not None and jumps >= _MIN_RANDOM_JUMPS and not runs_alike(drive):
+        return _JointInput(joint, "random", sequence_of(drive, record.period), False, std)
     if input_levels is not None:
-        return _Seen(joint, "steps", None, False, std)
+        return _JointInput(joint, "steps", None, False, std)
     if reference is not None and np.ptp(reference) > 0.0:
         is_stepped = levels(reference) is not None
-        return _Seen(joint, "steps" if is_stepped else "smooth", None, servo, std)
-    is_smooth = smooth_share(drive, record.period, _SLOW_HZ) > _SLOW
-    is_broad = jumps >= _MANY and not is_smooth
-    return _Seen(joint, "random" if is_broad else "smooth", None, servo, std)
+        return _JointInput(joint, "steps" if is_stepped else "smooth", None, servo, std)
+    is_smooth = smooth_share(drive, record.period, _SLOW_HZ) > _MIN_LOW_FREQUENCY_SHARE
+    is_broad = jumps >= _MIN_RANDOM_JUMPS and not is_smooth
+    return _JointInput(joint, "random" if is_broad else "smooth", None, servo, std)
 
 
-def _size(seen: _Seen) -> float:
+def _priority(seen: _JointInput) -> float:
     # a detected maximum-length sequence has priority over other random inputs
     return seen.size * (1e6 if seen.sequence else 1.0)
 
@@ -152,7 +154,7 @@ def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | No
     return None
 
 
-def _sweeps(found: list[Proposed]) -> None:
+def _assign_sweeps(found: list[Proposed]) -> None:
     """Assign `frequency` or `sweep` to records that excite one joint under the same control.
 
     The record with the largest amplitude is `frequency`, weaker ones are `sweep`.
@@ -173,10 +175,10 @@ def _amplitude(each: Proposed) -> float:
     return each.prbs.amplitude if each.prbs else 0.0
 
 
-def _checks(found: list[Proposed]) -> None:
+def _assign_checks(found: list[Proposed]) -> None:
     """Select validation records: by name, else the shortest of several motion records."""
     for each in found:
-        if _CHECK.search(each.record.name) and each.use in ("motion", "tuning"):
+        if _CHECK_NAME.search(each.record.name) and each.use in ("motion", "tuning"):
             each.use, each.why = "check", f"{each.why}; a record to check with, by its name"
     motions = [each for each in found if each.use == "motion"]
     if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in found):
@@ -188,7 +190,7 @@ def _checks(found: list[Proposed]) -> None:
     for each in found:
         if each.use == "tuning" and each.joint in excited and "servo" not in each.control:
             each.use, each.why = "check", f"{each.why} in open loop; kept to check with"
-    _elastic_checks(found)
+    _assign_elastic_checks(found)
     if not any(each.use == "motion" for each in found):
         motion_checks = [e for e in found if e.use == "check" and e.joint is None]
         if motion_checks:

@@ -16,7 +16,9 @@ from strainwave.io.logs.tables import LARGEST, first_impossible, open_table
 from strainwave.study_draft.names import MOST_JOINTS, UNITS, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
-_FEW_LOST = 0.05  # maximum share of invalid samples; with more, a column cannot be classified
+_MAX_INVALID_SHARE = (
+    0.05  # maximum share of invalid samples; with more, a column cannot be classified
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,10 +57,10 @@ def look_at(path: Path) -> Record:
     """
     if not path.exists():
         raise InvalidInput("the log does not exist", where=str(path), remedy="check the name")
-    return _bag(path) if is_bag(path) else _table(path)
+    return _read_bag(path) if is_bag(path) else _read_table(path)
 
 
-def _table(path: Path) -> Record:
+def _read_table(path: Path) -> Record:
     table = open_table(path)
     columns, faults = {}, []
     try:
@@ -69,7 +71,7 @@ def _table(path: Path) -> Record:
                 columns |= table.read([name])
             except InvalidInput as error:
                 faults.append(f"column {name!r} is left out: {error.problem}")
-    columns, value_faults = _finite(columns)
+    columns, value_faults = _valid_columns(columns)
     n_samples = max((len(values) for values in columns.values()), default=0)
     columns = {name: values for name, values in columns.items() if len(values) == n_samples}
     if n_samples < FEWEST_ROWS:
@@ -78,12 +80,12 @@ def _table(path: Path) -> Record:
             where=str(path),
             remedy="give a log of an experiment, with a header line",
         )
-    name, unit, scale = _clock(columns, path)
+    name, unit, scale = _time_column(columns, path)
     time = scale * columns.pop(name)
     return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults))
 
 
-def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]:
+def _time_column(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]:
     """Return the name of the time column, its unit and the unit in seconds."""
     clocks = [name for name, values in columns.items() if is_clock(values)]
     clocks.sort(key=lambda name: parse(name).quantity != "time")
@@ -100,11 +102,11 @@ def _clock(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]
         f"there is no column of time among {', '.join(columns)}{increasing if clocks else ''}",
         where=str(path),
         remedy="add a column t [s]: the row's number divided by the sampling rate will do"
-        + _beyond(columns),
+        + _joint_limit_remark(columns),
     )
 
 
-def _beyond(columns: Collection[str]) -> str:
+def _joint_limit_remark(columns: Collection[str]) -> str:
     """Return a remark if the columns have more joints than a supported arm, else an empty text."""
     numbers = {number for name in columns if (number := parse(name).number) is not None}
     if len(numbers) <= MOST_JOINTS:
@@ -115,7 +117,7 @@ def _beyond(columns: Collection[str]) -> str:
     )
 
 
-def _bag(path: Path) -> Record:
+def _read_bag(path: Path) -> Record:
     bag = Bag(path)
     wanted = [name for name in bag.names if parse(name).quantity not in (None, "time")]
     if not wanted:
@@ -129,7 +131,7 @@ def _bag(path: Path) -> Record:
     notes, faults = [warning.message for warning in warnings], list[str]()
     usable: list[Track] = []
     for track in tracks:
-        columns, value_faults = _finite(track.columns)
+        columns, value_faults = _valid_columns(track.columns)
         faults += value_faults
         if columns and len(track.time) >= FEWEST_ROWS:
             usable.append(Track(track.name, track.time, columns, track.row_name))
@@ -147,7 +149,7 @@ def _without_angle(track: Track) -> bool:
     return not any(parse(name).quantity == "angle" for name in track.columns)
 
 
-def _finite(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
+def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:
     """Return the numeric columns, and messages on invalid samples.
 
     A few invalid samples are interpolated so that the column can be classified; columns with more
@@ -165,7 +167,7 @@ def _finite(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], l
             f"column {name!r} has {n_invalid} sample(s) that are no number, "
             f"the first in row {row + 1}"
         )
-        if n_invalid > _FEW_LOST * len(values):
+        if n_invalid > _MAX_INVALID_SHARE * len(values):
             messages.append(f"{fault}: it is left out")
             continue
         rows = np.arange(len(values))

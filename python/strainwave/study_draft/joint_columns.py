@@ -50,7 +50,7 @@ class JointColumns:
         self._input()
         self._sensors(motor)
 
-    def _of(self, quantity: str) -> list[str]:
+    def _columns_of(self, quantity: str) -> list[str]:
         return [name for name, each in self.named.items() if each.quantity == quantity]
 
     def _add(self, channel: str, column: str, why: str, sure: Sure, **more: object) -> None:
@@ -67,7 +67,7 @@ class JointColumns:
 
         Names decide; without a side in the name, the angle with the larger range is the motor's.
         """
-        names = sorted(self._of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
+        names = sorted(self._columns_of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
         link = [n for n in names if self.named[n].side == "link"]
         motor = [n for n in names if self.named[n].side == "motor"]
         no_side = [n for n in names if n not in link + motor]
@@ -84,7 +84,7 @@ class JointColumns:
     def _angle(self, column: str, side: str) -> None:
         each = self.named[column]
         sure: Sure = "likely" if each.sure else "unsure"
-        name_reason = _by_name(each)
+        name_reason = _evidence(each)
         scale, todo, unit_reason = self._angle_unit(column)
         self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
         if side == "link":
@@ -108,7 +108,7 @@ class JointColumns:
             return None, "2 pi / counts per motor turn [rad]", "in counts by its name"
         if unit is not None:
             return UNITS["angle"][unit], "", f"unit {unit} by its name"
-        for velocity in self._of("velocity"):
+        for velocity in self._columns_of("velocity"):
             units = self._unit_pair(column, velocity)
             if units and self.named[velocity].unit is None:
                 return units[0], "", f"with {velocity!r}: {units[2]}"
@@ -131,7 +131,7 @@ class JointColumns:
 
     def _velocity(self, angle: str) -> None:
         angle_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
-        for column in self._of("velocity"):
+        for column in self._columns_of("velocity"):
             r, ratio = self._relation(column, angle)
             agrees = r > AGREES and ratio > 0.0
             if not agrees or angle_scale is None:
@@ -166,7 +166,7 @@ class JointColumns:
             self.facts.encoder_counts = (common_counts, reason) if common_counts else (None, reason)
 
     def _reference(self, angle: str) -> None:
-        for column in self._of("reference"):
+        for column in self._columns_of("reference"):
             values, each = self._values(column), self.named[column]
             velocity_r, _ = self._relation(column, angle)
             centred_angle = self._values(angle) - self._values(angle).mean()
@@ -176,7 +176,7 @@ class JointColumns:
                 self.mapping.unused[column] = f"a reference of {angle!r}; only velocities have one"
             else:
                 sure: Sure = "sure" if velocity_r > AGREES else "unsure"
-                reason = f"{_by_name(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
+                reason = f"{_evidence(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
                 self._add("ref", column, reason, sure, scale=scale)
 
     def _link(self, motor: str, link: str) -> None:
@@ -186,7 +186,7 @@ class JointColumns:
         scale, todo, unit_reason = self._angle_unit(link)
         sure: Sure = "likely" if r > AGREES else "unsure"
         reason = (
-            f"{_by_name(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {unit_reason}"
+            f"{_evidence(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {unit_reason}"
         )
         self._add("theta_l", link, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("theta_l")
@@ -200,7 +200,7 @@ class JointColumns:
 
     def _input(self) -> None:
         for quantity, channel in (("torque", "torque"), ("voltage", "u"), ("current", "torque")):
-            for column in self._of(quantity):
+            for column in self._columns_of(quantity):
                 mapped_inputs = {f"torque{self.number}", f"u{self.number}"} & set(
                     self.mapping.guesses
                 )
@@ -218,7 +218,7 @@ class JointColumns:
     def _add_input(self, column: str, quantity: str, channel: str) -> None:
         each = self.named[column]
         scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
-        todo, reason = "", _by_name(each)
+        todo, reason = "", _evidence(each)
         if quantity == "current":
             scale, todo = None, "torque constant [N m/A], at the motor; times 1e-3 for mA"
         input_levels = levels(self._values(column))
@@ -243,7 +243,7 @@ class JointColumns:
             ("gyro", "gyro"),
             ("deflection", "deflection"),
         ):
-            columns = {name: self._values(name) for name in self._of(quantity)}
+            columns = {name: self._values(name) for name in self._columns_of(quantity)}
             best_axis = chosen_axis(columns, quantity, angle, self.record.time)
             if best_axis is None:
                 continue
@@ -252,14 +252,14 @@ class JointColumns:
             scale, axis_reason = scale_and_reason(each, quantity, r, len(columns))
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
             placement = "" if each.placed else "; no joint in its name: the last is a guess"
-            self._add(channel, column, _by_name(each) + axis_reason + placement, sure, scale=scale)
+            self._add(channel, column, _evidence(each) + axis_reason + placement, sure, scale=scale)
             self.facts.link_sensors.add(channel)
             for other, values in columns.items():
                 if other != column and np.ptp(values) > 0.0:
                     self.mapping.unused[other] = "another axis of the same sensor"
 
 
-def _by_name(each: Named) -> str:
+def _evidence(each: Named) -> str:
     if each.word:
         return f"{each.quantity} by its name"
     return f"{each.quantity} by its unit" if each.unit else f"{each.quantity} by its numbers"

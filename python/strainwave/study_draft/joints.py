@@ -10,7 +10,9 @@ from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.names import MOST_JOINTS, Named, parse
 from strainwave.study_draft.signal_features import levels, relation
 
-_DERIVATIVE = 0.95  # minimum correlation at which an unnamed column is the derivative of another
+_MIN_DERIVATIVE_CORRELATION = (
+    0.95  # minimum correlation at which an unnamed column is the derivative of another
+)
 
 
 def named_columns(
@@ -25,11 +27,11 @@ def named_columns(
     named = {name: parse(name) for name in record.columns}
     notes: list[str] = []
     if not any(each.quantity == "angle" for each in named.values()):
-        named |= _by_nature(record, named)
+        named |= _classify_by_data(record, named)
         notes.append("no name gave an angle away: columns were assigned by their numbers alone")
-    numbered = _numbered(named)
+    numbered = _number_joints(named)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
-    moving = [j for j in joints if _moves(fullest or record, numbered, j)] or joints
+    moving = [j for j in joints if _is_moving(fullest or record, numbered, j)] or joints
     chosen = sorted(moving[:MOST_JOINTS])
     limit = ""
     if len(joints) > len(chosen):
@@ -37,8 +39,8 @@ def named_columns(
             f"these logs have angles of {len(joints)} joints; an arm of one joint, or of two links "
             "in one plane, is what can be identified so far. Taken as joint "
             f"{' and '.join(str(k) for k in range(1, len(chosen) + 1))}: "
-            f"{', '.join(_called(numbered, j) for j in chosen)} of the logs. The result holds only "
-            "if the other joints stand still in every record"
+            f"{', '.join(_joint_label(numbered, j) for j in chosen)} of the logs. The result holds"
+            " only if the other joints stand still in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
     for name, each in numbered.items():
@@ -55,16 +57,16 @@ def named_columns(
     return kept, limit, tuple(notes)
 
 
-def _numbered(named: Mapping[str, Named]) -> dict[str, Named]:
+def _number_joints(named: Mapping[str, Named]) -> dict[str, Named]:
     """Number the joints from 1, also if the names count from 0 or use labels."""
     named = {name: replace(each, label=_label(each, named)) for name, each in named.items()}
     labels = list(dict.fromkeys(each.label for each in named.values() if each.label))
-    from_zero = {_kin(name, each) for name, each in named.items() if each.number == 0}
+    from_zero = {_numbering_group(name, each) for name, each in named.items() if each.number == 0}
     numbered = {}
     for name, each in named.items():
         if each.label:
             numbered[name] = replace(each, number=labels.index(each.label) + 1)
-        elif each.number is not None and _kin(name, each) in from_zero:
+        elif each.number is not None and _numbering_group(name, each) in from_zero:
             numbered[name] = replace(each, number=each.number + 1)
         else:
             numbered[name] = each
@@ -78,12 +80,12 @@ def _label(each: Named, named: Mapping[str, Named]) -> str:
     return each.label or (each.word_left if len(words) > 1 and each.word_left in words else "")
 
 
-def _kin(name: str, each: Named) -> tuple[str, str | None]:
+def _numbering_group(name: str, each: Named) -> tuple[str, str | None]:
     """Return the group of columns that share a numbering: a topic, or a quantity in a table."""
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _moves(record: Record, named: Mapping[str, Named], joint: int) -> bool:
+def _is_moving(record: Record, named: Mapping[str, Named], joint: int) -> bool:
     return any(
         each.quantity == "angle"
         and (each.number or 1) == joint
@@ -98,12 +100,12 @@ def _span(record: Record, name: str) -> float:
     return float(values.max() - values.min())
 
 
-def _called(named: Mapping[str, Named], joint: int) -> str:
+def _joint_label(named: Mapping[str, Named], joint: int) -> str:
     labels = [e.label for e in named.values() if e.label and e.number == joint]
     return f"{joint} ({labels[0]})" if labels else str(joint)
 
 
-def _by_nature(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
+def _classify_by_data(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
     """Classify columns by their data.
 
     An angle is the integral of a velocity; a voltage takes few levels.
@@ -111,7 +113,9 @@ def _by_nature(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
     unclassified = [n for n, e in named.items() if e.quantity is None and _span(record, n) > 0.0]
     voltages = [n for n in unclassified if levels(record.columns[n]) is not None]
     unclassified = [n for n in unclassified if n not in voltages]
-    pairs = sorted(_pairs({n: record.columns[n] for n in unclassified}, record.time), reverse=True)
+    pairs = sorted(
+        _derivative_pairs({n: record.columns[n] for n in unclassified}, record.time), reverse=True
+    )
     classified: dict[str, Named] = {}
     for _, angle, velocity in pairs:
         if angle not in classified and velocity not in classified:
@@ -131,13 +135,15 @@ def _by_nature(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
     return classified
 
 
-def _pairs(columns: Mapping[str, FloatArray], time: FloatArray) -> list[tuple[float, str, str]]:
+def _derivative_pairs(
+    columns: Mapping[str, FloatArray], time: FloatArray
+) -> list[tuple[float, str, str]]:
     """Return (correlation, angle, velocity) for each column that is the derivative of another."""
     pairs = []
     for rate, speeds in columns.items():
         for value, angles in columns.items():
             if rate != value:
                 r, ratio = relation(speeds, angles, time)
-                if r > _DERIVATIVE and ratio > 0.0:
+                if r > _MIN_DERIVATIVE_CORRELATION and ratio > 0.0:
                     pairs.append((r, value, rate))
     return pairs

@@ -45,14 +45,27 @@ _SIDES: dict[str, Side] = {
     **dict.fromkeys(["l", "link", "arm", "load", "output", "out", "secondary", "ls"], "link"),
 }
 # words of a commanded angle or velocity, which is a reference
-_COMMANDED = ("cmd", "command", "commanded")
+_COMMAND_WORDS = ("cmd", "command", "commanded")
 # words that have other meanings too
-_UNSURE = ("v", "i", "a", "w", "th", "cmd", "command", "ctrl", "control", "input", "drive", "sp")
+_AMBIGUOUS_WORDS = (
+    "v",
+    "i",
+    "a",
+    "w",
+    "th",
+    "cmd",
+    "command",
+    "ctrl",
+    "control",
+    "input",
+    "drive",
+    "sp",
+)
 # words of columns that have no quantity
-_NO_AXIS = ("orientation", "quaternion", "temp", "temperature", "status", "id", "seq")
+_IGNORED_WORDS = ("orientation", "quaternion", "temp", "temperature", "status", "id", "seq")
 
 # words that do not distinguish joints
-_GENERAL = (
+_GENERIC_WORDS = (
     *("joint", "axis", "j", "robot", "imu", "sensor"),
     *("meas", "measured", "act", "actual", "state", "data", "value"),
 )
@@ -118,7 +131,7 @@ def parse(name: str) -> Named:
         number = int(bracket[1]) if bracket and bracket[1].isdecimal() else None
         text = re.sub(r"\.data$", "", text)
     tokens = _tokens(text)
-    if any(token.lower() in _NO_AXIS for token in tokens):
+    if any(token.lower() in _IGNORED_WORDS for token in tokens):
         return Named(None)
     quantity, word = _quantity(tokens)
     unit, words = _unit(tokens, quantity, word)
@@ -129,22 +142,22 @@ def parse(name: str) -> Named:
         number = numbers[-1]
     lowercase = [token.lower() for token in words]
     sides = [_SIDES[token] for token in lowercase if token in _SIDES]
-    commanded = any(token in _COMMANDED for token in lowercase)
+    commanded = any(token in _COMMAND_WORDS for token in lowercase)
     if commanded and quantity in ("angle", "velocity"):
         quantity = "reference"
     side = sides[-1] if sides else None
     known_words = {
         word,
-        *_GENERAL,
+        *_GENERIC_WORDS,
         *_SIDES,
-        *_COMMANDED,
+        *_COMMAND_WORDS,
         *(w for _, of in _WORDS for w in of.split()),
     }
     unknown_word = next(
         (token for token in lowercase if token not in known_words and not token.isdecimal()), ""
     )
     is_channel = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
-    sure = is_channel or (bool(word) and word not in _UNSURE)
+    sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
     return Named(
         quantity, number, label, unknown_word, unit, side, commanded, word, sure, is_channel
     )

@@ -6,17 +6,19 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Prbs
 
-_UNEVEN = 10.0  # maximum ratio of longest to median step of a clock; an angle exceeds it
-_FEW = 5  # maximum number of levels
-_SAME = 1e-6  # share of the range; closer levels count as one
-_JUMP = 0.3  # minimum share of the range that a jump covers within one sample
-_ALIKE = 0.98  # minimum share of samples that repeat after one period of a sequence
-_WHOLE = 0.02  # a fifth of the largest distance of multiples of a step from integers
-_FLAT = 2e-3  # minimum share of samples at the drive's limit that is reported
-_USUAL = 2e-3  # relative tolerance to common counts, for rounding in the log and of pi
+_MAX_CLOCK_STEP_RATIO = (
+    10.0  # maximum ratio of longest to median step of a clock; an angle exceeds it
+)
+_MAX_LEVELS = 5  # maximum number of levels
+_LEVEL_TOLERANCE = 1e-6  # share of the range; closer levels count as one
+_MIN_JUMP_SHARE = 0.3  # minimum share of the range that a jump covers within one sample
+_MIN_REPEATED_SHARE = 0.98  # minimum share of samples that repeat after one period of a sequence
+_MULTIPLE_TOLERANCE = 0.02  # a fifth of the largest distance of multiples of a step from integers
+_MIN_SATURATED_SHARE = 2e-3  # minimum share of samples at the drive's limit that is reported
+_COUNTS_TOLERANCE = 2e-3  # relative tolerance to common counts, for rounding in the log and of pi
 # lines per turn of common encoders, times a power of ten
-_LINES = (100, 125, 200, 250, 256, 300, 360, 400, 500, 512, 600, 625, 720, 800, 900)
-_MOST_LOOKED_AT = 200_000  # maximum number of samples that levels and quantum use
+_ENCODER_LINES = (100, 125, 200, 250, 256, 300, 360, 400, 500, 512, 600, 625, 720, 800, 900)
+_MAX_SAMPLES = 200_000  # maximum number of samples that levels and quantum use
 
 
 def is_clock(values: FloatArray) -> bool:
@@ -24,7 +26,7 @@ def is_clock(values: FloatArray) -> bool:
     steps = np.diff(values)
     if len(steps) < 2 or steps.min() <= 0.0:
         return False
-    return bool(steps.max() <= _UNEVEN * np.median(steps))
+    return bool(steps.max() <= _MAX_CLOCK_STEP_RATIO * np.median(steps))
 
 
 def time_unit(period: float) -> tuple[str, float] | None:
@@ -66,18 +68,20 @@ def levels(values: FloatArray) -> FloatArray | None:
     span = float(np.ptp(values))
     if span == 0.0:
         return values[:1]
-    rounded = np.unique(np.round((values[:_MOST_LOOKED_AT] - values.min()) / (_SAME * span)))
-    if len(rounded) > 4 * _FEW:
+    rounded = np.unique(
+        np.round((values[:_MAX_SAMPLES] - values.min()) / (_LEVEL_TOLERANCE * span))
+    )
+    if len(rounded) > 4 * _MAX_LEVELS:
         return None
     is_new_level = np.concatenate([[True], np.diff(rounded) > 10.0])
-    distinct = values.min() + rounded[is_new_level] * _SAME * span
-    return distinct if len(distinct) <= _FEW else None
+    distinct = values.min() + rounded[is_new_level] * _LEVEL_TOLERANCE * span
+    return distinct if len(distinct) <= _MAX_LEVELS else None
 
 
 def switches(values: FloatArray) -> int:
     """Count the jumps of a column that exceed _JUMP of its range."""
     span = float(np.ptp(values))
-    return int(np.count_nonzero(np.abs(np.diff(values)) > _JUMP * span)) if span else 0
+    return int(np.count_nonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * span)) if span else 0
 
 
 def sequence_of(values: FloatArray, period: float) -> Prbs | None:
@@ -113,14 +117,14 @@ def _repeats(high: BoolArray, order: int, clock: float) -> bool:
     if length > len(high):
         return False
     if len(high) > 1.5 * length:
-        return float(np.mean(high[length:] == high[:-length])) > _ALIKE
+        return float(np.mean(high[length:] == high[:-length])) > _MIN_REPEATED_SHARE
     majority = max(int(high[:length].sum()), length - int(high[:length].sum()))
     return bool(abs(majority - 2 ** (order - 1) * clock) < 0.5 * clock)
 
 
 def quantum(values: FloatArray) -> float | None:
     """Return the quantisation step of a column, such as an encoder's, or None."""
-    steps = np.abs(np.diff(values[:_MOST_LOOKED_AT]))
+    steps = np.abs(np.diff(values[:_MAX_SAMPLES]))
     steps = steps[steps > 1e-9 * max(float(np.ptp(values)), 1e-300)]
     if len(steps) < 20:
         return None
@@ -133,12 +137,12 @@ def quantum(values: FloatArray) -> float | None:
     mean_single_step = float(np.mean(small[small < 1.5 * smallest]))
     for step in (median_step, mean_single_step):
         remainders = np.abs(small / step - np.round(small / step))
-        if remainders.max() < _WHOLE * 5:
-            return _refined(values[:_MOST_LOOKED_AT] - values[0], step)
+        if remainders.max() < _MULTIPLE_TOLERANCE * 5:
+            return _refine_step(values[:_MAX_SAMPLES] - values[0], step)
     return None
 
 
-def _refined(values: FloatArray, step: float) -> float:
+def _refine_step(values: FloatArray, step: float) -> float:
     """Refine a quantisation step over increasing distances.
 
     Each distance is ten times the previous one, where the step is known to 1/20 count. Stops at the
@@ -162,15 +166,15 @@ def usual_counts(counts: float) -> int | None:
 
     Common counts are powers of two, and 1, 2 or 4 times a common number of lines.
     """
-    lines = [n * 10**decade for n in _LINES for decade in range(5)]
+    lines = [n * 10**decade for n in _ENCODER_LINES for decade in range(5)]
     common = {2**bits for bits in range(5, 25)} | {m * n for n in lines for m in (1, 2, 4)}
     nearest = min(common, key=lambda each: abs(each - counts))
-    return nearest if abs(counts / nearest - 1.0) < _USUAL else None
+    return nearest if abs(counts / nearest - 1.0) < _COUNTS_TOLERANCE else None
 
 
 def runs_alike(values: FloatArray) -> bool:
     """Whether all runs of a column have a similar length, as in a square wave."""
-    edges = np.flatnonzero(np.abs(np.diff(values)) > _JUMP * float(np.ptp(values)))
+    edges = np.flatnonzero(np.abs(np.diff(values)) > _MIN_JUMP_SHARE * float(np.ptp(values)))
     runs = np.diff(edges)
     return len(runs) > 1 and bool(runs.max() < 1.5 * np.median(runs))
 
@@ -180,7 +184,7 @@ def flat_top(values: FloatArray) -> float | None:
     top = float(np.abs(values).max())
     at_top = np.abs(values) > (1.0 - 1e-6) * top
     stays_at_top = at_top[1:] & at_top[:-1]
-    return top if top > 0.0 and stays_at_top.mean() > _FLAT else None
+    return top if top > 0.0 and stays_at_top.mean() > _MIN_SATURATED_SHARE else None
 
 
 def wraps(values: FloatArray, turn: float) -> bool:

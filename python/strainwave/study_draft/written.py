@@ -34,7 +34,7 @@ _EXPERIMENTS = (
     "In every [[experiment]], control is unsure: a joint without input, or with one of few levels, "
     "is taken as open, any other as under a servo. Records to check with are never fitted."
 )
-_WHERE = {  # key -> unit, meaning and source of the value
+_VALUE_SOURCES = {  # key -> unit, meaning and source of the value
     "link_length": "[m] from axis 1 to axis 2: the drawing, or measure it",
     "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet; "
     "1 where torque and angle are both logged behind the gear",
@@ -107,7 +107,7 @@ def _wrapped(text: str) -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
-def _off(key: str, value: str, comment: str) -> str:
+def _optional_line(key: str, value: str, comment: str) -> str:
     """Return a commented-out optional line."""
     code = f"# {key} = {value}" if value else f"# {key}"
     return f"{code:<26}  # {comment}"
@@ -126,7 +126,9 @@ def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], el
         if each.use in ("tuning", "check") and each.joint is not None and "servo" in each.control
     ]
     if not (elastic and steps):
-        return "\n".join([_off("[servo]", "", _SERVO_OPTIONAL), *(_off(*e) for e in entries)])
+        return "\n".join(
+            [_optional_line("[servo]", "", _SERVO_OPTIONAL), *(_optional_line(*e) for e in entries)]
+        )
     names = ", ".join(steps[:4]) + (f" and {len(steps) - 4} more" if len(steps) > 4 else "")
     reason = _wrapped(_SERVO_NEEDED.format(names=names, them="it" if len(steps) == 1 else "them"))
     return "\n".join([*reason, "[servo]", *(_line(*each) for each in entries)])
@@ -138,9 +140,11 @@ def _arm(mapping: Mapping) -> str:
     evidence = "angles of two joints are there" if is_two_link else "one joint's angle is there"
     lines = ["[arm]", _line("kind", _quoted(kind), f"likely: {evidence}")]
     if is_two_link:
-        lines.append(_line("link_length", TODO, _WHERE["link_length"]))
+        lines.append(_line("link_length", TODO, _VALUE_SOURCES["link_length"]))
     if not any(facts.prismatic for facts in mapping.joints):
-        lines.append(_off("gravity", "9.81", "[m/s^2] if the arm moves in a vertical plane: links"))
+        lines.append(
+            _optional_line("gravity", "9.81", "[m/s^2] if the arm moves in a vertical plane: links")
+        )
         lines += _wrapped(
             "then lie along +x at zero angle; where your zero hangs down, give theta_m1 the offset "
             "-1.5708/gear_ratio"
@@ -153,28 +157,30 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
     if facts.prismatic:
         lines.append(_line("motion", '"prismatic"', "likely: by its units; m, N, kg"))
     spring = '"linear"' if elastic else '"rigid"'
-    lines += [_line("spring", spring, _why_spring(facts, elastic)), _gear(facts)]
+    lines += [_line("spring", spring, _spring_reason(facts, elastic)), _gear(facts)]
     if facts.voltage:
-        lines.append(_line("torque_per_volt", TODO, _WHERE["torque_per_volt"]))
+        lines.append(_line("torque_per_volt", TODO, _VALUE_SOURCES["torque_per_volt"]))
     if facts.encoder_counts:
         counts, reason = facts.encoder_counts
-        write_line, sure = (_line, "likely") if counts else (_off, "unsure")
+        write_line, sure = (_line, "likely") if counts else (_optional_line, "unsure")
         lines.append(
             write_line("encoder_counts", str(counts or TODO), f"{sure}: {reason}; per motor turn")
         )
     if "a" in facts.link_sensors:
-        lines.append(_line("accelerometer_distance", TODO, _WHERE["accelerometer_distance"]))
+        lines.append(
+            _line("accelerometer_distance", TODO, _VALUE_SOURCES["accelerometer_distance"])
+        )
         lines.append(_line("accelerometer_hz", TODO, _BANDWIDTH))
     if "gyro" in facts.link_sensors:
         lines.append(_line("gyro_hz", TODO, _BANDWIDTH))
     if "imu" in facts.link_sensors:
-        lines.append(_off("imu", "{ accelerometer_hz = 300.0, gyro_hz = 100.0 }", _IMU))
+        lines.append(_optional_line("imu", "{ accelerometer_hz = 300.0, gyro_hz = 100.0 }", _IMU))
     if facts.voltage and elastic:
         lines.append(_line("current_loop_hz", TODO, _CURRENT_LOOP))
     return "\n".join(lines)
 
 
-def _why_spring(facts: JointFacts, elastic: bool) -> str:
+def _spring_reason(facts: JointFacts, elastic: bool) -> str:
     if not elastic:
         return "unsure: nothing on the link is logged, so no spring is identifiable"
     sensors = ", ".join(sorted(facts.link_sensors))
@@ -194,7 +200,7 @@ def _gear(facts: JointFacts) -> str:
         return _line("gear_ratio", f"{ratio:.6g}", note)
     if facts.prismatic:
         return _line("gear_ratio", "1.0", "likely: all is logged along the axis")
-    return _line("gear_ratio", TODO, _WHERE["gear_ratio"])
+    return _line("gear_ratio", TODO, _VALUE_SOURCES["gear_ratio"])
 
 
 def _channels(records: Sequence[Record], mapping: Mapping) -> str:

@@ -45,9 +45,9 @@ LENGTH_STEP = 1e-4  # relative step of a length for central differences
 
 # standard deviation of a difference, relative to the rigid step, below which the records add no
 # information
-_NOTHING_NEW = 0.05
-_SINGULAR = 1e-9  # relative eigenvalue below which the rigid correlations are singular
-_LEAST_TAIL = 1e-300  # lower limit of a tail probability; equals 37 standard deviations
+_MIN_STD_RATIO = 0.05
+_MIN_EIGENVALUE_RATIO = 1e-9  # relative eigenvalue below which the rigid correlations are singular
+_MIN_TAIL_PROBABILITY = 1e-300  # lower limit of a tail probability; equals 37 standard deviations
 
 
 def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
@@ -60,11 +60,11 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     prior, confidence = fit.objective.space.prior, fit.confidence
     F = prior.factor
     difference = F @ confidence.prior_residual
-    std = _deviations([F @ part @ F.T for part in confidence.prior_covariance])
-    rigid_std = _deviations([F @ prior.errors @ F.T])
+    std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
+    rigid_std = _standard_deviations([F @ prior.errors @ F.T])
     differences = []
     for k, (name, joint) in enumerate(prior.names):
-        if std[k] <= _NOTHING_NEW * rigid_std[k]:
+        if std[k] <= _MIN_STD_RATIO * rigid_std[k]:
             continue
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
         rigid = float(prior.mean[k])
@@ -73,7 +73,7 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     return tuple(differences)
 
 
-def _deviations(covariances: Sequence[FloatArray]) -> FloatArray:
+def _standard_deviations(covariances: Sequence[FloatArray]) -> FloatArray:
     """Largest standard deviation of each row over the covariances: (n_rows,)."""
     variances = np.max([np.diag(part) for part in covariances], axis=0)
     return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
@@ -92,12 +92,12 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     prior, confidence = fit.objective.space.prior, fit.confidence
     F = prior.factor
     _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
-    std = _deviations([F @ part @ F.T for part in confidence.prior_covariance])
+    std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
     steady_std = np.sqrt(np.maximum(np.diag(steady), 0.0))
     scale = np.divide(std, steady_std, out=np.ones_like(std), where=steady_std > 0.0)
     covariance = steady * np.outer(scale, scale)
     rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
-    relative = np.abs(difference) / _sizes(prior.names, prior.mean)
+    relative = np.abs(difference) / _reference_values(prior.names, prior.mean)
     groups: dict[tuple[Scope, int | None], list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
         group_key: tuple[Scope, int | None] = ("inertias", None)
@@ -119,7 +119,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     return tuple(tests)
 
 
-def _sizes(names: Sequence[Key], values: FloatArray) -> FloatArray:
+def _reference_values(names: Sequence[Key], values: FloatArray) -> FloatArray:
     """Reference of relative differences: the value, or the Coulomb friction for an offset."""
     magnitudes = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
     references = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
@@ -138,10 +138,10 @@ def _chi_square(
     """
     rigid_std = np.sqrt(np.diag(rigid))
     values, vectors = np.linalg.eigh(rigid / np.outer(rigid_std, rigid_std))
-    is_regular = values > _SINGULAR * values[-1]
+    is_regular = values > _MIN_EIGENVALUE_RATIO * values[-1]
     whiten = (vectors[:, is_regular] / np.sqrt(values[is_regular])).T / rigid_std
     ratios, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
-    is_informative = ratios > _NOTHING_NEW**2
+    is_informative = ratios > _MIN_STD_RATIO**2
     projection = directions.T[is_informative] @ (whiten @ difference)
     return float(np.sum(projection**2 / ratios[is_informative])), int(
         np.count_nonzero(is_informative)
@@ -149,7 +149,7 @@ def _chi_square(
 
 
 def _as_normal(chi_square: float, degrees: int) -> float:
-    tail = max(chi_square_tail(chi_square, degrees), _LEAST_TAIL)
+    tail = max(chi_square_tail(chi_square, degrees), _MIN_TAIL_PROBABILITY)
     return max(0.0, -NormalDist().inv_cdf(0.5 * tail))
 
 
@@ -184,7 +184,7 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
             )
         )
     suspects = [
-        replace(one, share=_share(fit, shifted=prior.by_shifts(names)))
+        replace(one, share=_shift_share(fit, shifted=prior.by_shifts(names)))
         for one, names in hypotheses
         if any(name in names for name in prior.names)
     ]
@@ -231,7 +231,7 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
         yield SuspectConstant("link_length", None, share, value, "m", text)
 
 
-def _share(fit: Fit, shifted: FloatArray) -> float:
+def _shift_share(fit: Fit, shifted: FloatArray) -> float:
     """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
     n, width = len(fit.objective.space.unknowns), shifted.shape[1]
 

@@ -11,7 +11,9 @@ from strainwave.identification.whole_arm.parametrisation import (
     Key,
 )
 
-_EDGE = 0.01  # distance to a bound, relative to half the range, that counts as at the bound
+_BOUND_TOLERANCE = (
+    0.01  # distance to a bound, relative to half the range, that counts as at the bound
+)
 
 
 def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
@@ -32,6 +34,6 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
 def at_bounds(fit: Fit) -> list[bool]:
     """Whether each unknown is at a bound of its range."""
     space = fit.objective.space
-    margin = 0.5 * _EDGE * (space.upper - space.lower)
+    margin = 0.5 * _BOUND_TOLERANCE * (space.upper - space.lower)
     is_near: list[bool] = ((fit.z < space.lower + margin) | (fit.z > space.upper - margin)).tolist()
     return is_near

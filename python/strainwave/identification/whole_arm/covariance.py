@@ -55,21 +55,21 @@ LEAST_SHARE = 1e-3
 Residuals contain no errors of parameters that no record identifies.
 """
 
-_NOTHING = 1e-30  # information of a parameter that no record depends on
-_LEAST_KEPT = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
-_HERMITE = {1: 0.927, 3: 0.056, 5: 0.017}
+_MIN_INFORMATION = 1e-30  # information of a parameter that no record depends on
+_MIN_VARIANCE_RATIO = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
+_HERMITE_SHARES = {1: 0.927, 3: 0.056, 5: 0.017}
 """Hermite degree -> share of the variance of r (1 + r^2)^(-1/2) for standard normal r.
 
 The last entry includes all higher degrees. The gradient of the loss slightly whitens the noise.
 """
 _NOISE_TOLERANCE = 0.2  # relative uncertainty of the sensor-noise part of a variance
-_FEWEST = 3  # minimum number of records for the scatter
-_NORMAL = 1.96  # two-sided 95 % quantile of the normal distribution
-_LEAST_LEFT = 1e-3  # lower limit of 1 - leverage; near 0, one record identifies a parameter
-_VAGUE = 0.1  # relative standard deviation above which a direction is poorly identified
+_MIN_RECORDS = 3  # minimum number of records for the scatter
+_NORMAL_QUANTILE = 1.96  # two-sided 95 % quantile of the normal distribution
+_MIN_REMAINING = 1e-3  # lower limit of 1 - leverage; near 0, one record identifies a parameter
+_MAX_RELATIVE_STD = 0.1  # relative standard deviation above which a direction is poorly identified
 # minimum ratio of marginal to conditional standard deviation for a group to be reported
-_SURER = 5.0
-_TAKES_PART = 0.2  # minimum component of a group member, relative to the largest component
+_MIN_STD_RATIO = 5.0
+_MIN_COMPONENT = 0.2  # minimum component of a group member, relative to the largest component
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ class Confidence:
     local: FloatArray
     sandwich: FloatArray
     steady: FloatArray
-    scatter: FloatArray  # NaN with fewer than `_FEWEST` records
+    scatter: FloatArray  # NaN with fewer than `_MIN_RECORDS` records
     prior_residual: FloatArray  # (n_prior,) whitened: fit minus rigid model
     prior_covariance: tuple[FloatArray, FloatArray]
     """Covariances of that residual, (n_prior, n_prior): by segment gradients, by steady errors."""
@@ -121,7 +121,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     n = len(blocks)
     segment_meat = n / (n - 1.0) * blocks.T @ blocks
     prior_residual = prior.rows @ space.parameters(z) - prior.target
-    prior_scale = _contradicted(
+    prior_scale = _prior_scale(
         prior.errors, prior_residual, rows @ unscaled_covariance, rows, segment_meat
     )
     prior_meat = prior_scale * rows.T @ prior.errors @ rows + unknown_information
@@ -141,9 +141,13 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     )
     n_records = len(records)
     variance = np.maximum(sandwich_variance, steady_variance)
-    if n_records >= _FEWEST:
-        variance = variance + _excess(local_variance, scatter_variance, pooled, n_records)
-    variance = variance * (1.0 + n_records * _beyond_noise(slope @ unscaled_covariance, records))
+    if n_records >= _MIN_RECORDS:
+        variance = variance + _scatter_increment(
+            local_variance, scatter_variance, pooled, n_records
+        )
+    variance = variance * (
+        1.0 + n_records * _unexplained_share(slope @ unscaled_covariance, records)
+    )
     ones = np.ones_like(variance)
     scale = np.sqrt(np.divide(variance, steady_variance, out=ones, where=steady_variance > 0.0))
     steady_meat = sum((record.steady for record in records), np.zeros_like(prior_information))
@@ -162,7 +166,9 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     )
 
 
-def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: int) -> FloatArray:
+def _scatter_increment(
+    own: FloatArray, scattered: FloatArray, pooled: float, n_records: int
+) -> FloatArray:
     """Increment of the variances from the scatter of few records.
 
     The scatter of one parameter follows a chi-square distribution with few degrees of freedom. If
@@ -171,7 +177,7 @@ def _excess(own: FloatArray, scattered: FloatArray, pooled: float, n_records: in
     by the squared ratio of the quantiles of Student's t and the normal distribution, and every
     parameter receives at least the pooled excess.
     """
-    quantile_ratio = (student_quantile(0.975, n_records - 1) / _NORMAL) ** 2
+    quantile_ratio = (student_quantile(0.975, n_records - 1) / _NORMAL_QUANTILE) ** 2
     weight = quantile_ratio * (1.0 - 1.0 / pooled)
     return np.asarray(np.maximum((scattered - own) * weight, own * (pooled - 1.0) * quantile_ratio))
 
@@ -213,15 +219,17 @@ def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -
         own_noise = np.zeros_like(errors)
         filtered = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:rows_in]
         share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
-        own_noise[: len(filtered)] = errors[0] * share * _softened(filtered / filtered[0])
+        own_noise[: len(filtered)] = (
+            errors[0] * share * _loss_autocorrelation(filtered / filtered[0])
+        )
         covariances = gradient_covariances(columns[:, k], (errors, own_noise))
         steady, of_noise = steady + covariances[0], of_noise + covariances[1]
     return _Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
 
 
-def _softened(correlation: FloatArray) -> FloatArray:
+def _loss_autocorrelation(correlation: FloatArray) -> FloatArray:
     """Autocorrelation of r (1 + r^2)^(-1/2) for normal r with this one, by Hermite expansion."""
-    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE.items()))
+    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE_SHARES.items()))
 
 
 def gradient_covariances(
@@ -263,14 +271,14 @@ def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
     return np.asarray(products / n * max(1.0, noise_variance / variance))
 
 
-def _contradicted(
+def _prior_scale(
     errors: FloatArray, left: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
 ) -> float:
     """Mean ratio of squared prior residuals to their expectation; at least 1."""
     if not len(left):
         return 1.0
     expected = np.diag(residual_covariance(errors, answer, rows, meat))
-    expected = np.maximum(expected, _LEAST_KEPT * np.diag(errors))
+    expected = np.maximum(expected, _MIN_VARIANCE_RATIO * np.diag(errors))
     return max(1.0, float(np.mean(left**2 / expected)))
 
 
@@ -292,7 +300,7 @@ def residual_covariance(
     return np.asarray(remaining @ errors @ remaining.T + answer @ meat @ answer.T)
 
 
-def _beyond_noise(answer: FloatArray, records: Sequence[_Evidence]) -> FloatArray:
+def _unexplained_share(answer: FloatArray, records: Sequence[_Evidence]) -> FloatArray:
     """Share of the variance of each parameter that sensor noise does not explain.
 
     `answer`, (n_unknowns, n_unknowns), is the derivative of the parameters by the gradient.
@@ -318,14 +326,14 @@ def _scatter(
     gradients over all records and directions, relative to its expectation; it is at least 1. The
     prior contributes as in the local covariance.
     """
-    if len(records) < _FEWEST:
+    if len(records) < _MIN_RECORDS:
         return np.full_like(whole, np.nan), 1.0
     unscale = _root_of(inverse_information(whole))  # L^-T, whose square is the inverse
     meat = unscale.T @ known @ unscale
     squares = expected = 0.0
     for record in records:
         leverage, vectors = np.linalg.eigh(unscale.T @ record.curvature @ unscale)
-        root_remaining = np.sqrt(np.maximum(1.0 - leverage, _LEAST_LEFT))
+        root_remaining = np.sqrt(np.maximum(1.0 - leverage, _MIN_REMAINING))
         gradient = record.gradients.sum(axis=0)
         corrected = vectors @ (vectors.T @ (unscale.T @ gradient) / root_remaining)
         meat = meat + np.outer(corrected, corrected)
@@ -348,7 +356,7 @@ def inverse_information(information: FloatArray) -> FloatArray:
     are not identifiable have very large variances.
     """
     scale = np.sqrt(np.diag(information))
-    scale[scale == 0.0] = _NOTHING
+    scale[scale == 0.0] = _MIN_INFORMATION
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     values = np.maximum(values, 1e-13 * values[-1])
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
@@ -367,9 +375,9 @@ def only_together(
     variances, directions = np.linalg.eigh(relative)
     for variance, direction in zip(variances[::-1], directions.T[::-1], strict=True):
         std = float(np.sqrt(max(variance, 0.0)))
-        if std < _VAGUE:
+        if std < _MAX_RELATIVE_STD:
             return
-        is_member = np.abs(direction) > _TAKES_PART * np.max(np.abs(direction))
+        is_member = np.abs(direction) > _MIN_COMPONENT * np.max(np.abs(direction))
         members = np.flatnonzero(is_member)
         if len(members) < 2:
             continue
@@ -377,5 +385,5 @@ def only_together(
         information = np.linalg.pinv(relative[np.ix_(members, members)], hermitian=True)
         marginal = np.sqrt(np.diag(relative)[members])
         conditional = 1.0 / np.sqrt(np.diag(information))
-        if np.min(marginal / conditional) > _SURER:
+        if np.min(marginal / conditional) > _MIN_STD_RATIO:
             yield tuple(names[int(k)] for k in members), std

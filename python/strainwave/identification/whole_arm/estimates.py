@@ -23,9 +23,9 @@ from strainwave.identification.whole_arm.parametrisation import (
 )
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
-_IDENTIFIED = 0.3
-_OFF = 1e-6  # step of mounting unknowns for central differences [m or rad]
-_REACH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
+_MAX_RELATIVE_STD = 0.3
+_MOUNTING_STEP = 1e-6  # step of mounting unknowns for central differences [m or rad]
+_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _NOT_REACHED = (
     "not-reached",
     "no record loads the gear so far that it shows; use a larger amplitude, or hold the link",
@@ -79,7 +79,7 @@ def parameters_of(
         units.append(unit_of(name, arm.joints[number - 1]))
         weights.append(combination(keys, parts))
         constants.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
-    for name, number in _vanished(fit, arm):
+    for name, number in _vanished_parameters(fit, arm):
         names.append((name, number))
         units.append(unit_of(name, arm.joints[number - 1]))
         weights.append(combination(keys, {}))
@@ -136,13 +136,13 @@ def mountings_of(fit: Fit) -> Mountings:
                 reported(
                     sensor_axes, arm, {**fitted_values, keys[k]: fitted_values[keys[k]] + step}
                 )
-                for step in (_OFF, -_OFF)
+                for step in (_MOUNTING_STEP, -_MOUNTING_STEP)
             ]
             for row, (name, (_, unit)) in enumerate(positions.items()):
                 difference = ends[0][name][0] - ends[1][name][0]
                 if unit == "rad":
                     difference = float(np.arctan2(np.sin(difference), np.cos(difference)))
-                slopes[row, k] = difference / (2.0 * _OFF)
+                slopes[row, k] = difference / (2.0 * _MOUNTING_STEP)
         mountings = Mountings(
             [*mountings.names, *((name, joint) for name in positions)],
             [*mountings.units, *(unit for _, unit in positions.values())],
@@ -152,7 +152,7 @@ def mountings_of(fit: Fit) -> Mountings:
     return mountings
 
 
-def _vanished(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
+def _vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
     """Yield gear parameters that the fit fixes to zero."""
     for number, joint in enumerate(arm.joints, start=1):
         for name in joint.law.may_vanish:
@@ -184,16 +184,16 @@ def _identified_curves(
 
 def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
     may_be_vague = name in VISCOUS or is_by_load(name)
-    is_vague = may_be_vague and std > _IDENTIFIED * abs(value)
+    is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value)
     if is_vague or not np.isfinite(std):
         return Parameter(name, joint, None, None, unit, "tuned")
-    half_width = _REACH * std
+    half_width = _CI95_HALF_WIDTH * std
     return Parameter(
         name, joint, value, std, unit, "tuned", (value - half_width, value + half_width)
     )
 
 
-def _of_curve(place: int, parameters: Sequence[Parameter]) -> tuple[str, str]:
+def _curve_reason(place: int, parameters: Sequence[Parameter]) -> tuple[str, str]:
     """Code and text of the reason why a slope or knee has no value.
 
     A slope or knee at higher torque can have a value.
@@ -227,7 +227,7 @@ def warnings_of(
         if parameters[k].value is not None:
             continue
         if is_by_load(unknown.name):
-            code, text = _of_curve(k, parameters[: len(space.unknowns)])
+            code, text = _curve_reason(k, parameters[: len(space.unknowns)])
             yield Diagnostic(code, str(unknown), text)
             continue
         message = f"the records identify it only to {values[k]:.3g} +- {stds[k]:.2g} {unknown.unit}"
@@ -235,7 +235,7 @@ def warnings_of(
             message += "; of the viscous frictions only the total is well known"
         yield Diagnostic("not-identifiable", str(unknown), message)
     arm = fit.objective.records[0].arm
-    for name, number in _vanished(fit, arm):
+    for name, number in _vanished_parameters(fit, arm):
         simpler = arm.joints[number - 1].law.simpler
         text = f"in every record the gear is as good as {simpler}; use a larger amplitude, or give"
         yield Diagnostic("not-reached", f"{name} of joint {number}", f'{text} spring = "{simpler}"')

@@ -16,13 +16,13 @@ from strainwave.numerics.correlations import correlate_residuals
 from strainwave.numerics.parallel import side_by_side
 from strainwave.numerics.spectra import cross_spectral_densities
 
-_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
-_LEAST_SEGMENT = 64  # minimum segment length [rows]
-_BELOW = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
-_DELAYS = 0.1  # maximum delay between input and residual [s]
-_HIGH_VARIANCE = 3.0  # ratio of residual to sensor noise above which a warning is issued
-_EXCEEDS = 1.5  # ratio above which more than half of the residual power is not noise
-_SURELY = 1e-3  # significance level of the input correlation
+_N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
+_MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]
+_MAX_BAND_SHARE = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
+_MAX_INPUT_DELAY = 0.1  # maximum delay between input and residual [s]
+_MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
+_MIN_NOISE_RATIO = 1.5  # ratio above which more than half of the residual power is not noise
+_SIGNIFICANCE_LEVEL = 1e-3  # significance level of the input correlation
 
 
 def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, ...]:
@@ -35,7 +35,8 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
         physical_residual = rows.residual * weights.deviation
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
         return [
-            _tested(record, k, physical_residual[:, k], inputs) for k in range(len(record.channels))
+            _test_channel(record, k, physical_residual[:, k], inputs)
+            for k in range(len(record.channels))
         ]
 
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
@@ -44,7 +45,7 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     )
 
 
-def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
+def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
     channel, kernels = record.channels[k], record.kernels
     T = record.log.sample_time
     frequency, density = spectral_density(left, kernels.step * T)
@@ -53,7 +54,7 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
     gain = np.abs(np.fft.rfft(taps, round(1.0 / (frequency[1] * T))))[: len(frequency)]
     raw = record.noise[k] / np.linalg.norm(taps)
     noise_density = 2.0 * T * raw**2 * gain**2
-    band = (frequency > 0.0) & (frequency < _BELOW * record.cutoff_hz)
+    band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
     ratio = density[band] / np.maximum(noise_density[band], 1e-300)
     joint, correlation, delay, probability = follows(left, inputs, kernels.step * T)
     return ResidualTest(
@@ -65,7 +66,9 @@ def _tested(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> Re
         density=density,
         noise_density=noise_density,
         worst_hz=float(frequency[band][np.argmax(ratio)]),
-        whiteness=coloured_alike(left, kernels.step * T, taps, T, _BELOW * record.cutoff_hz),
+        whiteness=coloured_alike(
+            left, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
+        ),
         input_joint=joint,
         input_correlation=correlation,
         input_delay=delay,
@@ -80,7 +83,7 @@ def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
     `x` is (n_samples,), `sample_time` in s. Returns frequency [Hz] and density [unit^2/Hz], both
     (n_frequencies,).
     """
-    segment = min(len(x), max(_LEAST_SEGMENT, 2 * len(x) // (_SEGMENTS + 1)))
+    segment = min(len(x), max(_MIN_SEGMENT_ROWS, 2 * len(x) // (_N_SEGMENTS + 1)))
     frequency, density = cross_spectral_densities(x[:, None], sample_time, segment)
     return frequency, density[:, 0, 0].real
 
@@ -128,7 +131,7 @@ def follows(
     p-value.
     """
     n = len(left)
-    delays = min(n // 4, max(1, round(_DELAYS / row_time)))
+    delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
     residual_spectrum, residual_products = lagged_products(left)
     best = (1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
@@ -167,7 +170,7 @@ def beyond_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
     for record, rows, weights in each:
         stds = np.std(rows.residual * weights.deviation, axis=0)
-        exceeding.append((stds >= _EXCEEDS * record.noise) & (record.noise > 0.0))
+        exceeding.append((stds >= _MIN_NOISE_RATIO * record.noise) & (record.noise > 0.0))
     return exceeding
 
 
@@ -179,11 +182,11 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
     for name in dict.fromkeys(test.channel for test in tests):
         candidates = [test for test in tests if test.channel == name and test.noise > 0.0]
         worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
-        if worst is None or worst.deviation < _HIGH_VARIANCE * worst.noise:
+        if worst is None or worst.deviation < _MIN_WARNING_RATIO * worst.noise:
             continue
         text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
         text += f" noise, most near {worst.worst_hz:.3g} Hz"
-        if worst.input_probability < _SURELY:
+        if worst.input_probability < _SIGNIFICANCE_LEVEL:
             text += f", and follow joint {worst.input_joint}'s input by"
             text += (
                 f" {1e3 * worst.input_delay:.3g} ms: the model lacks something of the motion, or"

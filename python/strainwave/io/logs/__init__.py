@@ -21,9 +21,9 @@ __all__ = ["read_log", "read_logs", "write_log"]
 
 write_log = write_table
 
-_HELD = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
+_COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
 # prefixes of sensor channels; a failed sensor is constant
-_SENSORS = ("omega_m", "a", "theta_l", "deflection", "gyro")
+_SENSOR_PREFIXES = ("omega_m", "a", "theta_l", "deflection", "gyro")
 
 
 def read_logs(
@@ -65,13 +65,15 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     table, path = _open(study, experiment, data)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
-    time, columns, clock_warnings = one_clock(tracks, _held(sources, experiment), experiment, path)
+    time, columns, clock_warnings = one_clock(
+        tracks, _command_columns(sources, experiment), experiment, path
+    )
     channels = {
         name: channel.scale * _with_added(name, channel, experiment, columns) + channel.offset
         for name, channel in sources.items()
         if name != "t"
     }
-    warnings += clock_warnings + _constants(channels, study, experiment, path)
+    warnings += clock_warnings + _check_constants(channels, study, experiment, path)
     del columns, tracks
     release_readers_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
@@ -104,10 +106,14 @@ def _tracks(
     return [Track("", time, columns, table.row_name)], []
 
 
-def _held(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
+def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
     """Return the columns of commanded channels."""
-    held = {channel.column for name, channel in sources.items() if name.startswith(_HELD)}
-    return held | {column for name, column in experiment.add.items() if name.startswith(_HELD)}
+    held = {
+        channel.column for name, channel in sources.items() if name.startswith(_COMMAND_PREFIXES)
+    }
+    return held | {
+        column for name, column in experiment.add.items() if name.startswith(_COMMAND_PREFIXES)
+    }
 
 
 def _sources(
@@ -121,15 +127,15 @@ def _sources(
             # a recorded topic without the field indicates a wrong field, not a missing sensor
             misnamed = isinstance(table, Bag) and table.has_topic_of(channel.column)
             if name == "t" or name.startswith("theta_m") or misnamed:
-                raise _no_mapped(name, channel, table, path)
+                raise _missing_mapped_column(name, channel, table, path)
             continue  # absent in this log
         if channel is not None or name in table.names:
             sources[name] = channel or Channel(name)
     for channel_name, column in experiment.add.items():
         if column not in table.names:
-            raise _no_column(column, f"which is to be added to '{channel_name}'", table, path)
+            raise _missing_column(column, f"which is to be added to '{channel_name}'", table, path)
         if channel_name not in sources:
-            raise _no_column(channel_name, "to which another is to be added", table, path)
+            raise _missing_column(channel_name, "to which another is to be added", table, path)
     _check_required(sources, study, table, path)
     return sources
 
@@ -142,7 +148,7 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         first = read[0].experiment
         table, path = _open(study, first, data.get(first.name))
         if len(read) == 1 or isinstance(table, Bag):  # a bag's error lists its topics
-            raise _no_mapped(name, channel, table, path)
+            raise _missing_mapped_column(name, channel, table, path)
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
@@ -150,8 +156,10 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         )
 
 
-def _no_mapped(name: str, channel: Channel, table: Table | Bag, path: Path) -> InvalidInput:
-    return _no_column(channel.column, f"which [channels] names for '{name}'", table, path)
+def _missing_mapped_column(
+    name: str, channel: Channel, table: Table | Bag, path: Path
+) -> InvalidInput:
+    return _missing_column(channel.column, f"which [channels] names for '{name}'", table, path)
 
 
 def _check_required(
@@ -168,13 +176,15 @@ def _check_required(
         )
     for name in required:
         if name not in sources:
-            raise _no_column(name, "which every log needs", table, path)
+            raise _missing_column(name, "which every log needs", table, path)
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
                 if name in study.channels:
-                    raise _no_mapped(name, study.channels[name], table, path)
-            raise _no_column(f"u{i}", f"nor 'torque{i}', for the command of the drive", table, path)
+                    raise _missing_mapped_column(name, study.channels[name], table, path)
+            raise _missing_column(
+                f"u{i}", f"nor 'torque{i}', for the command of the drive", table, path
+            )
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
             raise InvalidInput(
                 f"joint {i} has a voltage log but no torque_per_volt",
@@ -183,7 +193,7 @@ def _check_required(
             )
 
 
-def _no_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
+def _missing_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
     if isinstance(table, Bag):
         return table.no_column(column, what)
     available = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
@@ -204,7 +214,7 @@ def _with_added(
     return values
 
 
-def _constants(
+def _check_constants(
     channels: dict[str, FloatArray], study: Study, experiment: Experiment, path: Path
 ) -> list[Diagnostic]:
     """Raise InvalidInput if nothing moves; return a warning for each constant sensor channel."""
@@ -238,5 +248,5 @@ def _constants(
             f"the channel '{name}' never changes. Check the sensor and the map",
         )
         for name, values in channels.items()
-        if name.startswith(_SENSORS) and np.ptp(values) == 0.0
+        if name.startswith(_SENSOR_PREFIXES) and np.ptp(values) == 0.0
     ]

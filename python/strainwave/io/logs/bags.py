@@ -25,10 +25,12 @@ if TYPE_CHECKING:
 
 BAGS = (".mcap", ".db3", ".bag")
 """Suffixes of bag files."""
-_LOOKED_AT = 20  # messages per topic that are inspected; several nodes may share a topic
-_SHOWN = 24  # maximum number of names in an error message
-_NANO = 1e-9  # [s] per ns
-_OTHER_CLOCK = 1.0  # [s] between header and recorder stamps; network delay is shorter
+_MAX_INSPECTED_MESSAGES = (
+    20  # messages per topic that are inspected; several nodes may share a topic
+)
+_MAX_LISTED_NAMES = 24  # maximum number of names in an error message
+_SECONDS_PER_NS = 1e-9  # [s] per ns
+_MAX_CLOCK_DIFFERENCE = 1.0  # [s] between header and recorder stamps; network delay is shorter
 
 
 def is_bag(path: Path) -> bool:
@@ -47,7 +49,7 @@ class _Topic:
 
 
 @dataclass(slots=True)
-class _Found:
+class _TopicContent:
     """Requested content of a topic's messages."""
 
     headers: list[int] = field(default_factory=list)  # [ns], 0 if a message has no stamp
@@ -65,17 +67,17 @@ class Bag:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._topics = self._look()
+        self._topics = self._inspect_topics()
         self.names = tuple(name for topic in self._topics.values() for name in topic.names)
 
-    def _look(self) -> dict[str, _Topic]:
+    def _inspect_topics(self) -> dict[str, _Topic]:
         topics = {}
         with _opened(self.path) as reader:
             for name, info in sorted(reader.topics.items()):
                 names: dict[str, None] = {}
                 unreadable = None
                 try:
-                    for raw, kind in _first(reader, info.connections):
+                    for raw, kind in _first_messages(reader, info.connections):
                         names |= dict.fromkeys(numbers(reader.deserialize(raw, kind)))
                 # foreign definitions can be invalid in any way
                 except Exception as error:
@@ -95,7 +97,7 @@ class Bag:
         for column in wanted:
             topics.setdefault(topic_of(column), []).append(column)
         with _opened(self.path) as reader:
-            contents = _collect(reader, topics)
+            contents = _read_messages(reader, topics)
         stamped = {name for name, each in contents.items() if all(each.headers)}
         warnings = self._check_clocks(contents, stamped)
         stamps = {
@@ -109,7 +111,7 @@ class Bag:
         return tracks, warnings
 
     def _split(
-        self, topic: str, found: _Found, stamps: IntArray, warnings: list[Diagnostic]
+        self, topic: str, found: _TopicContent, stamps: IntArray, warnings: list[Diagnostic]
     ) -> list[Track]:
         """Split a topic into tracks of columns that share their messages, sorted by time stamp."""
         columns_by_rows: dict[tuple[int, ...], list[str]] = {}
@@ -118,22 +120,22 @@ class Bag:
         tracks = []
         for row_tuple, columns in columns_by_rows.items():
             rows = np.array(row_tuple)
-            order, message = _in_order(stamps[rows], topic)
+            order, message = _sort_stamps(stamps[rows], topic)
             if message:
                 warnings.append(Diagnostic("reordered", self.path.name, message))
-            time = stamps[rows][order] * _NANO
+            time = stamps[rows][order] * _SECONDS_PER_NS
             values = {column: np.array(found.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
         return tracks
 
-    def _check_clocks(self, found: dict[str, _Found], stamped: set[str]) -> list[Diagnostic]:
+    def _check_clocks(self, found: dict[str, _TopicContent], stamped: set[str]) -> list[Diagnostic]:
         unstamped = sorted(set(found) - stamped)
         if not unstamped or not stamped:
             return []
         delays = [np.median(np.subtract(found[n].recorded, found[n].headers)) for n in stamped]
-        delay = float(np.median(delays)) * _NANO
+        delay = float(np.median(delays)) * _SECONDS_PER_NS
         names = ", ".join(unstamped)
-        if abs(delay) > _OTHER_CLOCK:
+        if abs(delay) > _MAX_CLOCK_DIFFERENCE:
             raise InvalidInput(
                 f"headers and recorder keep different time, {delay:.6g} s apart, and the messages "
                 f"of {names} have no stamp of their own",
@@ -178,8 +180,8 @@ class Bag:
             missing_field = column[len(name) + 1 :]
             fields = [each[len(name) + 1 :] for each in topic.names]
             problem = f"there is no field '{missing_field}' in the topic '{name}'"
-            more = ", ..." if len(fields) > _SHOWN else ""
-            available = ", ".join(fields[:_SHOWN]) + more
+            more = ", ..." if len(fields) > _MAX_LISTED_NAMES else ""
+            available = ", ".join(fields[:_MAX_LISTED_NAMES]) + more
             remedy = (
                 f"its messages have: {available or 'no numbers'}{nearest(missing_field, fields)}"
             )
@@ -224,21 +226,21 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         ) from error
 
 
-def _first(reader: AnyReader, connections: Any) -> Iterator[tuple[bytes, str]]:
+def _first_messages(reader: AnyReader, connections: Any) -> Iterator[tuple[bytes, str]]:
     for count, (connection, _, raw) in enumerate(reader.messages(connections)):
-        if count == _LOOKED_AT:
+        if count == _MAX_INSPECTED_MESSAGES:
             return
         yield raw, connection.msgtype
 
 
-def _collect(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _Found]:
+def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _TopicContent]:
     """Read every message of the topics once; missing values are skipped."""
     paths = {
         name: {column: parse(column[len(name) + 1 :]) for column in columns}
         for name, columns in topics.items()
     }
     contents = {
-        name: _Found(values={c: [] for c in columns}, rows={c: [] for c in columns})
+        name: _TopicContent(values={c: [] for c in columns}, rows={c: [] for c in columns})
         for name, columns in topics.items()
     }
     connections = [each for each in reader.connections if each.topic in topics]
@@ -260,7 +262,7 @@ def _message_name(rows: IntArray, sample: int) -> str:
     return f"message {rows[sample] + 1}"
 
 
-def _in_order(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
+def _sort_stamps(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
     """Return the rows sorted by time stamp, and a message on corrections.
 
     Of several rows with the same stamp, the last is kept.

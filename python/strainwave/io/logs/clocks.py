@@ -30,8 +30,10 @@ NEARLY = 1e-3
 """Largest relative distance of an estimated period from a round number that may replace it."""
 NOMINAL = 0.02
 """Largest relative distance of the median step from the nominal period; random walks: 1 %."""
-_SAME_PERIOD = 4.0  # standard deviations of a period estimated from stamps
-_SMOOTHER = float(np.log(2.0))  # log of a noise ratio; interpolation alone explains up to 0.3 of it
+_MAX_PERIOD_STDS = 4.0  # standard deviations of a period estimated from stamps
+_MIN_LOG_NOISE_RATIO = float(
+    np.log(2.0)
+)  # log of a noise ratio; interpolation alone explains up to 0.3 of it
 ROUNDING = 0.02
 """[periods] Largest distance of rounded stamps from a uniform grid."""
 
@@ -74,13 +76,13 @@ def one_clock(
         if rows is None:
             off_grid.append(track)
             track_ticks = ticks if track is windowed[0] else None
-            columns |= _resampled(grid, track, held, track_ticks)
+            columns |= _resample(grid, track, held, track_ticks)
         else:
             columns |= _cut(track, rows).columns
     others = [track for track in off_grid if track is not windowed[0]]
     if others:
-        warnings.append(_foreign_found(windowed[0], others, path))
-        warnings += _silence_found(others, held, grid, path)
+        warnings.append(_resampling_warning(windowed[0], others, path))
+        warnings += _silence_warnings(others, held, grid, path)
     return grid, columns, warnings
 
 
@@ -201,11 +203,11 @@ def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
     """Return a uniform grid, the tick of each stamp if available, and a text on uneven stamps."""
     grid = np.linspace(time[0], time[-1], len(time))
     if _rows_on(grid, time) is not None:
-        start, period = _regressed(time, np.arange(len(time), dtype=np.float64))
+        start, period = _fit_clock(time, np.arange(len(time), dtype=np.float64))
         regressed_grid = start + period * np.arange(len(time), dtype=np.float64)
         return (regressed_grid if _rows_on(regressed_grid, time) is not None else grid), None, ""
     ticks: FloatArray | None = None
-    jitter = _jitter(time)
+    jitter = _estimate_jittered_clock(time)
     if jitter is None:
         # interpolation allows any period; use the nominal period of the servo or drive
         period = _round_period(float(np.median(np.diff(time))), NOMINAL)
@@ -228,7 +230,7 @@ def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
     return grid, ticks, message
 
 
-def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
+def _estimate_jittered_clock(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
     """Estimate the clock about which stamps jitter by less than half a period.
 
     Regresses the stamps on integer numbers of periods. Returns start, period, tick numbers
@@ -243,7 +245,7 @@ def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
             number -= number[0]
             if not np.any(number):
                 break
-            start, period = _regressed(time, number)
+            start, period = _fit_clock(time, number)
         offsets = (time - start - period * number) / period
         # otherwise the rate varies
         is_white = float(offsets[1:] @ offsets[:-1]) < 0.5 * float(offsets @ offsets)
@@ -252,7 +254,7 @@ def _jitter(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
     return None
 
 
-def _regressed(time: FloatArray, number: FloatArray) -> tuple[float, float]:
+def _fit_clock(time: FloatArray, number: FloatArray) -> tuple[float, float]:
     """Estimate start and period of a clock from its stamps by least squares.
 
     The period is rounded to a round number within its uncertainty: drives, loggers and servos use
@@ -264,7 +266,7 @@ def _regressed(time: FloatArray, number: FloatArray) -> tuple[float, float]:
     residuals = time - time.mean() - period * centred
     period_std = float(np.sqrt(residuals @ residuals / (len(time) * weight)))
     rounded = _round_period(period, NEARLY)
-    if abs(rounded - period) < _SAME_PERIOD * period_std:
+    if abs(rounded - period) < _MAX_PERIOD_STDS * period_std:
         period = rounded
     return float(np.mean(time - period * number)), period
 
@@ -282,7 +284,7 @@ def _round_period(period: float, tolerance: float) -> float:
     return period
 
 
-def _resampled(
+def _resample(
     grid: FloatArray, track: Track, held: Collection[str], ticks: FloatArray | None
 ) -> dict[str, FloatArray]:
     """Resample the columns of a track to a grid.
@@ -294,11 +296,11 @@ def _resampled(
     rates = {name: np.diff(v) / np.diff(track.time) for name, v in track.columns.items()}
     # a column of stamps is smooth by itself and is excluded
     measured = [n for n, r in rates.items() if n not in held and np.ptp(r) > 1e-6 * abs(r.mean())]
-    interpolated = {name: _at(grid, track, name, name in held) for name in track.columns}
+    interpolated = {name: _sample_at(grid, track, name, name in held) for name in track.columns}
     if ticks is None:
         return interpolated
     on_time = replace(track, time=ticks)
-    on_ticks = {name: _at(grid, on_time, name, name in held) for name in track.columns}
+    on_ticks = {name: _sample_at(grid, on_time, name, name in held) for name in track.columns}
     max_gain = 0.0
     for name in measured:
         noise = noise_deviation(interpolated[name]), noise_deviation(on_ticks[name])
@@ -306,10 +308,10 @@ def _resampled(
             gain = float(np.log(noise[0] / noise[1]))
             max_gain = gain if abs(gain) > abs(max_gain) else max_gain
     commands = {name: on_ticks[name] for name in track.columns if name in held}
-    return interpolated | commands if max_gain < -_SMOOTHER else on_ticks
+    return interpolated | commands if max_gain < -_MIN_LOG_NOISE_RATIO else on_ticks
 
 
-def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
+def _sample_at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
     values = track.columns[name]
     if held:
         slack = 1e-6 * (grid[1] - grid[0])
@@ -323,7 +325,7 @@ def _at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
     return np.asarray(PchipInterpolator(track.time, values)(inside))
 
 
-def _foreign_found(clock: Track, others: list[Track], path: Path) -> Diagnostic:
+def _resampling_warning(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     def rate(track: Track) -> str:
         return f"{1.0 / np.median(np.diff(track.time)):.4g} Hz" if len(track.time) > 1 else "once"
 
@@ -336,7 +338,7 @@ def _foreign_found(clock: Track, others: list[Track], path: Path) -> Diagnostic:
     return Diagnostic("resampled", path.name, message)
 
 
-def _silence_found(
+def _silence_warnings(
     tracks: list[Track], held: Collection[str], grid: FloatArray, path: Path
 ) -> list[Diagnostic]:
     """Warn of commands that stop: the value may be held on purpose, or a node failed."""

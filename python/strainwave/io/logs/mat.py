@@ -17,13 +17,13 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 
-_HEADER = 128  # bytes of text, version and byte order
+_HEADER_BYTES = 128  # bytes of text, version and byte order
 _MATRIX, _COMPRESSED = 14, 15  # types of elements
 _FLAGS, _DIMENSIONS, _NAME = 6, 5, 1  # types of a matrix's first three parts
 _NUMBERS = frozenset({1, 2, 3, 4, 5, 6, 7, 9, 12, 13})  # data types of numbers
 _NUMERIC = range(6, 16)  # classes from double to uint64
 _COMPLEX = 0x800  # flag of a complex array
-_HEAD = 4096  # bytes of a compressed matrix that hold its flags, dimensions and name
+_HEAD_BYTES = 4096  # bytes of a compressed matrix that hold its flags, dimensions and name
 
 
 def variables(data: bytes) -> dict[str, bool]:
@@ -32,13 +32,13 @@ def variables(data: bytes) -> dict[str, bool]:
     `data` is the content of the file. Raises ValueError if the file is damaged.
     """
     if 0 in data[:4]:
-        return _of_level_4(data)
-    if len(data) < _HEADER:
+        return _variables_of_level_4(data)
+    if len(data) < _HEADER_BYTES:
         raise ValueError("it ends within its header")
     order = "<" if data[126:128] == b"IM" else ">"
     is_real = {}
     for head in _matrices(data, order):
-        name, real = _described(head, order)
+        name, real = _describe_matrix(head, order)
         if name and not name.startswith("__"):
             is_real[name] = real
     return is_real
@@ -56,7 +56,7 @@ def read(data: bytes, names: Sequence[str]) -> dict[str, FloatArray]:
     return {name: np.asarray(arrays[name]) for name in names}
 
 
-def _of_level_4(data: bytes) -> dict[str, bool]:
+def _variables_of_level_4(data: bytes) -> dict[str, bool]:
     import scipy.io
 
     try:
@@ -67,7 +67,7 @@ def _of_level_4(data: bytes) -> dict[str, bool]:
 
 def _matrices(data: bytes, order: str) -> Iterator[bytes]:
     """Yield the decompressed beginning of each matrix."""
-    at = _HEADER
+    at = _HEADER_BYTES
     while at < len(data):
         if at + 8 > len(data):
             raise ValueError("it ends within an element")
@@ -76,18 +76,18 @@ def _matrices(data: bytes, order: str) -> Iterator[bytes]:
         if at + size > len(data):
             raise ValueError("it ends within an element")
         if kind == _COMPRESSED:
-            head = zlib.decompressobj().decompress(data[at : at + size], _HEAD)
+            head = zlib.decompressobj().decompress(data[at : at + size], _HEAD_BYTES)
             kind = unpack_from(order + "I", head)[0] if len(head) > 8 else kind
             head = head[8:]
         else:
-            head = data[at : at + min(size, _HEAD)]
+            head = data[at : at + min(size, _HEAD_BYTES)]
         if kind != _MATRIX:
             raise ValueError(f"an element of type {kind}, not a matrix")
         yield head
         at += size
 
 
-def _described(head: bytes, order: str) -> tuple[str, bool]:
+def _describe_matrix(head: bytes, order: str) -> tuple[str, bool]:
     """Return a matrix's name, and whether it contains real numbers that SciPy reads safely."""
     kind, start, size, at = _part(head, 0, order)
     if kind != _FLAGS or size != 8:

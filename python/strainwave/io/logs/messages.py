@@ -12,8 +12,8 @@ import numpy as np
 Path = tuple[str, ...]
 """Access path in a message: field names, and indices or joint names after `[`."""
 
-_LONGEST = 64  # maximum number of array elements that become columns
-_NOT_MEASURED = ("header", "layout")  # fields that are not columns
+_MAX_ARRAY_ELEMENTS = 64  # maximum number of array elements that become columns
+_IGNORED_FIELDS = ("header", "layout")  # fields that are not columns
 _STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
 _ELEMENT = "["  # prefix of an index or joint name in a path
 
@@ -44,7 +44,7 @@ def _index(message: Any, array: Any, inside: str) -> int:
 
 def numbers(message: Any) -> list[str]:
     """Return the names of all numbers in a message."""
-    return list(_leaves(message, "", joint_names(message)))
+    return list(_number_names(message, "", joint_names(message)))
 
 
 def joint_names(message: Any) -> list[str]:
@@ -61,20 +61,22 @@ def stamp(message: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def _leaves(value: Any, prefix: str, joints: list[str]) -> Iterator[str]:
+def _number_names(value: Any, prefix: str, joints: list[str]) -> Iterator[str]:
     if isinstance(value, (bool, int, float)):
         yield prefix
     elif isinstance(value, np.ndarray):
         if value.dtype.kind in "fiub":
-            named = joints if len(joints) == len(value) else range(min(len(value), _LONGEST))
+            named = (
+                joints if len(joints) == len(value) else range(min(len(value), _MAX_ARRAY_ELEMENTS))
+            )
             yield from (f"{prefix}[{each}]" for each in named)
     elif isinstance(value, list):
-        if len(value) <= _LONGEST:
+        if len(value) <= _MAX_ARRAY_ELEMENTS:
             for k, each in enumerate(value):
-                yield from _leaves(each, f"{prefix}[{k}]", [])
+                yield from _number_names(each, f"{prefix}[{k}]", [])
     elif dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
-            if field.name in _NOT_MEASURED or field.name.endswith("covariance"):
+            if field.name in _IGNORED_FIELDS or field.name.endswith("covariance"):
                 continue
             inner = f"{prefix}.{field.name}" if prefix else field.name
-            yield from _leaves(getattr(value, field.name), inner, joints)
+            yield from _number_names(getattr(value, field.name), inner, joints)

@@ -27,7 +27,7 @@ DELIMITERS = (",", ";", "\t")
 """Delimiters of CSV files; the most frequent one in the header applies."""
 LARGEST = 1e60
 """Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
-_PROBE = 1 << 16  # [bytes] that must contain the header and the first row
+_PROBE_BYTES = 1 << 16  # [bytes] that must contain the header and the first row
 
 
 class Table:
@@ -133,7 +133,7 @@ def _csv_table(data: bytes, path: Path) -> Table:
 
 def _header_line(data: bytes, path: Path) -> tuple[int, str]:
     """Return the number of lines before the header (empty or # comments), and the header."""
-    lines = data[:_PROBE].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+    lines = data[:_PROBE_BYTES].replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
     for number, line in enumerate(lines):
         if line.strip() and not line.lstrip().startswith(b"#"):
             return number, line.decode("utf-8", errors="replace")
@@ -201,7 +201,7 @@ def _read_csv(
         )
         return {name: _values(table[name]) for name in wanted}
     except (pa.ArrowException, ValueError) as error:
-        _find_fault(data, path, names, wanted, delimiter, skipped, point)
+        _raise_first_fault(data, path, names, wanted, delimiter, skipped, point)
         raise InvalidInput(
             f"cannot be read as CSV ({error})", where=str(path), remedy="write it anew"
         ) from error
@@ -221,11 +221,11 @@ def _reader(data: bytes) -> Any:
 
 
 def _has_decimal_comma(data: bytes, delimiter: str, skipped: int) -> bool:
-    numbers = b"".join(data[:_PROBE].splitlines()[skipped + 1 :])
+    numbers = b"".join(data[:_PROBE_BYTES].splitlines()[skipped + 1 :])
     return b"," in numbers and b"." not in numbers
 
 
-def _find_fault(
+def _raise_first_fault(
     data: bytes,
     path: Path,
     names: Sequence[str],
@@ -290,20 +290,20 @@ def _open_parquet(path: Path) -> Table:
         file = pa.parquet.ParquetFile(_reader(data))
         names = list(file.schema_arrow.names)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise _no_parquet(path, error) from error
+        raise _damaged_parquet(path, error) from error
 
     def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
         try:
             table = file.read(columns=list(wanted))
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _no_parquet(path, error) from error
+            raise _damaged_parquet(path, error) from error
         return {name: _numbers(table[name], f"{path}, column {name!r}") for name in wanted}
 
     _check_header(names, path, 1)
     return Table(names, read)
 
 
-def _no_parquet(path: Path, error: Exception) -> InvalidInput:
+def _damaged_parquet(path: Path, error: Exception) -> InvalidInput:
     return InvalidInput(
         f"is no Parquet file, or a damaged one ({str(error).splitlines()[0][:100]})",
         where=str(path),

@@ -24,11 +24,11 @@ __all__ = ["check", "doubted_torques", "torque_constants"]
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
-_MUST_STAY = ("followed", "scale", "inertia")
+_REQUIRED_KINDS = ("followed", "scale", "inertia")
 # Minimum decrease of the total contradiction weight for a cause to be accepted.
-_MIN_GAIN = 0.75
+_MIN_EXPLAINED_WEIGHT = 0.75
 # Weight added to a cause with an estimated factor, so that structured causes take precedence.
-_FREE_PENALTY = 0.5
+_ESTIMATED_FACTOR_PENALTY = 0.5
 # Number of likely causes reported if no cause explains all contradictions.
 _MAX_LIKELY_CAUSES = 3
 
@@ -43,17 +43,17 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
     with one_blas_thread():
         suspicions = list(clipped(logs, Arm.of(study.arm)))
         unclipped = evidence(logs, study).without([each.where for each in suspicions])
-        suspicions.extend(_explained(unclipped))
+        suspicions.extend(_explain_contradictions(unclipped))
     return Consistency(tuple(suspicions))
 
 
-def _explained(seen: Evidence) -> list[Suspicion]:
+def _explain_contradictions(seen: Evidence) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
     observations = observe(seen)
     chosen: list[Cause] = []
     likely: list[Suspicion] = []
     while any(o.contradicts for o in observations) and len(chosen) < _MAX_CAUSES:
-        ranked = _ranked(seen, observations)
+        ranked = _rank_causes(seen, observations)
         if not chosen:
             likely = [cause.suspicion for cause in ranked if not cause.is_free]
         if not ranked:
@@ -68,25 +68,25 @@ def _explained(seen: Evidence) -> list[Suspicion]:
     return [*structured, *unexplained(remaining, likely[:_MAX_LIKELY_CAUSES], seen.study)]
 
 
-def _ranked(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
+def _rank_causes(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
     """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
 
     An observation counts as a contradiction if the correction removes it and it contradicted
-    before or its kind is in `_MUST_STAY`.
+    before or its kind is in `_REQUIRED_KINDS`.
     """
-    before = _weight(now, now)
+    before = _contradiction_weight(now, now)
     weights: list[tuple[float, Cause]] = []
     for cause in causes(seen, [o for o in now if o.contradicts]):
-        after = _weight(observe(seen.corrected(cause.suspicion.corrections)), now)
-        if after < before - _MIN_GAIN:
-            weights.append((after + _FREE_PENALTY * cause.is_free, cause))
+        after = _contradiction_weight(observe(seen.corrected(cause.suspicion.corrections)), now)
+        if after < before - _MIN_EXPLAINED_WEIGHT:
+            weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.is_free, cause))
         if after == 0.0:
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]
 
 
-def _weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
+def _contradiction_weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
     """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`."""
-    missing = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _MUST_STAY}
+    missing = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _REQUIRED_KINDS}
     missing -= {(o.kind, o.where) for o in now}
     return sum(o.weight for o in now if o.contradicts) + len(missing)

@@ -30,13 +30,13 @@ _UNIT_TOLERANCE = 0.04
 # Maximum relative difference between an estimated reduction and a whole number.
 _REDUCTION_TOLERANCE = 0.01
 # Largest reduction for which the estimate distinguishes neighbouring whole numbers.
-_FEW_TURNS = 30
+_MAX_DISTINCT_REDUCTION = 30
 # Maximum relative difference between two factors that count as equal.
-_SAME_FACTOR = 0.02
+_MAX_FACTOR_DIFFERENCE = 0.02
 # Maximum difference between the delays of channels with a common cause [s].
-_SAME_DELAY = 5e-4
+_MAX_DELAY_DIFFERENCE = 5e-4
 # Ratios of encoder counts to encoder lines, and their inverses.
-_QUADRATURE = (4.0, 2.0, 0.5, 0.25)
+_QUADRATURE_FACTORS = (4.0, 2.0, 0.5, 0.25)
 # Smallest factor that a unit can explain; a smaller ratio indicates a missing signal.
 _MIN_RATIO = 1e-6
 # Voltage above the supply of any servo drive [V]; a larger value is in millivolts.
@@ -87,7 +87,7 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
     yield from _gravity(seen)
     yield from _exchanges(seen, contradictions)
     yield from _angle_units(seen, contradictions)
-    yield from _coupling(seen, contradictions)
+    yield from _ac_coupled_sensors(seen, contradictions)
     yield from _late_sensors(seen, contradictions)
     joints = {o.joint for o in contradictions if o.joint is not None}
     if any(o.kind == "torque-ratio" for o in contradictions):
@@ -96,7 +96,7 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
         joints.add(1)  # The readings of link 2 depend on joint 1.
     free: list[Cause] = []
     for joint in sorted(joints):
-        for cause in _of_joint(seen, contradictions, joint):
+        for cause in _joint_causes(seen, contradictions, joint):
             if cause.is_free:
                 free.append(cause)
             else:
@@ -104,7 +104,9 @@ def causes(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Ca
     yield from free
 
 
-def _of_joint(seen: Evidence, contradictions: Sequence[Observation], joint: int) -> Iterator[Cause]:
+def _joint_causes(
+    seen: Evidence, contradictions: Sequence[Observation], joint: int
+) -> Iterator[Cause]:
     """Candidate causes that affect one joint, from 1."""
     turns = [*_link_scales(contradictions, joint), *turning(seen, joint)]
     yield from _channels(seen, contradictions, joint)
@@ -152,7 +154,7 @@ def _values(
     ]
 
 
-def _named(factor: float, names: Mapping[str, float]) -> tuple[str, float] | None:
+def _match_known_factor(factor: float, names: Mapping[str, float]) -> tuple[str, float] | None:
     """Name and signed value of the known factor that matches an estimate of either sign."""
     for name, known in names.items():
         if abs(np.log(abs(factor) / known)) < _UNIT_TOLERANCE:
@@ -160,7 +162,7 @@ def _named(factor: float, names: Mapping[str, float]) -> tuple[str, float] | Non
     return None
 
 
-def _scaled(seen: Evidence, name: str, factor: float) -> list[Correction]:
+def _scale_corrections(seen: Evidence, name: str, factor: float) -> list[Correction]:
     """Corrections that multiply a channel by a factor."""
     before = seen.channel(name)
     corrections = [Correction("channels", name, "scale", float(f"{before.scale * factor:.7g}"))]
@@ -177,8 +179,8 @@ def _time(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cau
         return
     estimates = [1.0 / float(np.median(clocks))] if clocks else []
     for ratio in (*estimates, *_TIMES.values()):
-        unit, factor = _named(ratio, _TIMES) or ("", ratio)
-        corrections = _scaled(seen, "t", factor)
+        unit, factor = _match_known_factor(ratio, _TIMES) or ("", ratio)
+        corrections = _scale_corrections(seen, "t", factor)
         if unit:
             message = (
                 f"the time base is {number(1.0 / factor)} times what the other signals and the "
@@ -198,7 +200,7 @@ def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
     """Commands with a delay relative to the encoders: all commands with one delay, or one."""
     values = {o.where: o.value for o in contradictions if o.kind == "input-delay"}
     groups = [[name] for name in values]
-    if len(values) > 1 and np.ptp(list(values.values())) < _SAME_DELAY:
+    if len(values) > 1 and np.ptp(list(values.values())) < _MAX_DELAY_DIFFERENCE:
         groups.insert(0, list(values))
     for group in groups:
         delay = float(np.mean([values[name] for name in group]))
@@ -253,8 +255,8 @@ def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
         for each in wrong
     ]
     amplitude = max(stated[record] for record in wrong)
-    unit = _named(1.0 / ratio, _UNITS["u"])
-    scales = _scaled(seen, name, unit[1] if unit else 1.0 / ratio)
+    unit = _match_known_factor(1.0 / ratio, _UNITS["u"])
+    scales = _scale_corrections(seen, name, unit[1] if unit else 1.0 / ratio)
     pair = [(f"{', '.join(wrong)} prbs", amplitudes, scales), (name, scales, amplitudes)]
     if amplitude * ratio > max(amplitude, _MAX_VOLTAGE):
         pair.reverse()
@@ -314,27 +316,27 @@ def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Itera
         return
     rates = [f"{k}{i}" for k in ("omega_m", "ref") for i in (1, 2)]
     rates = [name for name in rates if name in seen.channels]
-    for unit in _angle_names(seen, names[0]):
-        scales = [_angle_names(seen, name).get(unit, 0.0) for name in names]
+    for unit in _angle_scales(seen, names[0]):
+        scales = [_angle_scales(seen, name).get(unit, 0.0) for name in names]
         if not all(scales):
             continue
         corrections = [
             each
             for name, scale in zip(names, scales, strict=True)
-            for each in _scaled(seen, name, scale / seen.channel(name).scale)
+            for each in _scale_corrections(seen, name, scale / seen.channel(name).scale)
         ]
         message = f"{listed(names)} are logged in {unit}, not in radians"
         factor = seen.channel(names[0]).scale / scales[0]
         where = ", ".join(names)
         yield _cause(seen, "wrong-unit", where, message, corrections, factor=factor)
         if rates and unit == "degrees":
-            more = [each for name in rates for each in _scaled(seen, name, _DEGREE)]
+            more = [each for name in rates for each in _scale_corrections(seen, name, _DEGREE)]
             message = f"{listed([*names, *rates])} are logged in degrees, not in radians"
             where = ", ".join([*names, *rates])
             yield _cause(seen, "wrong-unit", where, message, corrections + more, factor=factor)
 
 
-def _angle_names(seen: Evidence, name: str) -> dict[str, float]:
+def _angle_scales(seen: Evidence, name: str) -> dict[str, float]:
     """Scales to radians of the units in which a motor angle can be logged."""
     names = dict(_ANGLES)
     per_turn = seen.arm.joints[int(name[-1]) - 1].encoder_counts
@@ -343,12 +345,12 @@ def _angle_names(seen: Evidence, name: str) -> dict[str, float]:
         names["quadrature counts"] = np.pi / 2.0 / per_turn
         names["encoder lines"] = 8.0 * np.pi / per_turn
     scale = seen.channel(name).scale
-    for factor in _QUADRATURE:
+    for factor in _QUADRATURE_FACTORS:
         names[f"counts of {factor:g} times the scale (lines and quadrature)"] = factor * scale
     return names
 
 
-def _coupling(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
+def _ac_coupled_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
     """AC-coupled accelerometers, for example piezoelectric ones."""
     contradicting = {
         o.where
@@ -418,7 +420,13 @@ def _channel_scale(seen: Evidence, name: str, factor: float, unit: str | None, b
     message = f"{name} is {number(ratio)} of what {basis} implies: {explanation}"
     free = unit is None and factor != -1.0
     return _cause(
-        seen, code, name, message, _scaled(seen, name, factor), factor=ratio, is_free=free
+        seen,
+        code,
+        name,
+        message,
+        _scale_corrections(seen, name, factor),
+        factor=ratio,
+        is_free=free,
     )
 
 
@@ -432,9 +440,9 @@ def _factors(
     yield -1.0, None
     tried: list[float] = []
     for ratio in ratios:
-        known = _named(1.0 / ratio, names)
+        known = _match_known_factor(1.0 / ratio, names)
         factor, unit = (known[1], known[0]) if known else (1.0 / ratio, None)
-        is_repeated = any(abs(factor / other - 1.0) < _SAME_FACTOR for other in tried)
+        is_repeated = any(abs(factor / other - 1.0) < _MAX_FACTOR_DIFFERENCE for other in tried)
         if abs(abs(factor) - 1.0) > 1e-9 and not is_repeated:
             tried.append(factor)
             yield factor, unit
@@ -461,7 +469,7 @@ def _channels(seen: Evidence, contradictions: Sequence[Observation], joint: int)
             relative = {u: s / seen.channel(name).scale for u, s in _UNITS[kind].items()}
             relative["SI units"] = 1.0 / abs(seen.channel(name).scale)
             if kind == "a":  # Other factors can be a wrong distance: see _geometry.
-                ratios = [r for r in ratios if _named(1.0 / r, relative)]
+                ratios = [r for r in ratios if _match_known_factor(1.0 / r, relative)]
             if kind in ("u", "torque"):
                 ratios += [1.0 / factor for factor in relative.values()]
             for factor, unit in _factors(ratios, relative):
@@ -490,7 +498,7 @@ def _angle(
     if per_turn:
         basis = "its encoder's count, with the other signals,"
     scale = seen.channel(name).scale
-    names = {unit: known / scale for unit, known in _angle_names(seen, name).items()}
+    names = {unit: known / scale for unit, known in _angle_scales(seen, name).items()}
     names |= _round_scales(scale, ratios)
     for factor, unit in _factors(ratios, names):
         yield _channel_scale(seen, name, factor, unit, basis)
@@ -535,7 +543,7 @@ def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]
         reduction = round(1.0 / candidate)
         is_whole = reduction >= 1 and abs(reduction * candidate - 1.0) < _REDUCTION_TOLERANCE
         ratio = float(f"{1.0 / reduction if is_whole else candidate:.5g}")
-        if abs(ratio / n - 1.0) < _SAME_FACTOR or not minimum <= ratio <= maximum:
+        if abs(ratio / n - 1.0) < _MAX_FACTOR_DIFFERENCE or not minimum <= ratio <= maximum:
             continue
         message = (
             f"the link sensors of joint {joint} show {number(ratio / n)} of the motion that "
@@ -551,7 +559,8 @@ def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]
             message,
             corrections,
             factor=n / ratio,
-            is_free=candidate not in known and (not is_whole or reduction > _FEW_TURNS),
+            is_free=candidate not in known
+            and (not is_whole or reduction > _MAX_DISTINCT_REDUCTION),
         )
 
 
@@ -572,7 +581,7 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
             f"{number(distance or 0.0)} m from its axis: it is mounted at "
             f"{number(corrected)} m{hint}"
         )
-        scale = correction_text(seen.study, _scaled(seen, name, 1.0 / ratio))
+        scale = correction_text(seen.study, _scale_corrections(seen, name, 1.0 / ratio))
         yield _cause(
             seen,
             "wrong-geometry",
@@ -619,7 +628,7 @@ def _distance_hint(right: float, given: float, length: float | None) -> str:
 def _reversed_gear(seen: Evidence, joint: int) -> Iterator[Cause]:
     """A reversing gear: motor angle and torque are consistent, the link has the opposite sign."""
     names = [f"{k}{joint}" for k in _MOTOR_SIDE if f"{k}{joint}" in seen.channels]
-    corrections = [each for name in names for each in _scaled(seen, name, -1.0)]
+    corrections = [each for name in names for each in _scale_corrections(seen, name, -1.0)]
     message = (
         f"link {joint} turns against its motor: every link sensor of joint {joint} has the "
         "opposite sign of its motor's signals"

@@ -13,11 +13,11 @@ from strainwave.signals.hygiene.flat_tops import SHARE, ends_of_range
 
 _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
-_NOISY = ("a", "gyro")
+_NOISY_KINDS = ("a", "gyro")
 # Share of the motor's range that the motor must cover during a run for the run to count.
-_GOES_ON = 0.01
+_MIN_MOTOR_MOTION_SHARE = 0.01
 # Sensor resolutions of motion that a constant reading can hide.
-_STEPS = 2.0
+_HIDDEN_RESOLUTIONS = 2.0
 
 
 def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
@@ -26,7 +26,10 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
         for i in range(1, arm.n_joints + 1):
             name = f"{kind}{i}"
             shares = {
-                log.name: (_share(log, name, rests=kind not in _NOISY), log.channels[name])
+                log.name: (
+                    _clipped_share(log, name, rests=kind not in _NOISY_KINDS),
+                    log.channels[name],
+                )
                 for log in logs
                 if name in log.channels
             }
@@ -54,7 +57,7 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
             )
 
 
-def _share(log: Log, name: str, *, rests: bool) -> float:
+def _clipped_share(log: Log, name: str, *, rests: bool) -> float:
     """Share of the samples in runs of equal values at either extreme.
 
     If `rests` is true, counts only the runs during which the motor moves.
@@ -63,6 +66,8 @@ def _share(log: Log, name: str, *, rests: bool) -> float:
     runs = [run for ends in ends_of_range(values, rests=rests) for run in ends.tolist()]
     if rests and motor is not None:
         relative_resolution = resolution_of(values) / float(np.ptp(values)) if runs else 0.0
-        min_motion = (_GOES_ON + _STEPS * relative_resolution) * float(np.ptp(motor))
+        min_motion = (_MIN_MOTOR_MOTION_SHARE + _HIDDEN_RESOLUTIONS * relative_resolution) * float(
+            np.ptp(motor)
+        )
         runs = [(start, stop) for start, stop in runs if np.ptp(motor[start:stop]) > min_motion]
     return float(sum(stop - start for start, stop in runs)) / len(values)

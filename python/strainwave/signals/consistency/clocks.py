@@ -11,18 +11,18 @@ from strainwave.domain import FloatArray, Log, Prbs, channel_parts
 from strainwave.dynamics.arm import Arm
 
 # Minimum number of switches for a clock estimate.
-_FEWEST_SWITCHES = 24
+_MIN_SWITCHES = 24
 # Minimum size of a switch, as a share of the command's range. Less than half, because a servo
 # output can add to the test signal.
-_JUMP = 0.3
+_MIN_JUMP_SHARE = 0.3
 # Maximum distance of a switch from a clock tick, in clock periods.
-_WHOLE = 0.2
+_MAX_TICK_DISTANCE = 0.2
 # Minimum share of samples or switches that must agree with the hypothesis.
-_NEARLY_ALL = 0.95
+_MIN_AGREEING_SHARE = 0.95
 # Minimum clock period in samples. With shorter periods, the record can miss switches.
-_RESOLVED = 1.5
+_MIN_CLOCK_SAMPLES = 1.5
 # Minimum autocorrelation of a periodic sequence at a lag of one period.
-_REPEATS = 0.8
+_MIN_PERIOD_CORRELATION = 0.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,25 +55,27 @@ def clocks_of(log: Log, arm: Arm) -> Clocks:
         values = log.channels[name]
         if control == "open" and experiment.prbs is not None:
             level[name] = 0.5 * float(np.ptp(values))
-            clock = _clock(values, log, two_levels=True) or _period(values, log, experiment.prbs)
+            clock = _estimate_clock(values, log, two_levels=True) or _estimate_clock_from_period(
+                values, log, experiment.prbs
+            )
             prbs = prbs or clock
         elif control == "servo" and arm.servo is not None:
-            servo = servo or _clock(values, log, two_levels=False)
+            servo = servo or _estimate_clock(values, log, two_levels=False)
     return Clocks(prbs, servo, level, excited_inputs(log))
 
 
 def excited_inputs(log: Log) -> frozenset[str]:
-    """Commands with at least `_FEWEST_SWITCHES` jumps larger than `_JUMP` of their range."""
+    """Commands with at least `_MIN_SWITCHES` jumps larger than `_MIN_JUMP_SHARE` of their range."""
     excited = set()
     for name, values in log.channels.items():
         if channel_parts(name)[0] in ("u", "torque"):
-            jumps = np.abs(np.diff(values)) > _JUMP * float(np.ptp(values))
-            if jumps.sum() >= _FEWEST_SWITCHES:
+            jumps = np.abs(np.diff(values)) > _MIN_JUMP_SHARE * float(np.ptp(values))
+            if jumps.sum() >= _MIN_SWITCHES:
                 excited.add(name)
     return frozenset(excited)
 
 
-def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
+def _estimate_clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
     """Clock period of a zero-order-hold signal [s].
 
     The shortest interval between changes gives a starting value. Linear regression of the change
@@ -81,14 +83,14 @@ def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
     multiples of the period.
     """
     size = float(np.ptp(values))
-    if size == 0.0 or (two_levels and not _two_levels(values, size)):
+    if size == 0.0 or (two_levels and not _has_two_levels(values, size)):
         return None
     changes = np.flatnonzero(np.abs(np.diff(values)) > (0.5 if two_levels else 1e-9) * size) + 1
-    if len(changes) < _FEWEST_SWITCHES:
+    if len(changes) < _MIN_SWITCHES:
         return None
     intervals = np.diff(changes)
     shortest_interval = float(np.percentile(intervals, 5.0))
-    if shortest_interval < _RESOLVED:
+    if shortest_interval < _MIN_CLOCK_SAMPLES:
         return None
     clock = float(np.mean(intervals[intervals < 1.5 * shortest_interval]))
     elapsed = changes[1:] - changes[0]
@@ -96,23 +98,27 @@ def _clock(values: FloatArray, log: Log, *, two_levels: bool) -> float | None:
         ticks = np.cumsum(np.round(intervals / clock))
         clock = float(ticks @ elapsed / (ticks @ ticks))
     distance = np.abs(intervals / clock - np.round(intervals / clock))
-    return clock * log.sample_time if np.mean(distance < _WHOLE) > _NEARLY_ALL else None
+    return (
+        clock * log.sample_time
+        if np.mean(distance < _MAX_TICK_DISTANCE) > _MIN_AGREEING_SHARE
+        else None
+    )
 
 
-def _two_levels(values: FloatArray, size: float) -> bool:
+def _has_two_levels(values: FloatArray, size: float) -> bool:
     """Whether a signal of range `size` has few samples near the middle of its range."""
     middle = 0.5 * float(values.max() + values.min())
-    return bool(np.mean(np.abs(values - middle) < 0.2 * size) < 1.0 - _NEARLY_ALL)
+    return bool(np.mean(np.abs(values - middle) < 0.2 * size) < 1.0 - _MIN_AGREEING_SHARE)
 
 
-def _period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
+def _estimate_clock_from_period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
     """PRBS clock [s] from the period of the sequence, for records that do not resolve switches.
 
     The autocorrelation of a maximum-length sequence is 1 at multiples of the period and nearly 0
     elsewhere. Returns None if the record does not repeat the sequence.
     """
     size = float(np.ptp(values))
-    if prbs.periods < 2 or size == 0.0 or not _two_levels(values, size):
+    if prbs.periods < 2 or size == 0.0 or not _has_two_levels(values, size):
         return None
     n = len(values)
     spectrum = np.fft.rfft(values - values.mean(), 2 * n)
@@ -121,8 +127,8 @@ def _period(values: FloatArray, log: Log, prbs: Prbs) -> float | None:
     correlation /= overlap * correlation[0] / n
     first = int(np.argmax(correlation < 0.5))
     lag = first + int(np.argmax(correlation[first:]))
-    if first == 0 or correlation[lag] < _REPEATS:
+    if first == 0 or correlation[lag] < _MIN_PERIOD_CORRELATION:
         return None
-    repeats = np.flatnonzero(correlation > _REPEATS)
+    repeats = np.flatnonzero(correlation > _MIN_PERIOD_CORRELATION)
     lag = int(repeats[repeats > first][0]) if np.any(repeats > first) else lag
     return float(lag * log.sample_time / (2**prbs.order - 1))

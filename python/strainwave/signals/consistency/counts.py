@@ -9,15 +9,15 @@ import numpy as np
 from strainwave.domain import FloatArray
 
 # Minimum number of steps for an estimate.
-_FEWEST = 40
+_MIN_STEPS = 40
 # Maximum step in counts. Rounding of the logged digits hides the count in larger steps.
-_MOST_COUNTS = 12.0
+_MAX_STEP_COUNTS = 12.0
 # Maximum distance of a step from a whole number of counts, in counts.
-_NEAR = 0.12
-# Minimum share of the steps within `_NEAR` of a whole number of counts.
-_SHARE = 0.97
+_MAX_COUNT_DISTANCE = 0.12
+# Minimum share of the steps within `_MAX_COUNT_DISTANCE` of a whole number of counts.
+_MIN_WHOLE_SHARE = 0.97
 # Maximum number of samples evaluated per record.
-_MOST_SAMPLES = 40_000
+_MAX_SAMPLES = 40_000
 
 
 def count_of(angles: Sequence[FloatArray]) -> float | None:
@@ -27,10 +27,10 @@ def count_of(angles: Sequence[FloatArray]) -> float | None:
     steps are whole multiples of it. `angles` holds the same channel of several records, each of
     shape (n_samples,). Returns None if the angle shows no quantisation.
     """
-    steps = np.concatenate([np.abs(np.diff(angle[:_MOST_SAMPLES])) for angle in angles])
+    steps = np.concatenate([np.abs(np.diff(angle[:_MAX_SAMPLES])) for angle in angles])
     largest = steps.max(initial=0.0)
     steps = steps[steps > 1e-9 * largest]
-    if len(steps) < _FEWEST:
+    if len(steps) < _MIN_STEPS:
         return None
     sorted_steps = np.sort(steps)
     smallest = sorted_steps[: max(1, len(sorted_steps) // 1000) + 4]
@@ -38,8 +38,8 @@ def count_of(angles: Sequence[FloatArray]) -> float | None:
     if min_step == 0.0:
         return None
     count = float(np.median(sorted_steps[sorted_steps < 1.5 * min_step]))
-    small_steps = sorted_steps[sorted_steps < _MOST_COUNTS * count]
-    if len(small_steps) < _FEWEST or len(small_steps) < 0.001 * len(sorted_steps):
+    small_steps = sorted_steps[sorted_steps < _MAX_STEP_COUNTS * count]
+    if len(small_steps) < _MIN_STEPS or len(small_steps) < 0.001 * len(sorted_steps):
         return None
     multiples = np.round(small_steps / count)
     if multiples.min() < 1.0:
@@ -47,4 +47,8 @@ def count_of(angles: Sequence[FloatArray]) -> float | None:
     count = float(multiples @ small_steps / (multiples @ multiples))
     distance = np.abs(small_steps / count - multiples)
     distinct = len(np.unique(multiples))
-    return count if np.mean(distance < _NEAR) > _SHARE and distinct > 1 else None
+    return (
+        count
+        if np.mean(distance < _MAX_COUNT_DISTANCE) > _MIN_WHOLE_SHARE and distinct > 1
+        else None
+    )

@@ -32,14 +32,14 @@ from strainwave.signals.consistency.input_delay import DelayProfile, delay_profi
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
 # lies, for slow and for fast records.
-_SLOW = (0.8, 2.0)
-_FAST = (0.5, 0.25)
+_SLOW_BAND = (0.8, 2.0)
+_FAST_BAND = (0.5, 0.25)
 # Minimum record length in periods of the bandwidth frequency.
-_LEAST_CYCLES = 10.0
+_MIN_CYCLES = 10.0
 # Rows per period of the bandwidth frequency. Second derivatives lose 0.1 % at this rate.
-_OVERSAMPLING = 20.0
+_ROWS_PER_CYCLE = 20.0
 # Maximum number of samples evaluated per record.
-_MOST_SAMPLES = 2**18
+_MAX_SAMPLES = 2**18
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +128,9 @@ class Evidence:
         if correction.key == "unusable":
             return self.without([name])
         delay, drift = (value, 0.0) if correction.key == "delay_s" else (0.0, value)
-        return replace(self, records=tuple(_moved(r, name, delay, drift) for r in self.records))
+        return replace(
+            self, records=tuple(_shift_channel(r, name, delay, drift) for r in self.records)
+        )
 
     def without(self, names: Collection[str]) -> Evidence:
         """Evidence without the channels `names`."""
@@ -154,7 +156,7 @@ class Evidence:
         return replace(self, records=tuple(records))
 
 
-def _moved(record: SlowRecord, name: str, delay: float, drift: float) -> SlowRecord:
+def _shift_channel(record: SlowRecord, name: str, delay: float, drift: float) -> SlowRecord:
     """Record after removal of a delay from one channel.
 
     The delay is `delay` [s] at the start of the record and grows by `drift` [s/s].
@@ -210,7 +212,7 @@ def _remapped(
 def evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
-    records = side_by_side([partial(_slow, log, arm) for log in logs]) if logs else []
+    records = side_by_side([partial(_slow_record, log, arm) for log in logs]) if logs else []
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
@@ -219,14 +221,14 @@ def evidence(logs: Sequence[Log], study: Study) -> Evidence:
     return Evidence(study, tuple(r for r in records if r is not None), counts)
 
 
-def _slow(log: Log, arm: Arm) -> SlowRecord | None:
+def _slow_record(log: Log, arm: Arm) -> SlowRecord | None:
     """Low-pass filter and decimate a record. Returns None if the record is too short."""
     joints = range(1, arm.n_joints + 1)
-    n = min(len(log), _MOST_SAMPLES)
+    n = min(len(log), _MAX_SAMPLES)
     T = log.sample_time
     angle = np.column_stack([log.channels[f"theta_m{i}"][:n] for i in joints])
-    band = max(motion_band(angle, T, slow=is_slow(log.experiment)), _LEAST_CYCLES / (n * T))
-    block = max(1, int(1.0 / (_OVERSAMPLING * band * T)))
+    band = max(motion_band(angle, T, slow=is_slow(log.experiment)), _MIN_CYCLES / (n * T))
+    block = max(1, int(1.0 / (_ROWS_PER_CYCLE * band * T)))
     n_rows = n // block
     edge = int(np.ceil(1.0 / (band * block * T)))
     if n_rows < 4 * edge:
@@ -235,7 +237,7 @@ def _slow(log: Log, arm: Arm) -> SlowRecord | None:
     samples = np.column_stack([log.channels[name][: n_rows * block] for name in names])
     smooth = low_pass(angle[: n_rows * block], min(4.0 * band, 0.2 / T), T)
     direction = np.sign(differentiate(smooth, T))
-    rows = _means(np.column_stack([samples, direction]), block)
+    rows = _block_means(np.column_stack([samples, direction]), block)
     slow = low_pass(rows, band, block * T)
     inside = np.zeros(n_rows, dtype=bool)
     inside[edge : n_rows - edge] = True
@@ -251,11 +253,11 @@ def _slow(log: Log, arm: Arm) -> SlowRecord | None:
         inside=inside,
         start=0.5 * (block - 1) * T,
         clocks=clocks_of(log, arm),
-        delays=_delays(log, arm),
+        delays=_delay_profiles(log, arm),
     )
 
 
-def _delays(log: Log, arm: Arm) -> dict[int, DelayProfile]:
+def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
     """Delay profiles of the joints that a test signal excites. Keys are joints, from 1."""
     profiles = {}
     if log.experiment.use in ("frequency", "sweep"):
@@ -273,7 +275,7 @@ def is_slow(experiment: Experiment) -> bool:
     return experiment.joint is None and experiment.use in ("motion", "check")
 
 
-def _means(signal: FloatArray, block: int) -> FloatArray:
+def _block_means(signal: FloatArray, block: int) -> FloatArray:
     means: FloatArray = signal.reshape(len(signal) // block, block, -1).mean(axis=1)
     return means
 
@@ -288,7 +290,7 @@ def motion_band(angle: FloatArray, sample_time: float, *, slow: bool) -> float:
     velocity = np.diff(angle[: 2**16], axis=0)
     power = np.cumsum(np.abs(np.fft.rfft(velocity - velocity.mean(axis=0), axis=0)) ** 2, axis=0)
     frequency = np.fft.rfftfreq(len(velocity), sample_time)
-    share, ratio = _SLOW if slow else _FAST
+    share, ratio = _SLOW_BAND if slow else _FAST_BAND
     moving = power.T[power[-1] > 0.0]
     return max(
         (ratio * float(frequency[np.searchsorted(p, share * p[-1])]) for p in moving), default=0.0

@@ -67,8 +67,8 @@ def delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
     top = _BAND_SHARE * signal_band(angle[:, i], T)
     noise = np.array([noise_deviation(each) for each in angle.T])
     direction = directions(angle, noise, arm, T)[:, i]
-    signals = np.column_stack([angle, direction, _command(log, arm, i)])
-    profiles = [_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
+    signals = np.column_stack([angle, direction, _command_torque(log, arm, i)])
+    profiles = [_band_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
     valid = [each for each in profiles if each is not None]
     return min(valid, key=lambda each: float(each.unexplained.min()), default=None)
 
@@ -96,7 +96,7 @@ def pooled_delay(profiles: Sequence[DelayProfile]) -> Delay | None:
     return Delay(float(grid[best]) + vertex * _DELAY_STEP, floor)
 
 
-def _command(log: Log, arm: Arm, i: int) -> FloatArray:
+def _command_torque(log: Log, arm: Arm, i: int) -> FloatArray:
     """Motor torque of joint i (from 0) up to its scale, from the logged command or torque."""
     name, joint = torque_channel(log, i + 1), arm.joints[i]
     values = log.channels[name]
@@ -106,7 +106,7 @@ def _command(log: Log, arm: Arm, i: int) -> FloatArray:
     return unaliased(values, loop, log.sample_time, "held")
 
 
-def _profile(
+def _band_profile(
     log: Log, signals: FloatArray, i: int, band: tuple[float, float]
 ) -> DelayProfile | None:
     """Delay profile of joint i in one frequency band [Hz]; None if the record is too short."""
@@ -122,7 +122,7 @@ def _profile(
     if inside.sum() < _MIN_LINES:
         return None
     lines = np.fft.rfft(np.hanning(len(filtered))[:, None] * filtered, axis=0)[inside]
-    columns = _stacked(lines[:, 1:])
+    columns = _stack_real_imaginary(lines[:, 1:])
     size = np.linalg.norm(columns, axis=0)
     total = float(np.sum(np.abs(lines[:, 0]) ** 2))
     if total == 0.0 or size.max() == 0.0:
@@ -131,11 +131,11 @@ def _profile(
     basis, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis[:, singular_values > 1e-7 * singular_values[0]]
     shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delays()))
-    explained = np.sum((basis.T @ _stacked(shifted)) ** 2, axis=0) / total
+    explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
     return DelayProfile(log.name, unexplained, int(inside.sum()), band[1], T)
 
 
-def _stacked(lines: ComplexArray) -> FloatArray:
+def _stack_real_imaginary(lines: ComplexArray) -> FloatArray:
     """Real parts above imaginary parts."""
     return np.concatenate([lines.real, lines.imag])

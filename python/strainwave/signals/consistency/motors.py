@@ -19,17 +19,17 @@ from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slo
 from strainwave.signals.consistency.regression import Fit, regress
 
 # Maximum share of samples at the servo limit; above it, the servo law does not hold.
-_SATURATED = 0.01
+_MAX_SATURATED_SHARE = 0.01
 # Minimum magnitude of the mean sign of the motor velocity for a row to count as sliding.
-_SLIDING = 0.8
+_MIN_MEAN_DIRECTION = 0.8
 # Minimum number of sliding rows. With fewer, the regression uses all rows.
-_FEWEST_ROWS = 60
+_MIN_SLIDING_ROWS = 60
 # Search range of the log ratio of the torque constants; 1000 is the largest unit factor.
-_WIDEST = float(np.log(1e3))
+_MAX_LOG_RATIO = float(np.log(1e3))
 # Number of grid points of the ratio search; the spacing is 0.7 %.
-_RATIOS = 2001
+_RATIO_GRID_SIZE = 2001
 # Parameters that occur in the equations of both joints.
-_COUPLED = ("beta", "gamma", "gravity_torque_2")
+_SHARED_PARAMETERS = ("beta", "gamma", "gravity_torque_2")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,13 +62,13 @@ def references(seen: Evidence) -> list[Ratio]:
     Covers the joints under servo control whose reference varies.
     """
     ratios: list[Ratio] = []
-    for record, i in _servoed(seen):
+    for record, i in _servo_controlled(seen):
         reference = record.channels[f"ref{i}"]
         velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
         slope = differentiate(reference, record.sample_time)
         slope2 = differentiate(slope, record.sample_time)
         columns = np.column_stack([reference, slope, slope2])[record.inside]
-        ratios.extend(_ratio(record, f"theta_m{i}", velocity, columns))
+        ratios.extend(_regress_ratio(record, f"theta_m{i}", velocity, columns))
     return ratios
 
 
@@ -79,7 +79,7 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
     """
     ratios: list[Ratio] = []
     servo = seen.arm.servo
-    for record, i in _servoed(seen):
+    for record, i in _servo_controlled(seen):
         name = f"u{i}"
         has_prbs = record.experiment.prbs is not None and record.experiment.joint in (None, i)
         if servo is None or has_prbs or name not in record.channels:
@@ -92,7 +92,9 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
             error = error + correction
             integral = integral + np.cumsum(correction) * record.sample_time
         expected = servo.kp[i - 1] * error + servo.ki[i - 1] * integral
-        ratios.extend(_ratio(record, name, record.channels[name], expected[record.inside, None]))
+        ratios.extend(
+            _regress_ratio(record, name, record.channels[name], expected[record.inside, None])
+        )
     return ratios
 
 
@@ -105,7 +107,7 @@ def velocities(seen: Evidence) -> list[Ratio]:
             if name in record.channels:
                 slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
                 columns = slope[record.inside, None]
-                ratios.extend(_ratio(record, name, record.channels[name], columns))
+                ratios.extend(_regress_ratio(record, name, record.channels[name], columns))
     return ratios
 
 
@@ -120,11 +122,11 @@ def torques(seen: Evidence) -> list[Torque]:
     for i in range(seen.arm.n_joints):
         records = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
         records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        fit, names = _torque(records, seen.arm, i)
+        fit, names = _regress_torque(records, seen.arm, i)
         if fit is None:
             continue
         std = np.sqrt(np.diag(fit.covariance))
-        indices = [names.index(name) for name in _COUPLED if name in names]
+        indices = [names.index(name) for name in _SHARED_PARAMETERS if name in names]
         shared = tuple(names[k] for k in indices)
         inertia = float(fit.value[0]), float(std[0])
         coupling = fit.value[indices], fit.covariance[np.ix_(indices, indices)]
@@ -132,7 +134,7 @@ def torques(seen: Evidence) -> list[Torque]:
     return estimates
 
 
-def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
+def _servo_controlled(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
     """Records and joints (from 1) under servo control, unsaturated, with a varying reference."""
     if seen.arm.servo is None:
         return
@@ -142,13 +144,13 @@ def _servoed(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
             if control != "servo" or f"ref{i}" not in record.channels:
                 continue
             voltage = record.channels.get(f"u{i}")
-            if voltage is not None and np.mean(np.abs(voltage) >= limit) > _SATURATED:
+            if voltage is not None and np.mean(np.abs(voltage) >= limit) > _MAX_SATURATED_SHARE:
                 continue
             if np.ptp(record.channels[f"ref{i}"]) > 0.0:
                 yield record, i
 
 
-def _ratio(
+def _regress_ratio(
     record: SlowRecord, channel: str, target: FloatArray, columns: FloatArray
 ) -> Iterator[Ratio]:
     """Coefficient of the first column in a regression; no ratio if the regression fails."""
@@ -158,16 +160,16 @@ def _ratio(
         yield Ratio(channel, record.experiment.name, float(fit.value[0]), std, fit.explained)
 
 
-def _torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, list[str]]:
+def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, list[str]]:
     """Regress the torque of joint i (from 0) over all records, with one constant per record."""
     targets, blocks = [], []
     names: list[str] = []
     for record in records:
-        columns = _columns(record, arm, i)
+        columns = _regressor_columns(record, arm, i)
         names = list(columns)
         # Near a velocity reversal, the Coulomb friction is undetermined between its two values.
-        rows = record.inside & (np.abs(record.direction[:, i]) > _SLIDING)
-        rows = rows if rows.sum() > _FEWEST_ROWS else record.inside
+        rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
+        rows = rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
         torque = motor_torque(record, arm, i)[rows]
         block = np.column_stack(list(columns.values()))[rows]
         targets.append(torque - torque.mean())
@@ -189,7 +191,7 @@ def motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     return (arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
 
 
-def _columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
+def _regressor_columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
     """Regressor columns of the equation of joint i (from 0), by parameter, motor side."""
     n = arm.gear_ratios
     joints = range(1, arm.n_joints + 1)
@@ -247,7 +249,7 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
             (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(axis=1)
         )
 
-    grid = np.exp(np.linspace(-_WIDEST, _WIDEST, _RATIOS))
+    grid = np.exp(np.linspace(-_MAX_LOG_RATIO, _MAX_LOG_RATIO, _RATIO_GRID_SIZE))
     costs = costs_of(grid)
     best = int(np.argmin(costs))
     if best in (0, len(grid) - 1) or costs[best] + 4.0 > min(costs[0], costs[-1]):

@@ -46,12 +46,12 @@ Kind = Literal[
 ]
 
 # Minimum significance of a contradiction, in standard deviations.
-_CERTAIN = 5.0
+_MIN_SIGNIFICANCE = 5.0
 # The same for the torque ratio, whose standard deviation includes friction errors.
-_CERTAIN_TORQUE = 3.5
-_INPUT_DELAY_SAMPLES = 1.25
+_MIN_TORQUE_SIGNIFICANCE = 3.5
+_MAX_INPUT_DELAY_SAMPLES = 1.25
 """Tolerated delay of a command in sampling periods; logs hold the value before or after a tick."""
-_INPUT_DELAY = 1.25e-3
+_MAX_INPUT_DELAY = 1.25e-3
 """Tolerated delay of a command [s]; buses and drives commonly have delays of up to 1 ms."""
 
 _TOLERANCE: dict[Kind, float] = {
@@ -68,7 +68,7 @@ _TOLERANCE: dict[Kind, float] = {
     "gravity": 0.08,
     "turn": 0.12,
     "delay": 5e-3,  # [s] range that the whole-arm fit corrects
-    "input-delay": _INPUT_DELAY,
+    "input-delay": _MAX_INPUT_DELAY,
     "drift": 2e-4,  # [s/s]
     "inertia": np.inf,  # only the sign is tested
     "limit": 1.0,  # a factor of two, because the stated limit can exclude an added PRBS
@@ -78,7 +78,7 @@ _TOLERANCE: dict[Kind, float] = {
 }
 """Tolerated relative difference from 1, or absolute value of delays, `drift` and `tilt`."""
 
-_FLOOR: dict[Kind, float] = {
+_MODEL_ERROR: dict[Kind, float] = {
     "reference": 0.02,
     "servo": 0.1,
     "velocity": 0.005,
@@ -94,20 +94,20 @@ _FLOOR: dict[Kind, float] = {
 """Model error of an observation in one record: springs, friction and servo lag, without noise."""
 
 # Largest error of the own-joint scale that counts as correct; calibrations are accurate to 1 %.
-_SCALE_AGREES = 0.025
+_MAX_SCALE_ERROR = 0.025
 _LENGTH_TOLERANCE = 0.04
 """Tolerated relative error of link_length if the own-joint scale is correct."""
 
 # Minimum explained share of the variance of a link sensor.
-_FOLLOWED = 0.95
+_MIN_EXPLAINED_SHARE = 0.95
 # Minimum explained share for the delay and the parts of a reading to be evaluated.
-_IN_PART = 0.5
+_MIN_PARTLY_EXPLAINED_SHARE = 0.5
 # Weight of a signal that its prediction does not explain; no other observation is available.
-_FOLLOWED_WEIGHT = 2.0
+_UNEXPLAINED_WEIGHT = 2.0
 # Minimum explained share of servo outputs and torques; friction reduces it.
-_FOLLOWED_BY_MOTORS = 0.8
+_MIN_MOTOR_EXPLAINED_SHARE = 0.8
 # Minimum signal-to-noise ratio of a link sensor's record.
-_HEARD = 5.0
+_MIN_SIGNAL_TO_NOISE = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,13 +126,13 @@ class Observation:
         """Whether the error exceeds the tolerance and is statistically significant."""
         if self.kind == "followed":
             link = self.where[:-1] in LINK_CHANNELS
-            return self.value < (_FOLLOWED if link else _FOLLOWED_BY_MOTORS)
+            return self.value < (_MIN_EXPLAINED_SHARE if link else _MIN_MOTOR_EXPLAINED_SHARE)
         tolerance = self.tolerance or _TOLERANCE[self.kind]
         if self.kind in ("delay", "drift", "input-delay", "tilt"):
-            return abs(self.value) > max(tolerance, _CERTAIN * self.std)
+            return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
         if self.value < 0.0:
-            return abs(self.value) > _CERTAIN * self.std
-        certain = _CERTAIN_TORQUE if self.kind == "torque-ratio" else _CERTAIN
+            return abs(self.value) > _MIN_SIGNIFICANCE * self.std
+        certain = _MIN_TORQUE_SIGNIFICANCE if self.kind == "torque-ratio" else _MIN_SIGNIFICANCE
         if self.value == 0.0 or abs(self.value - 1.0) <= certain * self.std:
             return False
         return bool(abs(np.log(self.value)) > np.log1p(tolerance))
@@ -140,7 +140,7 @@ class Observation:
     @property
     def weight(self) -> float:
         """Weight of the observation if it contradicts."""
-        return _FOLLOWED_WEIGHT if self.kind == "followed" else 1.0
+        return _UNEXPLAINED_WEIGHT if self.kind == "followed" else 1.0
 
 
 def observe(seen: Evidence) -> tuple[Observation, ...]:
@@ -209,7 +209,7 @@ def _input_delays(seen: Evidence) -> Iterator[Observation]:
         record, profile = profiles[0]
         name = next((n for n in (f"torque{joint}", f"u{joint}") if n in record.channels), "")
         corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
-        tolerance = max(_INPUT_DELAY, _INPUT_DELAY_SAMPLES * profile.sample_time)
+        tolerance = max(_MAX_INPUT_DELAY, _MAX_INPUT_DELAY_SAMPLES * profile.sample_time)
         remaining = delay.value - corrected
         yield Observation("input-delay", name, remaining, delay.std, joint, tolerance)
 
@@ -221,11 +221,13 @@ def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
     for channel, all_records in by_channel.items():
         best = max(each.explained for each in all_records)
         clear = [each for each in all_records if each.explained > 0.8 * best]
-        stds = [float(np.hypot(e.std, _FLOOR[kind] * abs(e.value))) for e in clear]
+        stds = [float(np.hypot(e.std, _MODEL_ERROR[kind] * abs(e.value))) for e in clear]
         value, std = pooled([e.value for e in clear], stds)
         joint = int(channel[-1])
         yield Observation("followed", channel, best, 0.0, joint)
-        if best > (_FOLLOWED if kind == "reference" else _IN_PART):  # a servo can lag
+        if best > (
+            _MIN_EXPLAINED_SHARE if kind == "reference" else _MIN_PARTLY_EXPLAINED_SHARE
+        ):  # a servo can lag
             yield Observation(kind, channel, value, std, joint)
 
 
@@ -234,7 +236,7 @@ def _sensors(seen: Evidence) -> Iterator[Observation]:
     for each in readings(seen):
         by_channel.setdefault(each.channel, []).append(each)
     for channel, all_records in by_channel.items():
-        kept = [each for each in all_records if each.signal > _HEARD]
+        kept = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
         if kept:
             yield from _sensor(channel, int(channel[-1]), kept)
 
@@ -244,17 +246,19 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
 
     def mean(kind: Kind, values: list[float], deviations: list[float]) -> Observation:
         relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
-        floor = _FLOOR[kind] * relative
+        floor = _MODEL_ERROR[kind] * relative
         value, std = pooled(values, [float(np.hypot(d, floor)) for d in deviations])
         return Observation(kind, channel, value, std, joint)
 
     best = max(each.explained for each in kept)
     yield Observation("followed", channel, best, 0.0, joint)
     yield mean("scale", [e.scale for e in kept], [e.scale_std for e in kept])
-    if best < _IN_PART:
+    if best < _MIN_PARTLY_EXPLAINED_SHARE:
         return
     yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
-    drift_stds = [float(np.hypot(e.drift_std, 2.0 * _FLOOR["delay"] / e.seconds)) for e in kept]
+    drift_stds = [
+        float(np.hypot(e.drift_std, 2.0 * _MODEL_ERROR["delay"] / e.seconds)) for e in kept
+    ]
     tilts = [e.tilt for e in kept if e.tilt is not None]
     if tilts:
         yield mean("tilt", [v for v, _ in tilts], [s for _, s in tilts])
@@ -267,7 +271,7 @@ def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observati
             continue
         observation = mean(part, [v for v, _ in scales], [s for _, s in scales])
         if part == "own":
-            own_agrees = abs(observation.value - 1.0) < _SCALE_AGREES
+            own_agrees = abs(observation.value - 1.0) < _MAX_SCALE_ERROR
         if part == "elbow" and own_agrees:  # The scale of the sensor is correct.
             observation = replace(observation, tolerance=_LENGTH_TOLERANCE)
         yield observation

@@ -10,9 +10,9 @@ import numpy as np
 from strainwave.domain import FloatArray
 
 # Rows per independent row: 20 rows per period of the bandwidth frequency, 2 of them independent.
-_PER_CYCLE = 10.0
+_ROWS_PER_INDEPENDENT_ROW = 10.0
 # Maximum lag of the residual autocorrelation in rows: ten periods of the bandwidth frequency.
-_MEMORY = 200
+_MAX_LAG_ROWS = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,9 +53,9 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
         residual_std = max(residual_std, 1e-9 * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    covariance = inverse @ inverse.T * residual_std**2 * _PER_CYCLE
+    covariance = inverse @ inverse.T * residual_std**2 * _ROWS_PER_INDEPENDENT_ROW
     factor = np.maximum(
-        1.0, _slow_deviation(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(covariance))
+        1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(covariance))
     )
     covariance = covariance * np.outer(factor, factor)
     return Fit(
@@ -66,7 +66,7 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
     )
 
 
-def _slow_deviation(influence: FloatArray, residual: FloatArray) -> FloatArray:
+def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
     """Standard deviations of the coefficients for autocorrelated residuals, (n_columns,).
 
     Long-run variance of the influence times the residual (Newey and West, 1987). `influence`, of
@@ -74,7 +74,7 @@ def _slow_deviation(influence: FloatArray, residual: FloatArray) -> FloatArray:
     """
     terms = influence * residual[:, None]
     n_rows = len(terms)
-    n_lags = min(_MEMORY, n_rows // 4)
+    n_lags = min(_MAX_LAG_ROWS, n_rows // 4)
     spectrum = np.fft.rfft(terms, 2 * n_rows, axis=0)
     autocovariance = np.fft.irfft(np.abs(spectrum) ** 2, 2 * n_rows, axis=0)[: n_lags + 1]
     window = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)

@@ -23,25 +23,25 @@ LINK_CHANNELS = ("a", "gyro", "theta_l")
 
 STANDARD_GRAVITY = 9.80665  # [m/s^2]
 # Search range of the log factor of a joint's rotation.
-_REACH = float(np.log(300.0))
+_MAX_LOG_ROTATION_FACTOR = float(np.log(300.0))
 # Grid points of the rotation search.
-_TRIES = 41
+_ROTATION_GRID_SIZE = 41
 # Grid points of the high-pass search.
-_HIGH_PASS_TRIES = 13
+_HIGH_PASS_GRID_SIZE = 13
 # Largest time constant of a high-pass in record lengths; a wrong time base can give millions.
-_LONGEST_DECAY = 2.0
+_MAX_DECAY_RECORDS = 2.0
 # Maximum unexplained share of the reading with a high-pass.
-_HIGH_PASS_LEFT = 0.02
+_MAX_HIGH_PASS_UNEXPLAINED = 0.02
 # Maximum ratio of the unexplained shares with and without a high-pass.
-_HIGH_PASS_GAIN = 0.2
+_MAX_HIGH_PASS_UNEXPLAINED_RATIO = 0.2
 # Time constant in rows below which a low-pass is ignored.
-_NO_TIME = 1e-3
+_MIN_TIME_CONSTANT_ROWS = 1e-3
 # Minimum significance of the denominator of a rotation ratio, in standard deviations.
-_HEARD_TURNING = 5.0
+_MIN_ROTATION_SIGNIFICANCE = 5.0
 # Prior standard deviation of an unknown tilt or encoder zero [rad].
-_TURNED = 0.1
+_TILT_PRIOR_STD = 0.1
 # Gear resonance over record bandwidth that sets the prior of the spring coefficient.
-_BELOW_RESONANCE = 2.0
+_RESONANCE_OVER_BANDWIDTH = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def readings(seen: Evidence) -> list[Reading]:
                 excited = record.experiment.joint in (None, i + 1)
                 wanted = is_slow(record.experiment) or (name not in slow and excited)
                 if wanted and name in record.channels:
-                    found.extend(_read(record, seen, motion, kind, i))
+                    found.extend(_regress_channel(record, seen, motion, kind, i))
     return found
 
 
@@ -98,18 +98,20 @@ def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
 
     def unexplained(hz: float) -> float:
         other = replace(seen, high_passes={**seen.high_passes, name: hz})
-        found = _read(record, other, motion, kind, joint - 1)
+        found = _regress_channel(record, other, motion, kind, joint - 1)
         plausible = [reading for reading in found if 0.5 < reading.scale < 2.0]
         return min((1.0 - reading.explained for reading in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
     low, high = (float(np.log(edge)) for edge in edges)
     for _ in range(3):
-        grid = np.linspace(low, high, _HIGH_PASS_TRIES)
+        grid = np.linspace(low, high, _HIGH_PASS_GRID_SIZE)
         shares = [unexplained(float(np.exp(each))) for each in grid]
         k = int(np.argmin(shares))
         low, high = float(grid[max(k - 1, 0)]), float(grid[min(k + 1, len(grid) - 1)])
-    if shares[k] > min(_HIGH_PASS_LEFT, _HIGH_PASS_GAIN * unexplained(0.0)):
+    if shares[k] > min(
+        _MAX_HIGH_PASS_UNEXPLAINED, _MAX_HIGH_PASS_UNEXPLAINED_RATIO * unexplained(0.0)
+    ):
         return None
     return float(f"{np.exp(grid[k]):.4g}")
 
@@ -130,19 +132,19 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     def unexplained(factor: float) -> float:
         other = seen.corrected([Correction("joint", str(joint), "gear_ratio", factor * ratio)])
         motion = _Motion.of(slow[0], other.arm)
-        found = _read(slow[0], other, motion, names[0][:-1], joint - 1)
+        found = _regress_channel(slow[0], other, motion, names[0][:-1], joint - 1)
         return min((1.0 - reading.explained for reading in found), default=1.0)
 
     if not names:
         return ()
-    grid = np.linspace(-_REACH, _REACH, _TRIES)
+    grid = np.linspace(-_MAX_LOG_ROTATION_FACTOR, _MAX_LOG_ROTATION_FACTOR, _ROTATION_GRID_SIZE)
     best, best_share, centre, width = 1.0, np.inf, 0.0, 1.0
     for _ in range(3):
         factors = [float(f) for f in np.exp(centre + width * grid)]
         shares = [unexplained(f) for f in factors]
         k = int(np.argmin(shares))
         centre += width * float(grid[k])
-        width *= 4.0 / (_TRIES - 1)
+        width *= 4.0 / (_ROTATION_GRID_SIZE - 1)
         if shares[k] < best_share:
             best, best_share = factors[k], shares[k]
     return (best,) if best_share < 0.5 else ()
@@ -165,7 +167,7 @@ class _Motion:
         return cls(angle, velocity, differentiate(velocity, record.sample_time))
 
 
-def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
+def _predicted_parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
     """Parts whose sum is the predicted reading of a channel of joint i, from 0.
 
     Returns None if the study does not give the distance of the accelerometer.
@@ -189,7 +191,7 @@ def _parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray
     return parts
 
 
-def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
+def _tilt_derivatives(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
     """Derivatives of an accelerometer reading with respect to tilt and encoder zero, per radian.
 
     The tilt of a horizontal arm adds gravity along both axes of the plane of motion. The tilt of a
@@ -208,20 +210,20 @@ def _turned(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
     return derivatives
 
 
-def _read(
+def _regress_channel(
     record: SlowRecord, seen: Evidence, motion: _Motion, kind: str, i: int
 ) -> Iterator[Reading]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", seen.arm
-    parts = _parts(arm, motion, kind, i)
+    parts = _predicted_parts(arm, motion, kind, i)
     if parts is None:
         return
     T = record.sample_time
-    sensor = [lag for lag in _lags(arm, kind, i) if _shows(lag, T, len(record.inside))]
+    sensor = [lag for lag in _sensor_lags(arm, kind, i) if _is_relevant(lag, T, len(record.inside))]
     cutoff = seen.high_passes.get(name)
-    if cutoff and not _NO_TIME < 1.0 / (2.0 * np.pi * cutoff * T) < _LONGEST_DECAY * len(
-        record.inside
-    ):
+    if cutoff and not _MIN_TIME_CONSTANT_ROWS < 1.0 / (
+        2.0 * np.pi * cutoff * T
+    ) < _MAX_DECAY_RECORDS * len(record.inside):
         cutoff = None
 
     def sensed(part: FloatArray) -> FloatArray:
@@ -231,24 +233,24 @@ def _read(
     parts = {key: sensed(part) for key, part in parts.items()}
     target = record.channels[name][record.inside]
     prediction = np.sum(list(parts.values()), axis=0)
-    derivatives = [sensed(part) for part in _turned(arm, motion, kind, i)]
+    derivatives = [sensed(part) for part in _tilt_derivatives(arm, motion, kind, i)]
     # The initial state of a high-pass is unknown.
     decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
-    nuisance = _Beside.of(
+    nuisance = _NuisanceColumns.of(
         record, prediction, prediction - parts.get("gravity", 0.0), derivatives, decays
     )
     fit = nuisance.fit(target, [prediction])
     if fit is None:
         return
     scale, scale_std = _coefficient(fit, 0)
-    delay, delay_std = _over_scale(fit, 2)
-    drift, drift_std = _over_scale(fit, 3)
+    delay, delay_std = _relative_coefficient(fit, 2)
+    drift, drift_std = _relative_coefficient(fit, 3)
     each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
     scales = {"own": (scale, scale_std)}
     if each_part_fit is not None:
         scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
-    shares = _shares(arm, motion, kind) if i == 1 else None
+    shares = _rotation_parts(arm, motion, kind) if i == 1 else None
     turn = None
     if shares is not None:
         turn = nuisance.quotient(target, [sensed(share) for share in shares])
@@ -281,7 +283,7 @@ def _tilt(fit: Fit, arm: Arm, first: int) -> tuple[float, float] | None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Beside:
+class _NuisanceColumns:
     """Nuisance columns of a regression: springs, delay, drift, high-pass decay, tilt and zero."""
 
     inside: BoolArray
@@ -297,7 +299,7 @@ class _Beside:
         dynamic: FloatArray,
         turned: list[FloatArray],
         decays: list[FloatArray],
-    ) -> _Beside:
+    ) -> _NuisanceColumns:
         T, inside = record.sample_time, record.inside
         slope = differentiate(whole, T)
         since = record.start + T * np.arange(len(whole))
@@ -305,9 +307,9 @@ class _Beside:
         # The link motion is the motor motion plus 1/omega_a^2 times its second derivative. The
         # columns of delay and drift are proportional to the slope of the prediction.
         springs = differentiate(differentiate(dynamic, T), T)
-        top = 2.0 * np.pi * _BELOW_RESONANCE * record.bandwidth_hz
+        top = 2.0 * np.pi * _RESONANCE_OVER_BANDWIDTH * record.bandwidth_hz
         free = [np.inf] * (2 + len(decays))
-        prior = np.array([top**-2.0, *free, *[_TURNED] * len(turned)])
+        prior = np.array([top**-2.0, *free, *[_TILT_PRIOR_STD] * len(turned)])
         columns = (springs, -slope, -since * slope, *decays, *turned)
         return cls(inside, columns, prior, len(turned))
 
@@ -329,7 +331,7 @@ class _Beside:
         n_level = len(self.columns) - self.n_turned
         level = replace(self, columns=self.columns[:n_level], prior=self.prior[:n_level])
         fits = [each.fit(target, regressed) for each in (level, self)]
-        ratios = [None if fit is None else _quotient(fit) for fit in fits]
+        ratios = [None if fit is None else _coefficient_ratio(fit) for fit in fits]
         valid = [each for each in ratios if each is not None]
         if len(valid) < len(ratios):
             return None
@@ -341,18 +343,18 @@ def _coefficient(fit: Fit, k: int) -> tuple[float, float]:
     return float(fit.value[k]), float(np.sqrt(fit.covariance[k, k]))
 
 
-def _over_scale(fit: Fit, k: int) -> tuple[float, float]:
+def _relative_coefficient(fit: Fit, k: int) -> tuple[float, float]:
     """Coefficient k divided by the scale of the reading, and its standard deviation."""
     (value, std), scale = _coefficient(fit, k), float(fit.value[0])
     return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
-def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
+def _rotation_parts(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
     """Parts of a link 2 reading: rotation of joint 2, rotation of joint 1, and the remaining parts.
 
     Returns None if the reading does not contain both rotations.
     """
-    parts = _parts(arm, motion, kind, 1)
+    parts = _predicted_parts(arm, motion, kind, 1)
     if parts is None or kind == "theta_l" or arm.joints[1].motion == "prismatic":
         return None
     rotation = motion.velocity if kind == "gyro" else motion.acceleration
@@ -361,7 +363,7 @@ def _shares(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
     return [distance * rotation[:, 1], distance * rotation[:, 0], *rest]
 
 
-def _quotient(fit: Fit) -> tuple[float, float] | None:
+def _coefficient_ratio(fit: Fit) -> tuple[float, float] | None:
     """Ratio of the first two coefficients and its standard deviation under a true ratio of 1.
 
     The standard deviation is evaluated at a ratio of 1 (Fieller): for an uncertain denominator,
@@ -369,22 +371,22 @@ def _quotient(fit: Fit) -> tuple[float, float] | None:
     the denominator is not significant.
     """
     (a, b), covariance = fit.value[:2], fit.covariance[:2, :2]
-    if abs(b) < _HEARD_TURNING * np.sqrt(covariance[1, 1]):
+    if abs(b) < _MIN_ROTATION_SIGNIFICANCE * np.sqrt(covariance[1, 1]):
         return None
     variance = covariance[0, 0] - 2.0 * covariance[0, 1] + covariance[1, 1]
     return float(a / b), float(np.sqrt(variance) / abs(b))
 
 
-def _shows(lag: Lag, sample_time: float, rows: int) -> bool:
+def _is_relevant(lag: Lag, sample_time: float, rows: int) -> bool:
     """Whether the time constant of a low-pass lies between the row period and the record length.
 
     A time base that is wrong by a factor of 1000 violates this condition.
     """
     time_constant = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)  # [rows]
-    return _NO_TIME < time_constant < 0.1 * rows
+    return _MIN_TIME_CONSTANT_ROWS < time_constant < 0.1 * rows
 
 
-def _lags(arm: Arm, kind: str, i: int) -> list[Lag]:
+def _sensor_lags(arm: Arm, kind: str, i: int) -> list[Lag]:
     """Low-pass of a sensor of joint i (from 0), as given in the study."""
     joint = arm.joints[i]
     if kind == "a" and joint.accelerometer_hz:

@@ -6,13 +6,13 @@ from strainwave.domain import Channel, Consistency, Correction, Study, Suspicion
 from strainwave.signals.consistency.wording import number
 
 # Minimum significance of a ratio other than 1, in standard deviations.
-_CERTAIN = 4.0
+_MIN_SIGNIFICANCE = 4.0
 # Tolerated relative error; data sheets and amplifiers are accurate to a few percent.
 _TOLERANCE = 0.03
 # Largest factor that unmodelled effects can imitate.
-_DOUBTED = 1.25
+_MAX_DOUBTFUL_FACTOR = 1.25
 # Relative standard deviation above which messages state the factor as approximate.
-_ABOUT = 0.02
+_MIN_APPROXIMATE_STD = 0.02
 
 
 def torque_constants(value: float, std: float, study: Study) -> Suspicion | None:
@@ -22,7 +22,7 @@ def torque_constants(value: float, std: float, study: Study) -> Suspicion | None
     symmetry of M(q), and its standard deviation.
     """
     error = abs(value - 1.0)
-    if error <= _CERTAIN * std or error <= _TOLERANCE:
+    if error <= _MIN_SIGNIFICANCE * std or error <= _TOLERANCE:
         return None
     return wrong_torque_constant(value, std, study)
 
@@ -36,13 +36,15 @@ def doubted_torques(found: Consistency) -> Suspicion | None:
     if len(found.suspected) != 1:
         return None
     (only,) = found.suspected
-    is_near_one = only.factor is not None and 1.0 / _DOUBTED < only.factor < _DOUBTED
+    is_near_one = (
+        only.factor is not None and 1.0 / _MAX_DOUBTFUL_FACTOR < only.factor < _MAX_DOUBTFUL_FACTOR
+    )
     return only if only.code == "wrong-torque-constant" and is_near_one else None
 
 
 def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
     """Suspicion that one of two torque constants is wrong. The data do not determine which one."""
-    factor = number(value) if std < _ABOUT * value else f"about {number(value, 2)}"
+    factor = number(value) if std < _MIN_APPROXIMATE_STD * value else f"about {number(value, 2)}"
     logged = any(name.startswith("torque") for name in study.channels)
     if logged:
         remedy = (

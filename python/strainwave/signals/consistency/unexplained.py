@@ -70,9 +70,9 @@ _EXPERIMENTS = {
     "wrong-torque-constant": "hold a known weight at standstill and read the voltage",
 }
 # Minimum explained share of a link sensor's variance; short records of fault-free arms reach 0.8.
-_MIN_FOLLOWED = 0.5
+_MIN_EXPLAINED_SHARE = 0.5
 # Causes listed after the likely causes.
-_GENERAL = ("swapped-channels", "wrong-unit", "wrong-sign")
+_GENERAL_CODES = ("swapped-channels", "wrong-unit", "wrong-sign")
 # Kinds of observations whose value is a factor without unit.
 _DIMENSIONLESS_FACTOR = frozenset(_CODES) - {"delay", "drift", "input-delay", "followed"}
 
@@ -85,7 +85,7 @@ def is_reported(each: Observation) -> bool:
     """
     if each.kind != "followed":
         return True
-    return each.where[:-1] in LINK_CHANNELS and each.value < _MIN_FOLLOWED
+    return each.where[:-1] in LINK_CHANNELS and each.value < _MIN_EXPLAINED_SHARE
 
 
 def unexplained(
@@ -95,7 +95,7 @@ def unexplained(
 
     `likely` holds the causes that explain most of the contradictions, most likely first.
     """
-    codes = list(dict.fromkeys([*(each.code for each in likely), *_GENERAL]))
+    codes = list(dict.fromkeys([*(each.code for each in likely), *_GENERAL_CODES]))
     steps = [
         f"({k}) {code.replace('-', ' ')}: {_EXPERIMENTS[code]}" for k, code in enumerate(codes, 1)
     ]

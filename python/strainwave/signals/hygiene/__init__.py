@@ -35,7 +35,7 @@ def defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
 
     Mains hum is included only if the records together confirm it.
     """
-    detections = side_by_side([partial(_of_record, log, arm) for log in logs])
+    detections = side_by_side([partial(_detect_in_record, log, arm) for log in logs])
     hum = mains_hum.confirmed(logs, detections)
     return [
         [
@@ -66,6 +66,6 @@ def without_defects(
     return tuple(usable_logs), (*warnings, *hum_warnings(logs, detections))
 
 
-def _of_record(log: Log, arm: Arm) -> list[Defect]:
+def _detect_in_record(log: Log, arm: Arm) -> list[Defect]:
     """Run all detectors on one record."""
     return [defect for detect in DETECTORS.values() for defect in detect(log, arm)]

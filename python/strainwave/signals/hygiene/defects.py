@@ -23,8 +23,10 @@ NOISY = ("a", "gyro", "ax", "ay", "az", "gx", "gy", "gz")
 INPUTS = ("u", "torque")
 """Motor inputs."""
 
-_MOST_SAMPLES = 65_536  # maximum number of samples for statistics of the changes of a channel
-_USUAL = 0.995  # quantile of the absolute changes that defines the usual change
+_MAX_STATISTICS_SAMPLES = (
+    65_536  # maximum number of samples for statistics of the changes of a channel
+)
+_USUAL_QUANTILE = 0.995  # quantile of the absolute changes that defines the usual change
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,17 +75,17 @@ def count_of(channel: str, arm: Arm) -> float:
 
 
 def usual(change: FloatArray) -> float:
-    """Quantile `_USUAL` of the nonnegative changes of a channel, (n,); zero if there are none."""
-    subset = change[:: max(1, len(change) // _MOST_SAMPLES)]
+    """Quantile `_USUAL_QUANTILE` of the nonnegative changes of a channel, (n,); zero if empty."""
+    subset = change[:: max(1, len(change) // _MAX_STATISTICS_SAMPLES)]
     if not len(subset):
         return 0.0
-    k = min(len(subset) - 1, int(_USUAL * len(subset)))
+    k = min(len(subset) - 1, int(_USUAL_QUANTILE * len(subset)))
     return float(np.partition(subset, k)[k])
 
 
 def resolution_of(signal: FloatArray) -> float:
     """First percentile of the nonzero steps of a signal, (n_samples,): one count if quantized."""
-    step = np.abs(np.diff(signal[:_MOST_SAMPLES]))
+    step = np.abs(np.diff(signal[:_MAX_STATISTICS_SAMPLES]))
     step = step[step > 0.0]
     if not len(step):
         return 0.0

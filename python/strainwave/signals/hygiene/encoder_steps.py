@@ -11,7 +11,7 @@ from strainwave.signals.hygiene.frozen import ends_a_freeze
 from strainwave.signals.hygiene.isolated import Jump, spikes_and_steps
 from strainwave.signals.standstill import runs_of
 
-_WRAP = 0.02  # maximum spread of overflow steps, relative to the largest one
+_MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the largest one
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
@@ -21,7 +21,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
         _, isolated_steps = spikes_and_steps(x, count_of(name, arm))
         rest_runs = runs_of(np.diff(x) == 0.0)
         steps = [jump for jump in isolated_steps if not ends_a_freeze(x, jump, rest_runs)]
-        wraps = _are_wraps(steps)
+        wraps = _are_overflows(steps)
         words = "the counter wraps" if wraps else "a step that no motion explains"
         detections += [
             Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, words, wraps)
@@ -30,7 +30,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     return detections
 
 
-def _are_wraps(steps: list[Jump]) -> bool:
+def _are_overflows(steps: list[Jump]) -> bool:
     """Whether there are several steps, all of equal magnitude."""
     size = np.abs([step.size for step in steps])
-    return len(size) > 1 and bool(np.ptp(size) < _WRAP * size.max())
+    return len(size) > 1 and bool(np.ptp(size) < _MAX_OVERFLOW_SPREAD * size.max())

@@ -22,10 +22,14 @@ SHARE = 1e-2
 
 # Minimum ratio of the number of samples at the extreme value to the number at the adjacent value.
 # At the reversal of an angle, the ratio is 2.4.
-_LONGER = 6.0
-_FEWEST_VALUES = 50  # minimum number of distinct values; coarser channels have flat tops anyway
-_FEWEST = 6  # minimum total number of samples at an end of the range; a peak has 3 or 4
-_CUT = 4.0  # minimum step into or out of a flat top, in units of the resolution
+_MIN_EXTREME_COUNT_RATIO = 6.0
+_MIN_DISTINCT_VALUES = (
+    50  # minimum number of distinct values; coarser channels have flat tops anyway
+)
+_MIN_SATURATED_SAMPLES = (
+    6  # minimum total number of samples at an end of the range; a peak has 3 or 4
+)
+_MIN_EDGE_STEPS = 4.0  # minimum step into or out of a flat top, in units of the resolution
 
 
 def detect(log: Log, _: Arm) -> list[Defect]:
@@ -39,7 +43,7 @@ def detect(log: Log, _: Arm) -> list[Defect]:
         for end_runs in ends_of_range(x, rests=False):
             runs = cut(x, end_runs)
             samples = int((runs[:, 1] - runs[:, 0]).sum())
-            if _FEWEST <= samples <= SHARE * len(x):
+            if _MIN_SATURATED_SAMPLES <= samples <= SHARE * len(x):
                 words = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
                 detections += [
                     Defect("flat-tops", name, start, stop, float(abs(x[start])), words)
@@ -53,7 +57,7 @@ def cut(values: FloatArray, runs: IntArray) -> IntArray:
 
     Each run is its first sample and the index after its last sample.
     """
-    step = _CUT * resolution_of(values)
+    step = _MIN_EDGE_STEPS * resolution_of(values)
     before = np.abs(values[np.maximum(runs[:, 0] - 1, 0)] - values[runs[:, 0]])
     after = np.abs(values[np.minimum(runs[:, 1], len(values) - 1)] - values[runs[:, 0]])
     return runs[np.maximum(before, after) > step]
@@ -68,7 +72,7 @@ def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
     """
     low, high = float(values.min()), float(values.max())
     median, span = float(np.median(values)), high - low
-    if span == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _FEWEST_VALUES:
+    if span == 0.0 or len(np.unique(values[:: max(1, len(values) // 4096)])) < _MIN_DISTINCT_VALUES:
         return []
     flat_tops = []
     for extreme in (low, high):
@@ -76,7 +80,9 @@ def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
         if at_standstill or abs(extreme) < 1e-9 * span:
             continue
         at_extreme = np.abs(values - extreme) <= 1e-9 * span
-        is_reversal = at_extreme.sum() < _LONGER * _next_to(values, extreme, 1e-9 * span)
+        is_reversal = at_extreme.sum() < _MIN_EXTREME_COUNT_RATIO * _count_adjacent(
+            values, extreme, 1e-9 * span
+        )
         if rests and is_reversal:
             continue
         runs = runs_of(at_extreme)
@@ -85,7 +91,7 @@ def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
     return flat_tops
 
 
-def _next_to(values: FloatArray, extreme: float, alike: float) -> int:
+def _count_adjacent(values: FloatArray, extreme: float, alike: float) -> int:
     """Number of samples at the value adjacent to an extreme, such as the next encoder count."""
     inside = np.abs(values - extreme)
     inside = inside[inside > alike]

@@ -27,24 +27,32 @@ from strainwave.signals.hygiene.defects import (
 from strainwave.signals.hygiene.isolated import Jump, spikes_and_steps
 from strainwave.signals.standstill import runs_of
 
-_FEWEST = 3  # minimum number of zero increments before the step by the missed motion
-_MISSED = 0.5  # maximum difference of step and motion predicted from both sides, per step
-_STANDS = 0.25  # maximum rest after the step, relative to the rest before it
-_FASTER = 4.0  # maximum speed during a frozen stretch, relative to the speed around it
-_ASIDE = 16  # number of increments on each side for this speed
-_LONGER = 2.5  # minimum length relative to the longest rest nearby
-_AROUND = 60  # number of increments on each side that are nearby
-_SIDE = 4  # number of increments on each side for a mean velocity
-_ABRUPT = 4.0  # increment, relative to its usual change, from which no motor stops in one sample
-_SHORTEST = 8  # minimum number of repeated readings of a noisy sensor
-_CHANCE = 1e-4  # probability of a false detection per record
-_BLOCK = 128  # block length [samples] for the share of repetitions
-_OFTEN = 0.95  # quantile of run lengths and of block shares that is typical of a channel
-_COARSE = 0.9  # share of repetitions above which a channel is too coarse for this test
-_OUTLYING = 6.0  # length, relative to the typical run, above which a run is not random
-_AT_END = 1e-3  # distance from an extreme, relative to the range, that counts as saturation
-_LEAVES = 4.0  # minimum difference from adjacent readings, in units of the resolution
-_TURNS = 6.0  # minimum motion of the motor in counts, and minimum number of nonzero increments
+_MIN_ZERO_INCREMENTS = 3  # minimum number of zero increments before the step by the missed motion
+_MAX_PREDICTION_ERROR = (
+    0.5  # maximum difference of step and motion predicted from both sides, per step
+)
+_STANDSTILL_RATIO = 0.25  # maximum rest after the step, relative to the rest before it
+_MAX_SPEED_RATIO = 4.0  # maximum speed during a frozen stretch, relative to the speed around it
+_SPEED_INCREMENTS = 16  # number of increments on each side for this speed
+_MIN_REST_RATIO = 2.5  # minimum length relative to the longest rest nearby
+_REST_INCREMENTS = 60  # number of increments on each side that are nearby
+_VELOCITY_INCREMENTS = 4  # number of increments on each side for a mean velocity
+_MIN_ABRUPT_RATIO = (
+    4.0  # increment, relative to its usual change, from which no motor stops in one sample
+)
+_MIN_REPEATED_READINGS = 8  # minimum number of repeated readings of a noisy sensor
+_FALSE_ALARM_PROBABILITY = 1e-4  # probability of a false detection per record
+_BLOCK_SAMPLES = 128  # block length [samples] for the share of repetitions
+_TYPICAL_QUANTILE = 0.95  # quantile of run lengths and of block shares that is typical of a channel
+_MAX_REPEATED_SHARE = 0.9  # share of repetitions above which a channel is too coarse for this test
+_MIN_OUTLIER_RATIO = 6.0  # length, relative to the typical run, above which a run is not random
+_RANGE_TOLERANCE = (
+    1e-3  # distance from an extreme, relative to the range, that counts as saturation
+)
+_MIN_EDGE_STEPS = 4.0  # minimum difference from adjacent readings, in units of the resolution
+_MIN_MOTION_COUNTS = (
+    6.0  # minimum motion of the motor in counts, and minimum number of nonzero increments
+)
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
@@ -52,7 +60,8 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     detections = []
     for name, x in of_kinds(log, ENCODERS).items():
         detections += [
-            _defect(log, name, *span) for span in _frozen_encoder(x, count_of(name, arm))
+            _frozen_defect(log, name, *span)
+            for span in _find_frozen_encoder(x, count_of(name, arm))
         ]
     for name, x in of_kinds(log, (*NOISY, "u")).items():
         joint, drives = joint_of(name), name.startswith("u")
@@ -62,19 +71,19 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
         motors = [f"theta_m{i}" for i in range(joint if drives else 1, joint + 1)]
         spans = [
             span
-            for span in _repeated(x, drives=drives)
-            if any(_turns(log.channels[motor], *span, count_of(motor, arm)) for motor in motors)
+            for span in _find_repeated_runs(x, drives=drives)
+            if any(_is_moving(log.channels[motor], *span, count_of(motor, arm)) for motor in motors)
         ]
-        detections += [_defect(log, name, *span) for span in spans]
+        detections += [_frozen_defect(log, name, *span) for span in spans]
     return detections
 
 
-def _turns(angle: FloatArray, start: int, stop: int, count: float) -> bool:
+def _is_moving(angle: FloatArray, start: int, stop: int, count: float) -> bool:
     """Whether a motor moves during a stretch by more than its encoder noise at standstill."""
     stretch = angle[start - 1 : stop]
-    is_beyond_noise = np.ptp(stretch) > _TURNS * (count or resolution_of(angle))
+    is_beyond_noise = np.ptp(stretch) > _MIN_MOTION_COUNTS * (count or resolution_of(angle))
     # A single step is not motion.
-    return bool(is_beyond_noise and np.count_nonzero(np.diff(stretch)) > _TURNS)
+    return bool(is_beyond_noise and np.count_nonzero(np.diff(stretch)) > _MIN_MOTION_COUNTS)
 
 
 def ends_a_freeze(x: FloatArray, jump: Jump, still: IntArray) -> bool:
@@ -82,10 +91,10 @@ def ends_a_freeze(x: FloatArray, jump: Jump, still: IntArray) -> bool:
 
     `still` contains the runs of zero increments, (n_runs, 2).
     """
-    return _before(x, jump, still) is not None
+    return _frozen_before(x, jump, still) is not None
 
 
-def _before(x: FloatArray, jump: Jump, still: IntArray) -> tuple[int, int] | None:
+def _frozen_before(x: FloatArray, jump: Jump, still: IntArray) -> tuple[int, int] | None:
     """Frozen stretch that ends with a jump, or None.
 
     The stretch is frozen if the velocities on both sides predict the jump, or if the motor moves
@@ -93,16 +102,22 @@ def _before(x: FloatArray, jump: Jump, still: IntArray) -> tuple[int, int] | Non
     """
     end = jump.sample - 1  # the increment that is the jump
     k = int(np.searchsorted(still[:, 1], end))
-    if k == len(still) or still[k, 1] != end or end - still[k, 0] < _FEWEST:
+    if k == len(still) or still[k, 1] != end or end - still[k, 0] < _MIN_ZERO_INCREMENTS:
         return None
     start = int(still[k, 0])
-    predicted = 0.5 * (_velocity(x, start, before=True) + _velocity(x, end + 1)) * (end + 1 - start)
+    predicted = (
+        0.5
+        * (_mean_increment(x, start, before=True) + _mean_increment(x, end + 1))
+        * (end + 1 - start)
+    )
     step = x[end + 1] - x[end]
-    rest_after = int(still[k + 1, 1] - end - 1) if _follows(still, k, end) else 0
-    is_predicted = abs(predicted - step) < _MISSED * abs(step)
-    is_moving_after = rest_after < _STANDS * (end - start) + 2
-    is_plausible = abs(step) < _FASTER * _speed_about(x, start, end) * (end + 1 - start)
-    is_unusual = end - start > _FEWEST and end - start > _LONGER * _usual_rest(x, start, end)
+    rest_after = int(still[k + 1, 1] - end - 1) if _is_followed_by_rest(still, k, end) else 0
+    is_predicted = abs(predicted - step) < _MAX_PREDICTION_ERROR * abs(step)
+    is_moving_after = rest_after < _STANDSTILL_RATIO * (end - start) + 2
+    is_plausible = abs(step) < _MAX_SPEED_RATIO * _speed_around(x, start, end) * (end + 1 - start)
+    is_unusual = end - start > _MIN_ZERO_INCREMENTS and end - start > _MIN_REST_RATIO * _usual_rest(
+        x, start, end
+    )
     return (
         (start + 1, end + 1)
         if is_predicted or (is_moving_after and is_plausible and is_unusual)
@@ -110,50 +125,61 @@ def _before(x: FloatArray, jump: Jump, still: IntArray) -> tuple[int, int] | Non
     )
 
 
-def _speed_about(x: FloatArray, start: int, end: int) -> float:
+def _speed_around(x: FloatArray, start: int, end: int) -> float:
     """Larger mean speed [per sample] of both sides of a stretch and its jump."""
-    before, after = x[max(0, start - _ASIDE) : start + 1], x[end + 1 : end + 2 + _ASIDE]
-    return float(max(np.ptp(before), np.ptp(after))) / _ASIDE
+    before, after = (
+        x[max(0, start - _SPEED_INCREMENTS) : start + 1],
+        x[end + 1 : end + 2 + _SPEED_INCREMENTS],
+    )
+    return float(max(np.ptp(before), np.ptp(after))) / _SPEED_INCREMENTS
 
 
 def _usual_rest(x: FloatArray, start: int, end: int) -> int:
     """Length of the longest run of zero increments on either side of a stretch."""
-    sides = [x[max(0, start - _AROUND) : start + 1], x[end + 1 + _SIDE : end + 1 + _AROUND]]
+    sides = [
+        x[max(0, start - _REST_INCREMENTS) : start + 1],
+        x[end + 1 + _VELOCITY_INCREMENTS : end + 1 + _REST_INCREMENTS],
+    ]
     runs = [runs_of(np.diff(side) == 0.0) for side in sides if len(side) > 1]
     return max((int(np.max(r[:, 1] - r[:, 0], initial=0)) for r in runs), default=0)
 
 
-def _follows(still: IntArray, k: int, end: int) -> bool:
+def _is_followed_by_rest(still: IntArray, k: int, end: int) -> bool:
     """Whether the next run of zero increments begins directly after a jump."""
     return k + 1 < len(still) and int(still[k + 1, 0]) == end + 1
 
 
-def _velocity(x: FloatArray, k: int, *, before: bool = False) -> float:
+def _mean_increment(x: FloatArray, k: int, *, before: bool = False) -> float:
     """Mean increment on one side of a sample."""
-    other = max(0, k - _SIDE) if before else min(len(x) - 1, k + _SIDE)
+    other = (
+        max(0, k - _VELOCITY_INCREMENTS) if before else min(len(x) - 1, k + _VELOCITY_INCREMENTS)
+    )
     return float((x[k] - x[other]) / (k - other)) if k != other else 0.0
 
 
-def _frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int]]:
+def _find_frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int]]:
     """Frozen stretches (first sample, index after the last one) of an encoder."""
     increment = np.diff(x)
     rest_runs = runs_of(increment == 0.0)
     if not len(rest_runs):
         return
     _, isolated_steps = spikes_and_steps(x, count)
-    spans = [_before(x, jump, rest_runs) for jump in isolated_steps]
+    spans = [_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
     frozen = {span for span in spans if span is not None}
-    abrupt = _ABRUPT * max(usual(np.abs(np.diff(increment))), count or resolution_of(x))
-    long_runs = rest_runs[rest_runs[:, 1] - rest_runs[:, 0] > _FEWEST]
+    abrupt = _MIN_ABRUPT_RATIO * max(usual(np.abs(np.diff(increment))), count or resolution_of(x))
+    long_runs = rest_runs[rest_runs[:, 1] - rest_runs[:, 0] > _MIN_ZERO_INCREMENTS]
     inside = long_runs[(long_runs[:, 0] > 0) & (long_runs[:, 1] < len(increment))]
     ends = np.minimum(np.abs(increment[inside[:, 0] - 1]), np.abs(increment[inside[:, 1]]))
     for start, end in inside[ends > abrupt].tolist():
-        if min(abs(_velocity(x, start, before=True)), abs(_velocity(x, end + 1))) > abrupt:
+        if (
+            min(abs(_mean_increment(x, start, before=True)), abs(_mean_increment(x, end + 1)))
+            > abrupt
+        ):
             frozen.add((start + 1, end + 1))
     yield from sorted(frozen)
 
 
-def _repeated(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, int]]:
+def _find_repeated_runs(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, int]]:
     """Runs of one reading that are too long to be random and end with a step.
 
     Runs at an end of the range, and runs of a voltage at zero, are not frozen.
@@ -163,27 +189,40 @@ def _repeated(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, int]]:
     if not len(repeated_runs):
         return
     length = repeated_runs[:, 1] - repeated_runs[:, 0]
-    typical = float(np.quantile(length, _OFTEN))
+    typical = float(np.quantile(length, _TYPICAL_QUANTILE))
     random_repeats = is_repeated.copy()
-    for start, stop in repeated_runs[length > max(_SHORTEST, _OUTLYING * typical)].tolist():
+    for start, stop in repeated_runs[
+        length > max(_MIN_REPEATED_READINGS, _MIN_OUTLIER_RATIO * typical)
+    ].tolist():
         random_repeats[start:stop] = False
-    blocks = random_repeats[: len(is_repeated) // _BLOCK * _BLOCK].reshape(-1, _BLOCK).mean(axis=1)
-    share = max(float(np.quantile(blocks, _OFTEN)) if len(blocks) else 1.0, 1e-3)
-    if share > _COARSE:
+    blocks = (
+        random_repeats[: len(is_repeated) // _BLOCK_SAMPLES * _BLOCK_SAMPLES]
+        .reshape(-1, _BLOCK_SAMPLES)
+        .mean(axis=1)
+    )
+    share = max(float(np.quantile(blocks, _TYPICAL_QUANTILE)) if len(blocks) else 1.0, 1e-3)
+    if share > _MAX_REPEATED_SHARE:
         return
-    min_length = max(_SHORTEST, int(np.log(_CHANCE / len(x)) / np.log(share)), 3 * int(typical))
+    min_length = max(
+        _MIN_REPEATED_READINGS,
+        int(np.log(_FALSE_ALARM_PROBABILITY / len(x)) / np.log(share)),
+        3 * int(typical),
+    )
     low, high = x.min(), x.max()
-    limit, step = _AT_END * (high - low), _LEAVES * resolution_of(x)
+    limit, step = _RANGE_TOLERANCE * (high - low), _MIN_EDGE_STEPS * resolution_of(x)
     for start, stop in repeated_runs[length >= min_length].tolist():
         value = x[start]
         is_saturated = min(value - low, high - value) < limit
-        adjacent = np.r_[x[max(0, start - _SIDE) : start], x[stop + 1 : stop + 1 + _SIDE]]
+        adjacent = np.r_[
+            x[max(0, start - _VELOCITY_INCREMENTS) : start],
+            x[stop + 1 : stop + 1 + _VELOCITY_INCREMENTS],
+        ]
         has_step = np.max(np.abs(adjacent - value), initial=0.0) > step
         if has_step and not is_saturated and not (drives and value == 0.0):
             yield start + 1, stop + 1
 
 
-def _defect(log: Log, name: str, start: int, stop: int) -> Defect:
+def _frozen_defect(log: Log, name: str, start: int, stop: int) -> Defect:
     """Defect record of a frozen stretch."""
     seconds = (stop - start) * log.sample_time
     return Defect("frozen", name, start, stop, seconds, "repeats one value while the arm moves")

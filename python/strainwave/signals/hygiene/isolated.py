@@ -16,13 +16,17 @@ from strainwave.signals.hygiene.defects import resolution_of, usual
 LONGEST = 3
 """Maximum duration of a spike [samples]."""
 
-_RETURN = 0.35  # maximum residual offset after a spike, relative to its size
-_ABOVE_ALL = 3.0  # minimum ratio to the usual value in the record
-_ABOVE_NEAR = 5.0  # minimum ratio to the usual value nearby
-_COUNTS = 4.0  # minimum size in units of the resolution; larger than quantization effects
-_NEAR = 48  # number of samples on each side for comparison
-_OWN = 4  # number of adjacent samples on each side excluded from the comparison
-_MOST = 4000  # maximum number of candidates; more are a property of the channel, not defects
+_MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
+_MIN_RECORD_RATIO = 3.0  # minimum ratio to the usual value in the record
+_MIN_LOCAL_RATIO = 5.0  # minimum ratio to the usual value nearby
+_MIN_RESOLUTION_STEPS = (
+    4.0  # minimum size in units of the resolution; larger than quantization effects
+)
+_COMPARISON_SAMPLES = 48  # number of samples on each side for comparison
+_EXCLUDED_SAMPLES = 4  # number of adjacent samples on each side excluded from the comparison
+_MAX_CANDIDATES = (
+    4000  # maximum number of candidates; more are a property of the channel, not defects
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,7 @@ def spikes_and_steps(
         speed = signal[start] - signal[start - 1] - jump.size
         ends = np.arange(start, min(start + LONGEST, len(signal) - 1) + 1)
         offset = signal[ends] - signal[start - 1] - speed * (ends - start + 1)
-        returns = ends[np.abs(offset) < _RETURN * abs(jump.size)].tolist()
+        returns = ends[np.abs(offset) < _MAX_RETURN_ERROR * abs(jump.size)].tolist()
         if returns:
             last_stop = returns[0]
             spikes.append((start, last_stop))
@@ -66,30 +70,41 @@ def jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
 
     `count` is the quantization step, or zero if unknown.
     """
-    if len(signal) < 4 * _NEAR:
+    if len(signal) < 4 * _COMPARISON_SAMPLES:
         return []
     increment = np.diff(signal)
     change = np.abs(np.diff(increment))
     contrast = np.zeros(len(increment))
     np.minimum(change[1:], change[:-1], out=contrast[1:-1])
-    threshold = max(_COUNTS * (count or resolution_of(signal)), _ABOVE_ALL * usual(contrast))
+    threshold = max(
+        _MIN_RESOLUTION_STEPS * (count or resolution_of(signal)),
+        _MIN_RECORD_RATIO * usual(contrast),
+    )
     candidates = np.flatnonzero(contrast > threshold)
-    if not 0 < len(candidates) <= _MOST:
+    if not 0 < len(candidates) <= _MAX_CANDIDATES:
         return []
     return [
-        Jump(k + 1, _size(increment, k))
+        Jump(k + 1, _jump_size(increment, k))
         for k in candidates.tolist()
-        if contrast[k] > _ABOVE_NEAR * _about(contrast, k)
+        if contrast[k] > _MIN_LOCAL_RATIO * _usual_nearby(contrast, k)
     ]
 
 
-def _about(apart: FloatArray, k: int) -> float:
+def _usual_nearby(apart: FloatArray, k: int) -> float:
     """Usual value near a sample: the larger one of both sides, because a motion can begin there."""
-    sides = [apart[max(0, k - _NEAR) : max(0, k - _OWN)], apart[k + _OWN + 1 : k + 1 + _NEAR]]
-    return max((float(np.partition(s, -4)[-4]) for s in sides if len(s) > _OWN), default=np.inf)
+    sides = [
+        apart[max(0, k - _COMPARISON_SAMPLES) : max(0, k - _EXCLUDED_SAMPLES)],
+        apart[k + _EXCLUDED_SAMPLES + 1 : k + 1 + _COMPARISON_SAMPLES],
+    ]
+    return max(
+        (float(np.partition(s, -4)[-4]) for s in sides if len(s) > _EXCLUDED_SAMPLES),
+        default=np.inf,
+    )
 
 
-def _size(increment: FloatArray, k: int) -> float:
+def _jump_size(increment: FloatArray, k: int) -> float:
     """Difference of increment k from the median of the adjacent increments."""
-    near = np.r_[increment[max(0, k - _OWN) : k], increment[k + 1 : k + 1 + _OWN]]
+    near = np.r_[
+        increment[max(0, k - _EXCLUDED_SAMPLES) : k], increment[k + 1 : k + 1 + _EXCLUDED_SAMPLES]
+    ]
     return float(increment[k] - np.median(near))

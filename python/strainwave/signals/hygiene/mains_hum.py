@@ -13,15 +13,17 @@ from strainwave.signals.hygiene.defects import NOISY, Defect, of_kinds
 MAINS = (50.0, 60.0)
 """Mains frequencies [Hz]."""
 
-_OFF = 0.006  # relative tolerance of the mains frequency and of the clock of the logger
+_FREQUENCY_TOLERANCE = (
+    0.006  # relative tolerance of the mains frequency and of the clock of the logger
+)
 # [Hz] fundamental and harmonics up to the fifth
-_LINES = tuple(sorted({k * hz for hz in MAINS for k in (1, 2, 3, 4, 5)}))
-_SHORTEST = 1.2  # [s] minimum duration of a record to separate a line from a resonance
-_LONGEST = 1 << 16  # maximum number of samples for the spectrum
-_NEAR = 8.0  # [Hz] half-width of the band around a line for comparison
-_ABOVE = 5.0  # minimum ratio of a line to the largest amplitude in that band
-_WIDTH = 3  # half-width of a line with a Hann window, in spectral lines
-_ALIKE = 2.0  # maximum ratio of the amplitudes of a line in different records
+_LINES_HZ = tuple(sorted({k * hz for hz in MAINS for k in (1, 2, 3, 4, 5)}))
+_MIN_DURATION = 1.2  # [s] minimum duration of a record to separate a line from a resonance
+_MAX_SAMPLES = 1 << 16  # maximum number of samples for the spectrum
+_COMPARISON_BAND_HZ = 8.0  # [Hz] half-width of the band around a line for comparison
+_MIN_LINE_RATIO = 5.0  # minimum ratio of a line to the largest amplitude in that band
+_LINE_HALF_WIDTH = 3  # half-width of a line with a Hann window, in spectral lines
+_MAX_AMPLITUDE_RATIO = 2.0  # maximum ratio of the amplitudes of a line in different records
 
 
 def detect(log: Log, _: Arm) -> list[Defect]:
@@ -30,14 +32,16 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     A periodic excitation has other lines of similar amplitude nearby, and a resonance is wider than
     a line.
     """
-    if not _lasts(log):
+    if not _is_long_enough(log):
         return []
     detections = []
     for name, x in of_kinds(log, NOISY).items():
-        spectrum, duration = _amplitudes(x[:_LONGEST]), _duration(log)
-        for hz in _LINES:
-            line = _highest(spectrum, hz, duration)
-            if line is not None and spectrum[line] > _ABOVE * _beside(spectrum, line, duration):
+        spectrum, duration = _amplitudes(x[:_MAX_SAMPLES]), _duration(log)
+        for hz in _LINES_HZ:
+            line = _peak_index(spectrum, hz, duration)
+            if line is not None and spectrum[line] > _MIN_LINE_RATIO * _largest_nearby(
+                spectrum, line, duration
+            ):
                 size = float(spectrum[line])
                 detections.append(
                     Defect("mains-hum", name, 0, len(log), size, f"hum at {hz:.0f} Hz")
@@ -54,35 +58,39 @@ def confirmed(logs: Sequence[Log], found: Sequence[Sequence[Defect]]) -> set[tup
     """
     sizes: dict[tuple[str, str, float], list[float]] = {}
     for defect in (d for record_defects in found for d in record_defects if d.kind == "mains-hum"):
-        hz = next(hz for hz in _LINES if f"{hz:.0f} Hz" in defect.words)
+        hz = next(hz for hz in _LINES_HZ if f"{hz:.0f} Hz" in defect.words)
         sizes.setdefault((defect.channel, defect.words, hz), []).append(defect.size)
     lines = set()
     for (channel, words, hz), amplitudes in sizes.items():
-        usable = [log for log in logs if channel in log.channels and _lasts(log)]
+        usable = [log for log in logs if channel in log.channels and _is_long_enough(log)]
         is_sufficient = len(amplitudes) > 1 or len(usable) == 1
-        if not is_sufficient or max(amplitudes) > _ALIKE * min(amplitudes):
+        if not is_sufficient or max(amplitudes) > _MAX_AMPLITUDE_RATIO * min(amplitudes):
             continue
-        upper_bounds = (_height(log, channel, hz) for log in usable)
-        if min(upper_bounds) * _ALIKE > float(np.median(amplitudes)):
+        upper_bounds = (_amplitude_bound(log, channel, hz) for log in usable)
+        if min(upper_bounds) * _MAX_AMPLITUDE_RATIO > float(np.median(amplitudes)):
             lines.add((channel, words))
     return lines
 
 
-def _height(log: Log, channel: str, hz: float) -> float:
+def _amplitude_bound(log: Log, channel: str, hz: float) -> float:
     """Upper bound of the amplitude of a line: its peak or the largest amplitude around it."""
-    spectrum, duration = _amplitudes(log.channels[channel][:_LONGEST]), _duration(log)
-    line = _highest(spectrum, hz, duration)
-    return np.inf if line is None else max(float(spectrum[line]), _beside(spectrum, line, duration))
+    spectrum, duration = _amplitudes(log.channels[channel][:_MAX_SAMPLES]), _duration(log)
+    line = _peak_index(spectrum, hz, duration)
+    return (
+        np.inf
+        if line is None
+        else max(float(spectrum[line]), _largest_nearby(spectrum, line, duration))
+    )
 
 
 def _duration(log: Log) -> float:
     """Duration [s] of the samples used for the spectrum."""
-    return min(len(log), _LONGEST) * log.sample_time
+    return min(len(log), _MAX_SAMPLES) * log.sample_time
 
 
-def _lasts(log: Log) -> bool:
+def _is_long_enough(log: Log) -> bool:
     """Whether a record is long enough to separate a line from a resonance."""
-    return _duration(log) >= _SHORTEST
+    return _duration(log) >= _MIN_DURATION
 
 
 def _amplitudes(x: FloatArray) -> FloatArray:
@@ -91,18 +99,21 @@ def _amplitudes(x: FloatArray) -> FloatArray:
     return np.asarray(2.0 * np.abs(np.fft.rfft((x - x.mean()) * window)) / window.sum())
 
 
-def _highest(spectrum: FloatArray, hz: float, duration: float) -> int | None:
+def _peak_index(spectrum: FloatArray, hz: float, duration: float) -> int | None:
     """Index of the largest line near a frequency [Hz]; None if outside the spectrum."""
-    off = max(1.0, hz * _OFF * duration)
+    off = max(1.0, hz * _FREQUENCY_TOLERANCE * duration)
     low, high = int(hz * duration - off), int(np.ceil(hz * duration + off)) + 1
-    near = int(_NEAR * duration)
+    near = int(_COMPARISON_BAND_HZ * duration)
     if low - near < 1 or high + near >= len(spectrum):
         return None
     return low + int(np.argmax(spectrum[low:high]))
 
 
-def _beside(spectrum: FloatArray, at: int, duration: float) -> float:
-    """Largest amplitude within `_NEAR` of a line, without the line itself."""
-    near = int(_NEAR * duration)
-    below, above = spectrum[at - near : at - _WIDTH], spectrum[at + _WIDTH + 1 : at + near + 1]
+def _largest_nearby(spectrum: FloatArray, at: int, duration: float) -> float:
+    """Largest amplitude within `_COMPARISON_BAND_HZ` of a line, without the line itself."""
+    near = int(_COMPARISON_BAND_HZ * duration)
+    below, above = (
+        spectrum[at - near : at - _LINE_HALF_WIDTH],
+        spectrum[at + _LINE_HALF_WIDTH + 1 : at + near + 1],
+    )
     return float(max(below.max(), above.max()))

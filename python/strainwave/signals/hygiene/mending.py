@@ -15,9 +15,9 @@ from strainwave.signals.standstill import runs_of
 MOST = 0.2
 """Maximum share of masked samples in a channel that is used."""
 
-_LONGEST_INPUT = 0.01  # [s] maximum duration of a defective stretch of a motor input
-_MOST_STEPS = 20  # maximum number of encoder steps per record, without overflows
-_REQUIRED = ("theta_m", *INPUTS)  # channels that a record must have
+_MAX_INPUT_GAP = 0.01  # [s] maximum duration of a defective stretch of a motor input
+_MAX_ENCODER_STEPS = 20  # maximum number of encoder steps per record, without overflows
+_REQUIRED_KINDS = ("theta_m", *INPUTS)  # channels that a record must have
 
 
 def mended(log: Log, arm: Arm, defects: Sequence[Defect]) -> tuple[Log | None, tuple[str, ...]]:
@@ -39,15 +39,15 @@ def mended(log: Log, arm: Arm, defects: Sequence[Defect]) -> tuple[Log | None, t
     channels, masked = dict(log.channels), dict(log.masked)
     excluded = []
     for name, channel_defects in by_channel.items():
-        mask = _mask(channel_defects, len(log))
-        if _too_much(name, channel_defects, mask, log.sample_time):
+        mask = _mask_defects(channel_defects, len(log))
+        if _is_unusable(name, channel_defects, mask, log.sample_time):
             excluded.append(name)
             del channels[name]
             continue
-        x = _unstepped(channels[name], channel_defects, count_of(name, arm))
+        x = _subtract_steps(channels[name], channel_defects, count_of(name, arm))
         channels[name] = bridged(x, mask, hold=name.startswith("u"))
         masked[name] = mask
-    if any(kind_of(name) in _REQUIRED for name in excluded):
+    if any(kind_of(name) in _REQUIRED_KINDS for name in excluded):
         return None, tuple(excluded)
     return replace(log, channels=channels, masked=masked), tuple(excluded)
 
@@ -64,7 +64,7 @@ def bridged(x: FloatArray, bad: BoolArray, *, hold: bool = False) -> FloatArray:
     return np.asarray(x[good[last]])
 
 
-def _mask(own: Sequence[Defect], n_samples: int) -> BoolArray:
+def _mask_defects(own: Sequence[Defect], n_samples: int) -> BoolArray:
     """Mask of all defective samples of a channel."""
     mask = np.zeros(n_samples, dtype=bool)
     for defect in own:
@@ -72,17 +72,17 @@ def _mask(own: Sequence[Defect], n_samples: int) -> BoolArray:
     return mask
 
 
-def _too_much(name: str, own: Sequence[Defect], bad: BoolArray, sample_time: float) -> bool:
+def _is_unusable(name: str, own: Sequence[Defect], bad: BoolArray, sample_time: float) -> bool:
     """Whether a channel has too many defects to be used."""
     steps = sum(defect.kind == "encoder-steps" and not defect.wraps for defect in own)
-    if bad.mean() > MOST or steps > _MOST_STEPS:
+    if bad.mean() > MOST or steps > _MAX_ENCODER_STEPS:
         return True
     runs = runs_of(bad)
     longest = float(np.max(runs[:, 1] - runs[:, 0], initial=0)) * sample_time
-    return kind_of(name) in INPUTS and longest > _LONGEST_INPUT
+    return kind_of(name) in INPUTS and longest > _MAX_INPUT_GAP
 
 
-def _unstepped(x: FloatArray, own: Sequence[Defect], count: float) -> FloatArray:
+def _subtract_steps(x: FloatArray, own: Sequence[Defect], count: float) -> FloatArray:
     """Subtract encoder steps from a signal, rounded to whole counts if the count is known."""
     steps = [step for step in own if step.kind == "encoder-steps"]
     if not steps:

@@ -12,10 +12,10 @@ from strainwave.signals.hygiene.defects import ENCODERS, NOISY, Defect, count_of
 from strainwave.signals.hygiene.isolated import LONGEST, spikes_and_steps
 from strainwave.signals.standstill import runs_of
 
-_RETURN = 0.35  # maximum residual offset after a spike, relative to its size
+_MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
 # Minimum distance of a spike from the usual voltages, relative to their range.
-_BEYOND = {"open": 0.3, "servo": 1.0}
-_FEWEST = 1e-3  # share of samples on each side that the usual range excludes
+_MIN_RANGE_MARGIN = {"open": 0.3, "servo": 1.0}
+_EXCLUDED_SHARE = 1e-3  # share of samples on each side that the usual range excludes
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:
@@ -26,24 +26,24 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     detections = []
     for name, x in of_kinds(log, (*ENCODERS, *NOISY)).items():
         detections += [
-            _spike(name, x, *span) for span in spikes_and_steps(x, count_of(name, arm))[0]
+            _spike_defect(name, x, *span) for span in spikes_and_steps(x, count_of(name, arm))[0]
         ]
     for name, x in of_kinds(log, ("u",)).items():
-        margin = _BEYOND[log.experiment.control[joint_of(name) - 1]]
-        detections += [_spike(name, x, *span) for span in _beyond_range(x, margin)]
+        margin = _MIN_RANGE_MARGIN[log.experiment.control[joint_of(name) - 1]]
+        detections += [_spike_defect(name, x, *span) for span in _find_outside_range(x, margin)]
     return detections
 
 
-def _spike(name: str, x: FloatArray, start: int, stop: int) -> Defect:
+def _spike_defect(name: str, x: FloatArray, start: int, stop: int) -> Defect:
     """Defect record of a spike; its size is relative to the adjacent samples."""
     baseline = 0.5 * (x[max(0, start - 1)] + x[min(len(x) - 1, stop)])
     size = float(np.max(np.abs(x[start:stop] - baseline)))
     return Defect("spikes", name, start, stop, size, "a spike")
 
 
-def _beyond_range(x: FloatArray, beyond: float) -> Iterator[tuple[int, int]]:
+def _find_outside_range(x: FloatArray, beyond: float) -> Iterator[tuple[int, int]]:
     """Short runs outside the usual range by at least `beyond` times this range."""
-    k = max(1, int(_FEWEST * len(x)))
+    k = max(1, int(_EXCLUDED_SHARE * len(x)))
     if len(x) <= 4 * k:
         return
     ordered = np.partition(x, (k, len(x) - 1 - k))
@@ -51,5 +51,7 @@ def _beyond_range(x: FloatArray, beyond: float) -> Iterator[tuple[int, int]]:
     margin = beyond * (high - low)
     for start, stop in runs_of((x > high + margin) | (x < low - margin)).tolist():
         is_short = start > 0 and stop < len(x) and stop - start <= LONGEST
-        if is_short and abs(x[stop] - x[start - 1]) < _RETURN * abs(x[start] - x[start - 1]):
+        if is_short and abs(x[stop] - x[start - 1]) < _MAX_RETURN_ERROR * abs(
+            x[start] - x[start - 1]
+        ):
             yield start, stop

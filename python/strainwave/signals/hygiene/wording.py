@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from strainwave.domain import Diagnostic, Log
 from strainwave.signals.hygiene.defects import Defect, Kind
 
-_LISTED = 4  # maximum number of stretches that a warning lists
+_MAX_LISTED = 4  # maximum number of stretches that a warning lists
 
 # Recommended action for each kind of defect
 _REMEDY: Mapping[Kind, str] = {
@@ -31,8 +31,8 @@ def warnings_of(
         if defect.kind != "mains-hum":
             by_place.setdefault((defect.channel, defect.kind, defect.words), []).append(defect)
     for (channel, kind, _), group in by_place.items():
-        consequence = _done(kind, channel in left_out, used=used)
-        text = f"{_seen(log, channel, group)}; {consequence}. {_REMEDY[kind]}"
+        consequence = _describe_consequence(kind, channel in left_out, used=used)
+        text = f"{_describe_defects(log, channel, group)}; {consequence}. {_REMEDY[kind]}"
         yield Diagnostic(kind, f"{log.name}, {channel}", text, (log.name,))
 
 
@@ -52,11 +52,11 @@ def hum_warnings(logs: Sequence[Log], defects: Sequence[Sequence[Defect]]) -> It
         yield Diagnostic("mains-hum", channel, text, tuple(sizes))
 
 
-def _seen(log: Log, channel: str, own: Sequence[Defect]) -> str:
+def _describe_defects(log: Log, channel: str, own: Sequence[Defect]) -> str:
     """Describe the observed defects of one channel and kind."""
     first = own[0]
     largest = max(abs(defect.size) for defect in own)
-    times = _times(log, own)
+    times = _describe_times(log, own)
     if first.kind == "spikes":
         spikes = "a spike" if len(own) == 1 else f"{len(own)} spikes"
         return f"{channel} has {spikes} of up to {largest:.3g} {times}"
@@ -65,19 +65,19 @@ def _seen(log: Log, channel: str, own: Sequence[Defect]) -> str:
     return f"{channel} {first.words} {times}"
 
 
-def _times(log: Log, own: Sequence[Defect]) -> str:
-    """List the times of the first `_LISTED` defects and the number of others."""
+def _describe_times(log: Log, own: Sequence[Defect]) -> str:
+    """List the times of the first `_MAX_LISTED` defects and the number of others."""
     intervals = [
         f"at {log.time[d.start]:.6g} s"
         if d.stop - d.start == 1
         else f"from {log.time[d.start]:.6g} to {log.time[d.stop - 1]:.6g} s"
-        for d in own[:_LISTED]
+        for d in own[:_MAX_LISTED]
     ]
     more = len(own) - len(intervals)
     return ", ".join(intervals) + (f", and {more} times more" if more > 0 else "")
 
 
-def _done(kind: Kind, left_out: bool, *, used: bool) -> str:
+def _describe_consequence(kind: Kind, left_out: bool, *, used: bool) -> str:
     """Describe the consequence of a defect for the result."""
     if not used:
         return "the record is not used" if left_out else "the record is not used for another defect"
