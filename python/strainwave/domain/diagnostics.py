@@ -31,7 +31,7 @@ def published_warnings(found: Identification) -> tuple[Diagnostic, ...]:
     warnings += model_defects(found)
     for size in implausible_joints(found.study.arm, found.parameters):
         warnings.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
-    has_unpredicted = any(check.unexplained for check in found.checks)
+    has_unpredicted = any(check.unexplained for check in found.checks if not check.of_drive)
     if found.tuned is not None and not found.verdict.validated.elastic and not has_unpredicted:
         where = str(found.study.path)
         warnings.append(Diagnostic("elastic-not-validated", where, not_exercised(found)))

@@ -174,19 +174,17 @@ def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path)
     assert all(p.value is None for p in result.parameters)
 
 
-def test_a_link_length_that_is_wrong_is_the_first_suspect(tmp_path: Path) -> None:
-    """With an error of 8 %, the run is not determined, and the reason says what to measure."""
+def test_a_link_length_that_is_wrong_is_named_before_any_fit(tmp_path: Path) -> None:
+    """With an error of 8 %, the input check names the length, and its remedy states the true one."""
     length = records()[0].arm.link_length
     assert length is not None
     result = altered(tmp_path, lambda _, x: x, 1.08 * length)
-    assert result.tuned is not None
-    assert result.verdict.status == "partly-determined"
-    first = result.tuned.suspects[0]
-    assert first.name == "link_length"
-    assert first.value == pytest.approx(length, rel=0.04)  # estimated by one linear step
-    reason = result.verdict.reasons[0]
-    assert "likely causes in this order: link_length" in reason
-    assert "measure the distance between the axes" in reason
+    assert result.tuned is None
+    assert result.verdict.status == "inconsistent-input"
+    (suspicion,) = result.verdict.suspected
+    assert suspicion.code == "wrong-geometry"
+    (correction,) = suspicion.corrections
+    assert correction.value == pytest.approx(length, rel=0.01)
 
 
 def test_suspects_stand_in_order_with_their_experiments() -> None:

@@ -408,7 +408,7 @@ def test_starts_that_are_missing_or_impossible() -> None:
     negative_inertia = replace(joints[1], values={**joints[1].values, "link_inertia": -1.0})
     beta = tuple(replace(p, value=-1.0) if p.name == "beta" else p for p in model.parameters)
     solution = np.array([p.value for p in beta], dtype=float)
-    with pytest.raises(NotIdentifiable, match="beta is -1"):
+    with pytest.raises(NotIdentifiable, match="beta = -1"):
         starts_of(
             replace(model, parameters=beta, solution=solution),
             [joints[0], negative_inertia],
