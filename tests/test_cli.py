@@ -172,7 +172,7 @@ def test_inconsistent_channels_exit_with_three(demo: tuple[Path, str], tmp_path:
     assert values["beta", None] is not None
     assert all(value is None for (name, _), value in values.items() if "gear" in name)
     page = (tmp_path / "out" / "report.html").read_text()
-    assert "The input contradicts itself." in page
+    assert "Inconsistent input" in page
 
 
 def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:

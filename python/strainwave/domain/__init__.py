@@ -115,6 +115,7 @@ from strainwave.domain.study import (
     channel_names,
     channel_parts,
 )
+from strainwave.domain.study_limits import SizeLimit
 from strainwave.domain.verdict import Status, Validated, Verdict
 
 __all__ = [
@@ -198,6 +199,7 @@ __all__ = [
     "SensorGain",
     "Servo",
     "Signals",
+    "SizeLimit",
     "SizedValue",
     "Spring",
     "StageDifference",

@@ -242,11 +242,11 @@ def _validated(found: Identification) -> Validated:
 def _decisive_checks(found: Identification) -> list[Prediction]:
     """Predictions of validation records that decide whether a model holds.
 
-    The rigid model omits the vibration of elastic gears. If the whole-arm fit predicts the motion
-    of a record, that prediction decides, and the rigid model's torques of the record do not.
+    The rigid model omits the vibration of elastic gears, so its torques of a record decide only if
+    all joints are rigid.
     """
-    predicted = {check.experiment for check in found.checks if not check.of_drive}
-    return [c for c in found.checks if not c.of_drive or c.experiment not in predicted]
+    has_elastic_joints = any(joint.elastic for joint in found.study.arm.joints)
+    return [c for c in found.checks if not (c.of_drive and has_elastic_joints)]
 
 
 def model_defects(found: Identification) -> Iterator[Diagnostic]:
