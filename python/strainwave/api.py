@@ -25,6 +25,7 @@ from strainwave.domain import (
     Study,
     Verdict,
 )
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.progress import Progress, ProgressEvent, ignored
 from strainwave.errors import Cancelled, InvalidInput, nearest, require
@@ -48,7 +49,6 @@ _POLL_S = 0.05  # [s] between two checks of `cancel`; a user notices delays abov
 _N_FREQUENCIES = 400  # of a response: smooth at the width of a screen
 _DECADES_BEYOND_MODES = 1.0  # below the anti-resonance and above the resonance
 _NEAR_KEYS = 3  # suggestions for a misspelled parameter
-_INTERVAL_STDS = 1.96  # standard deviations of a 95 % interval
 
 
 def read_study(path: Path | str) -> Study:
@@ -306,7 +306,7 @@ class JointResponse:
 def _band(value: FloatArray, std: FloatArray | None) -> FloatArray | None:
     if std is None:
         return None
-    return np.column_stack([value - _INTERVAL_STDS * std, value + _INTERVAL_STDS * std])
+    return np.column_stack([value - CI95_STDS * std, value + CI95_STDS * std])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

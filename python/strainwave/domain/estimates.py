@@ -10,6 +10,9 @@ from strainwave.domain.arrays import FloatArray
 from strainwave.domain.corrections import Correction
 from strainwave.domain.study import LINK_KINDS, channel_parts
 
+CI95_STDS = 1.96
+"""Half-width of a 95 % interval in standard deviations of a normal variable."""
+
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:

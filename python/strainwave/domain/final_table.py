@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
 from strainwave.domain.combinations import lumped_inertias
-from strainwave.domain.estimates import Parameter, Suspicion
+from strainwave.domain.estimates import CI95_STDS, Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.kinds import Key, Row, kind_of
@@ -42,7 +42,6 @@ _MOTOR_SIDE = re.compile(r"(?:u|torque|theta_m|omega_m|ref)\d+")
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
 _MAX_NEGLIGIBLE_SHARE = 0.02
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _FAULT_REASON = "it rests on channels that contradict one another or the study"
 _CONTRADICTION_REASON = "the rigid and the whole-arm fit contradict each other"
 _IMPLAUSIBLE_REASON = "the decoupled fit of the joint holds an impossible value"
@@ -235,7 +234,7 @@ def _shifted_by_effects(tuned: ArmModel) -> dict[Key, str]:
         )
         for shift in cause.shifts:
             is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
-            if is_large and abs(shift.deviations) > _CI95_HALF_WIDTH:
+            if is_large and abs(shift.deviations) > CI95_STDS:
                 reasons.setdefault((shift.name, shift.joint), reason)
     return reasons
 
@@ -294,7 +293,7 @@ def _sum(
             return None
         value += weight * p.value
         std += abs(weight) * p.std
-    interval = (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std)
+    interval = (value - CI95_STDS * std, value + CI95_STDS * std)
     return Parameter(name, joint, value, std, "kg m^2", "decoupled", interval)
 
 

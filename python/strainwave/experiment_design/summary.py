@@ -11,11 +11,11 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain import Study
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.plan import Design, Planned, clock_of
 from strainwave.experiment_design.written import HEADER
 
-_NORMAL_95 = 1.96  # standard deviations in the half-width of a 95 % confidence interval
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
@@ -52,7 +52,7 @@ def _precision(design: Design) -> Iterator[str]:
     )
     for number in range(1, design.study.arm.n_joints + 1):
         parts = [
-            f"{p.name} {100.0 * _NORMAL_95 * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
+            f"{p.name} {100.0 * CI95_STDS * (p.std or 0.0) / abs(p.value or 1.0):.2g} %"
             for p in parameters
             if p.joint == number
         ]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, require
 from strainwave.monitoring.estimates import Estimates, degrees_of
 from strainwave.monitoring.joint_tests import JointTest, holm, joint_test, welch_test
@@ -17,8 +18,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
 SAME, DIFFERS = "agrees", "differs"
-
-_INTERVAL_STDS = 1.96  # standard deviations of a 95 % interval; zero inside: no percentage
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +56,7 @@ class ParameterDifference:
     def _reference(self) -> float:
         """Magnitude of the first value; zero if zero is in its 95 % interval."""
         size = abs(_value(self.first))
-        return size if size > _INTERVAL_STDS * _std(self.first) else 0.0
+        return size if size > CI95_STDS * _std(self.first) else 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.monitoring import output
 from strainwave.monitoring.comparison import (
@@ -22,7 +23,7 @@ from strainwave.monitoring.comparison import (
     ResultComparison,
 )
 from strainwave.monitoring.joint_tests import JointTest
-from strainwave.monitoring.output import INTERVAL_STDS, probability
+from strainwave.monitoring.output import probability
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
@@ -237,7 +238,7 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
     if not shown:
         return None
     percent = np.array([one.percent or 0.0 for one in shown])
-    half_width = np.array([INTERVAL_STDS * (one.std_percent or 0.0) for one in shown])
+    half_width = np.array([CI95_STDS * (one.std_percent or 0.0) for one in shown])
     groups = [
         (verdict, colour, [k for k, one in enumerate(shown) if comparison.verdict(one) == verdict])
         for verdict, colour in ((DIFFERS, MODEL), (SAME, MEASURED))
@@ -249,7 +250,7 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
             upper.append(Markers(names, percent[own], verdict, colour, 7.0, error=half_width[own]))
             z = np.array([shown[k].z for k in own])
             lower.append(
-                Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), INTERVAL_STDS))
+                Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), CI95_STDS))
             )
     ordinary = half_width <= _MAX_INTERVAL_RATIO * float(np.median(half_width))
     widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + half_width[ordinary]))

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Parameter
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 
 _USUAL_NAMES = ("result.json", "study.toml")  # files whose folder is a better label
 _OF_ONE_RECORD = re.compile(r".*_drift|.*\[.*\]")
-_NORMAL_QUANTILE = 1.96  # 97.5 % quantile by which the whole-arm fit forms its intervals
 _QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then below about 2,400
 
 
@@ -94,7 +94,7 @@ def _degrees(quantile: float) -> float:
     from scipy.optimize import brentq
     from scipy.stats import t
 
-    if quantile <= _NORMAL_QUANTILE + _QUANTILE_TOLERANCE:
+    if quantile <= CI95_STDS + _QUANTILE_TOLERANCE:
         return float("inf")
     if quantile >= t.ppf(0.975, 1.0):
         return 1.0

@@ -14,9 +14,6 @@ from rich.text import Text
 from strainwave.io.atomic_files import write_whole
 from strainwave.presentation.report.blocks import Callout, Mark, Span, paragraph
 
-INTERVAL_STDS = 1.96
-"""Standard deviations of a 95 % interval."""
-
 _MIN_PRINTED_P = 1e-16  # rounding of the test statistics limits smaller values
 
 

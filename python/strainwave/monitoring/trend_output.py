@@ -10,9 +10,10 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.monitoring import output
-from strainwave.monitoring.output import INTERVAL_STDS, probability
+from strainwave.monitoring.output import probability
 from strainwave.monitoring.shapes import fitted_line
 from strainwave.monitoring.trend import ArmTrend, ParameterTrend, Trend
 from strainwave.presentation.figures import (
@@ -291,7 +292,7 @@ def _panel(trend: Trend, one: ParameterTrend) -> Panel:
     time, value = np.array(list(fitted_line(one.change, series))).T
     colour = MODEL if concern else RESIDUAL
     points = Markers(
-        series.time, series.value, "estimate", MEASURED, 5.0, error=INTERVAL_STDS * series.std
+        series.time, series.value, "estimate", MEASURED, 5.0, error=CI95_STDS * series.std
     )
     line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
     axis = Axis(f"{one.history.label} [{one.history.unit}]")

@@ -14,6 +14,7 @@ from strainwave.domain import (
     FrequencyResponse,
     JointModel,
 )
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 
 OUTSIDE = 3.0
@@ -21,8 +22,6 @@ OUTSIDE = 3.0
 
 _MIN_COHERENCE = 0.8  # coherence below which a line is not compared
 _MAX_RELATIVE_STD = 0.3  # relative standard deviation above which a line is not compared
-REACH = 1.96
-"""Half-width of a 95 % band in standard deviations."""
 
 _MIN_DIFFERENCE_DB = 2.0  # [dB] difference of about 25 %, clearly visible in the figure
 _MIN_DIFFERING_SHARE = 0.2  # share of the lines; a smaller share may be leakage or a harmonic
@@ -100,7 +99,7 @@ def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyRespons
     J = response_jacobian(vector, gear_ratio, f[lines])
     variance = np.einsum("fi,ij,fj->f", J, joint.covariance[:6, :6], J.conj()).real
     model_std = np.sqrt(np.clip(variance, 0.0, None))
-    outside = np.abs(G - H) > REACH * (measured_std + model_std)
+    outside = np.abs(G - H) > CI95_STDS * (measured_std + model_std)
     difference_db = np.abs(20.0 * np.log10(np.abs(G) / np.abs(H)))
     differs = outside & (difference_db > _MIN_DIFFERENCE_DB)
     if np.mean(differs) <= _MIN_DIFFERING_SHARE:

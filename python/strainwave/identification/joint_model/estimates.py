@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Joint, Parameter
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.parameters import unit_of
 
 _MAX_VISCOUS_RELATIVE_STD = (
@@ -15,7 +16,6 @@ _MAX_VISCOUS_RELATIVE_STD = (
 )
 # only the sum of these is well determined in fast records
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % interval in standard deviations
 
 
 def parameters_of(
@@ -109,7 +109,7 @@ def _parameter(
         std,
         unit,
         "decoupled",
-        (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std),
+        (value - CI95_STDS * std, value + CI95_STDS * std),
     )
 
 

@@ -38,6 +38,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import (
     BLOCKS,
@@ -64,7 +65,6 @@ The last entry includes all higher degrees. The gradient of the loss slightly wh
 """
 _NOISE_TOLERANCE = 0.2  # relative uncertainty of the sensor-noise part of a variance
 _MIN_RECORDS = 3  # minimum number of records for the scatter
-_NORMAL_QUANTILE = 1.96  # two-sided 95 % quantile of the normal distribution
 _MIN_REMAINING = 1e-3  # lower limit of 1 - leverage; near 0, one record identifies a parameter
 _MAX_RELATIVE_STD = 0.1  # relative standard deviation above which a direction is poorly identified
 # minimum ratio of marginal to conditional standard deviation for a group to be reported
@@ -177,7 +177,7 @@ def _scatter_increment(
     by the squared ratio of the quantiles of Student's t and the normal distribution, and every
     parameter receives at least the pooled excess.
     """
-    quantile_ratio = (student_quantile(0.975, n_records - 1) / _NORMAL_QUANTILE) ** 2
+    quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
     weight = quantile_ratio * (1.0 - 1.0 / pooled)
     return np.asarray(np.maximum((scattered - own) * weight, own * (pooled - 1.0) * quantile_ratio))
 

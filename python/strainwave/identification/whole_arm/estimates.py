@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
@@ -25,7 +26,6 @@ from strainwave.identification.whole_arm.parametrisation import (
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
 _MOUNTING_STEP = 1e-6  # step of mounting unknowns for central differences [m or rad]
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _NOT_REACHED = (
     "not-reached",
     "no record loads the gear so far that it shows; use a larger amplitude, or hold the link",
@@ -187,7 +187,7 @@ def _parameter(name: str, joint: int | None, unit: str, value: float, std: float
     is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value)
     if is_vague or not np.isfinite(std):
         return Parameter(name, joint, None, None, unit, "tuned")
-    half_width = _CI95_HALF_WIDTH * std
+    half_width = CI95_STDS * std
     return Parameter(
         name, joint, value, std, unit, "tuned", (value - half_width, value + half_width)
     )

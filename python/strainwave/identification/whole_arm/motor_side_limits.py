@@ -8,6 +8,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, Parameter
 from strainwave.domain.combinations import value_of
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
@@ -16,7 +17,6 @@ from strainwave.numerics.filters import signal_band
 
 # half-width of a confidence interval, relative to its value, that needs a reason
 _MAX_RELATIVE_HALF_WIDTH = 0.1
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _MAX_RESONANCE_BAND_SHARE = 0.5  # share of the band above which a resonance is attenuated
 _MAX_PEAK_DAMPING_RATIO = 0.5  # damping ratio above which a resonance has hardly any peak
 _MIN_ROUNDING_SHARE = 0.5  # share of the residual variance above which encoder rounding dominates
@@ -73,7 +73,7 @@ def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
         return True
     if p.value is None or p.std is None:
         return not is_by_load(p.name)  # a slope outside the torque range has its own warning
-    return _CI95_HALF_WIDTH * p.std > _MAX_RELATIVE_HALF_WIDTH * abs(p.value)
+    return CI95_STDS * p.std > _MAX_RELATIVE_HALF_WIDTH * abs(p.value)
 
 
 def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
@@ -84,7 +84,7 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
         if (p.name, p.joint) in at_bounds:
             uncertainty = "at the end of its range"
         elif p.value is not None and p.std is not None:
-            uncertainty = f"to {100.0 * _CI95_HALF_WIDTH * p.std / abs(p.value):.2g} % only"
+            uncertainty = f"to {100.0 * CI95_STDS * p.std / abs(p.value):.2g} % only"
         descriptions.append(f"{p.label} {uncertainty}")
     return ", ".join(descriptions)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.combinations import value_of
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.kinds import Row
 from strainwave.domain.parameters import Values, completed, unit_of
 from strainwave.dynamics.arm import Arm
@@ -36,7 +37,6 @@ BAND = 5.0
 LEAST_BAND = 0.1
 """Maximum cut-off of the low-pass, as a share of the sampling rate."""
 
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 _RIGID_RELATIVE_STD = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
 _MEAN_CURVATURE = 0.565  # mean curvature (1 + r^2)^(-3/2) of the soft L1 loss, r standard normal
 _MEAN_SQUARE_SLOPE = 0.344  # mean square of its slope r (1 + r^2)^(-1/2), r standard normal
@@ -144,5 +144,5 @@ def _parameters(
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
-        interval = (value - _CI95_HALF_WIDTH * std, value + _CI95_HALF_WIDTH * std)
+        interval = (value - CI95_STDS * std, value + CI95_STDS * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
 from strainwave.domain.effects import Effect, all_effects, effect_named
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -44,8 +45,6 @@ MATTERS = 0.04
 
 LEAST = 0.01
 """Cost reduction, relative, below which no effect is relevant: other errors explain as much."""
-
-_CI95_HALF_WIDTH = 1.96  # half-width of a 95 % confidence interval, in standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,7 +246,7 @@ def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
     It is if its `share` of the cost exceeds `MATTERS`, or if the share exceeds `LEAST` and another
     parameter leaves its 95 % confidence interval.
     """
-    moved = any(abs(move.deviations) > _CI95_HALF_WIDTH for move in moves)
+    moved = any(abs(move.deviations) > CI95_STDS for move in moves)
     return share > MATTERS or (share > LEAST and moved)
 
 

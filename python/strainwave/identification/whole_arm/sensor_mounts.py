@@ -13,6 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.dynamics.link_sensors import is_of_mount, mount_of
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.errors import NotIdentifiable
@@ -181,8 +182,6 @@ def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
         text = (
             f"the {sensor} of link {parameter.joint} rings on its mount at {parameter.value:.3g} ±"
         )
-        text += (
-            f" {1.96 * (parameter.std or 0.0):.2g} Hz; estimated and corrected: glue or screw it"
-        )
-        text += " down"
+        text += f" {CI95_STDS * (parameter.std or 0.0):.2g} Hz; estimated and corrected: glue or"
+        text += " screw it down"
         yield Diagnostic("sensor-mount", f"joint {parameter.joint}", text)

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, TuningOptions
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
@@ -353,7 +354,7 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
         if abs(parameter.value - nominal(key)) < threshold:
             continue
         sensor = parameter.name.rsplit("_", 1)[0].replace("_", " ")
-        half = 1.96 * (parameter.std or 0.0)
+        half = CI95_STDS * (parameter.std or 0.0)
         if parameter.name.endswith("_delay"):
             side = "behind" if parameter.value > 0.0 else "ahead of"
             text = (
@@ -378,7 +379,7 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
 def _drift_warning(found: Parameter, rate: float) -> Diagnostic:
     name = base_name(found.name)
     sensor, record = name.removesuffix("_drift").replace("_", " "), found.name[len(name) + 1 : -1]
-    half = 1.96 * (found.std or 0.0)
+    half = CI95_STDS * (found.std or 0.0)
     text = f"in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {found.unit}; estimated and"
     text += " corrected. Likely causes: it warms up, its supply, an amplifier that recovers"
     return Diagnostic("sensor-drift", f"joint {found.joint}", text)

@@ -22,7 +22,6 @@ from strainwave.presentation.figures.records import (
 from strainwave.presentation.figures.samples import (
     MAX_POINTS,
     MIN_BAND_SHARE,
-    NORMAL_95,
     NORMAL_99,
     TICKS,
     decibel,
@@ -49,7 +48,6 @@ __all__ = [
     "MEASURED",
     "MIN_BAND_SHARE",
     "MODEL",
-    "NORMAL_95",
     "NORMAL_99",
     "PALETTE",
     "RESIDUAL",

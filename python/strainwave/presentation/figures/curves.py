@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.presentation.figures.records import (
     SOLID,
     Axis,
@@ -22,7 +23,7 @@ from strainwave.presentation.figures.records import (
     Mark,
     Panel,
 )
-from strainwave.presentation.figures.samples import MIN_BAND_SHARE, NORMAL_95, decibel, decimate
+from strainwave.presentation.figures.samples import MIN_BAND_SHARE, decibel, decimate
 from strainwave.presentation.figures.style import (
     BRIEF,
     DASHES,
@@ -81,11 +82,11 @@ def bode(curves: Sequence[Curve], caption: str) -> Figure:
         phase = np.rad2deg(np.unwrap(np.angle(curve.response)))
         phase = phase - 360.0 * np.round(phase[len(phase) // 2] / 360.0)
         if curve.magnitude_std is not None:
-            half = NORMAL_95 * curve.magnitude_std
+            half = CI95_STDS * curve.magnitude_std
             low = np.maximum(modulus - half, MIN_BAND_SHARE * modulus)
             magnitudes.append(Band(f, decibel(low), decibel(modulus + half), colour, name))
         if curve.phase_std is not None:
-            half = np.minimum(np.rad2deg(NORMAL_95 * curve.phase_std), 180.0)
+            half = np.minimum(np.rad2deg(CI95_STDS * curve.phase_std), 180.0)
             phases.append(Band(f, phase - half, phase + half, colour, name))
         magnitudes.append(Line(f, decibel(modulus), name, colour, dash, width))
         phases.append(Line(f, phase, name, colour, dash, width))
@@ -129,7 +130,7 @@ def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) ->
     marks = []
     styles = _styles([p.true for p in points])
     for one, (colour, dash, width) in zip(points, styles, strict=True):
-        error, size = (None, 0.0) if one.std is None else (NORMAL_95 * one.std, _POINT_SIZE)
+        error, size = (None, 0.0) if one.std is None else (CI95_STDS * one.std, _POINT_SIZE)
         marks.append(Line(one.x, one.y, one.name, colour, dash, width, size=size, error=error))
     return Figure(Axis(axis), (Panel(Axis(quantity), tuple(marks)),), caption=caption)
 

@@ -7,7 +7,6 @@ import numpy as np
 from strainwave.domain import FloatArray, IntArray
 
 MAX_POINTS = 1200  # points of one line: two per pixel column of a figure 600 px wide
-NORMAL_95 = 1.96  # half-width of a 95 % interval of a normal variable [standard deviations]
 NORMAL_99 = 2.576  # the same of 99 %
 MIN_BAND_SHARE = 1e-2  # of a modulus: a lower band edge of zero has no value in dB
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, RecordModel, Sweep
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of
@@ -16,7 +17,6 @@ from strainwave.presentation.figures import (
     LINEAR,
     MEASURED,
     MODEL,
-    NORMAL_95,
     RESIDUAL,
     Axis,
     Figure,
@@ -71,7 +71,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
     std = np.array([point.gear_stiffness_std for point in sweep.points])
-    marks = Markers(x, y, "equivalent stiffness", MEASURED, 8.0, error=NORMAL_95 * std)
+    marks = Markers(x, y, "equivalent stiffness", MEASURED, 8.0, error=CI95_STDS * std)
     # the tested slope is that of the squared anti-resonance, which is proportional to the stiffness
     squared = np.array([point.squared_anti_resonance for point in sweep.points])
     weights = 1.0 / np.array([point.squared_anti_resonance_std for point in sweep.points]) ** 2

@@ -15,6 +15,7 @@ from strainwave.domain import (
     Mode,
     StateSpace,
 )
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
     OUTSIDE,
@@ -29,7 +30,6 @@ from strainwave.presentation.figures import (
     MEASURED,
     MIN_BAND_SHARE,
     MODEL,
-    NORMAL_95,
     RESIDUAL,
     SOLID,
     TUNED,
@@ -218,9 +218,9 @@ def _add_band(
     phase_std: FloatArray | None = None,
 ) -> None:
     """95 % bands of modulus and phase; the phase has the relative deviation unless given."""
-    half, modulus = NORMAL_95 * relative, np.abs(G)
+    half, modulus = CI95_STDS * relative, np.abs(G)
     low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
-    turn = half if phase_std is None else NORMAL_95 * phase_std
+    turn = half if phase_std is None else CI95_STDS * phase_std
     phase, turn = np.rad2deg(np.angle(G)), np.minimum(np.rad2deg(turn), 180.0)
     panels.magnitude.append(Band(f, decibel(low), decibel(high), colour, name))
     panels.phase.append(Band(f, phase - turn, phase + turn, colour, name))

@@ -9,12 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
+from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
     BRIEF,
     MEASURED,
     MODEL,
-    NORMAL_95,
     RESIDUAL,
     Axis,
     Band,
@@ -93,7 +93,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
     """Stiffness over torque with its 95 % band and knees; below, a histogram of the torques."""
     torque, torsion = _segments(curve)
     stiffness = curve.law.stiffness(curve.values, torsion)
-    half = NORMAL_95 * _std(curve, curve.law.stiffness_jacobian(curve.values, torsion))
+    half = CI95_STDS * _std(curve, curve.law.stiffness_jacobian(curve.values, torsion))
     top = 1.1 * float((stiffness + half).max())
     panels = [
         Panel(
@@ -118,7 +118,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     """Torque over torsion with its 95 % band; markers show the knees on the curve."""
     law, values = curve.law, curve.values
     torque, torsion = _segments(curve)
-    half = NORMAL_95 * _std(curve, law.jacobian(values, torsion))
+    half = CI95_STDS * _std(curve, law.jacobian(values, torsion))
     x, scale = 1e3 * torsion, 1e3
     initial = law.stiffness(values, torsion[:1]) * torsion
     knees = scale * law.torsion(values, curve.knees)
