@@ -13,7 +13,6 @@ from scipy.signal import lfilter
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.low_pass import Kernels
 from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Weights
 from strainwave.identification.whole_arm.parametrisation import (
     ParameterSpace,
@@ -341,30 +340,6 @@ def test_stretches_are_counted_through_all_records() -> None:
     counts = np.bincount(labels)
     assert set(counts[:BLOCKS]) == {10}
     assert set(counts[BLOCKS:]) == {5, 6}
-
-
-def test_the_share_of_the_noise() -> None:
-    rng = np.random.default_rng(8)
-    # the rows of the low-pass repeat white noise twice
-    pole = 1.0 / 3.0
-    noise = coloured(rng, (6000, 1), pole)
-    taps: FloatArray = np.power(pole, np.arange(30, dtype=np.float64))
-
-    def behind(objective: Objective) -> Objective:
-        records = [replace(r, kernels=Kernels(taps, taps, 1)) for r in objective.records]
-        return objective.seen_by(records).reweighted(TRUTH)
-
-    noise_only = behind(linear_residual([noise], noise=WHITE))
-    assert noise_only.noise_shares(TRUTH)[0] == pytest.approx(1.0, abs=0.15)
-    model = coloured(rng, (6000, 1), 0.9, 3.0 * WHITE)
-    wrong = behind(linear_residual([noise + model], noise=WHITE))
-    # variances times repetitions, 2 and 19
-    expected = 2.0 / (2.0 + 9.0 * 19.0)
-    assert wrong.noise_shares(TRUTH)[0] == pytest.approx(expected, rel=0.5)
-    # a channel with a residual below its noise does not compensate for another
-    errors = np.concatenate([noise + model, 0.01 * noise], axis=1)
-    two_channels = behind(linear_residual([errors], noise=WHITE))
-    assert two_channels.noise_shares(TRUTH)[0] == pytest.approx(0.5 * (1.0 + expected), rel=0.2)
 
 
 def test_other_unknowns_leave_records_and_weights() -> None:

@@ -332,22 +332,6 @@ class Objective:
             blocks.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
         return blocks
 
-    def noise_shares(self, z: FloatArray) -> list[float]:
-        """Share of sensor noise in the residual variance at z, one value per record.
-
-        The share of a channel is at most one, so a channel below its noise, as at standstill, does
-        not compensate another.
-        """
-        shares = []
-        evaluated = zip(self.records, self.weights, self.rows(z), strict=True)
-        for record, weights, rows in evaluated:
-            stds = np.maximum(_robust_std(rows.residual * weights.deviation), record.noise)
-            repeats = repetitions_of(record)
-            share = np.divide(record.noise, stds, out=np.ones_like(stds), where=stds > 0.0) ** 2
-            share = np.minimum(1.0, share * repeats / weights.repeats)
-            shares.append(float(np.mean(share)))
-        return shares
-
     def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
         """Fit percentage by record and channel, 100 (1 - |y - yhat| / |y - mean(y)|).
 
