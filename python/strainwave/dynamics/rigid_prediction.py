@@ -31,8 +31,10 @@ def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
 
     `measured` and `predicted` have shape (n_samples, n_channels).
     """
-    spread = np.linalg.norm(measured - measured.mean(axis=0), axis=0)
-    error = np.linalg.norm(measured - predicted, axis=0)
+    # contiguous channels are summed in one order, however many there are
+    y, y_hat = (np.ascontiguousarray(x.T) for x in (measured, predicted))
+    spread = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
+    error = np.linalg.norm(y - y_hat, axis=1)
     return np.asarray(
         100.0 * (1.0 - np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0))
     )
