@@ -91,7 +91,7 @@ def test_steps_and_motions_alone_identify_a_drawn_arm(tmp_path: Path) -> None:
 def test_lab_arms_without_link_sensors(tmp_path: Path, shared_data: Path, arm: str) -> None:
     folder = shared_data / "lab" / arm
     without_link_sensors(folder, tmp_path)
-    result = identify(tmp_path / "study.toml")
+    result = identify(tmp_path / "study.toml", options={"tuning": {"rival_effort": 0.0}})
     study = read_study(tmp_path / "study.toml")
     true_values = derived(read_parameters(folder / "truth.json"), study.arm)
     assert result.verdict.status == "determined", result.verdict.reasons
