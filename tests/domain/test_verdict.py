@@ -22,6 +22,7 @@ from strainwave.domain import (
     JointModel,
     Parameter,
     ParameterShift,
+    Place,
     Prediction,
     RigidModel,
     Study,
@@ -30,7 +31,7 @@ from strainwave.domain import (
     half_width,
     is_physical,
 )
-from strainwave.domain.diagnostics import grouped, published_warnings
+from strainwave.domain.diagnostics import merge_by_cause, published_warnings
 from strainwave.domain.identification import model_defects
 from strainwave.domain.parameters import unit_of
 from strainwave.virtual import scara
@@ -485,25 +486,25 @@ def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
 
 
 @pytest.mark.parametrize(
-    ("where", "code", "left"),
+    ("place", "code", "accepted_stages"),
     [
-        ("u1", "wrong-unit", set()),
-        ("joint 2", "wrong-gear-ratio", set()),
-        ("a1", "wrong-unit", {"rigid"}),
-        ("a2 in prbs-j1", "misaligned", {"rigid"}),
-        ("joint 1", "wrong-geometry", {"rigid"}),
-        ("motion", "clock-drift", set()),
-        ("prbs-j1, prbs-j2", "clock-drift", {"rigid"}),
-        ("step-j1", "clock-drift", {"rigid", "decoupled"}),
-        ("motion-check", "clock-drift", {"tuned"}),
+        (Place(channel="u1"), "wrong-unit", set()),
+        (Place(joint=2, key="gear_ratio"), "wrong-gear-ratio", set()),
+        (Place(channel="a1"), "wrong-unit", {"rigid"}),
+        (Place(experiments=("prbs-j1",), channel="a2"), "misaligned", {"rigid"}),
+        (Place(joint=1), "wrong-geometry", {"rigid"}),
+        (Place.in_records("motion"), "clock-drift", set()),
+        (Place.in_records("prbs-j1", "prbs-j2"), "clock-drift", {"rigid"}),
+        (Place.in_records("step-j1"), "clock-drift", {"rigid", "decoupled"}),
+        (Place.in_records("motion-check"), "clock-drift", {"tuned"}),
     ],
 )
-def test_values_are_given_for_what_does_not_rest_on_a_fault(
-    where: str, code: str, left: set[str]
+def test_a_fault_rejects_the_values_of_the_stages_that_it_affects(
+    place: Place, code: str, accepted_stages: set[str]
 ) -> None:
-    fault = Suspicion(code=code, where=where, message="m", remedy="r")
+    fault = Suspicion(code=code, places=(place,), message="m", remedy="r")
     result = replace(run(), suspected=(fault,))
-    assert {p.stage for p in result.parameters if p.value is not None} == left
+    assert {p.stage for p in result.parameters if p.value is not None} == accepted_stages
     verdict = result.verdict
     assert (verdict.status, verdict.exit_code) == ("inconsistent-input", 3)
     assert verdict.suspected == (fault,)
@@ -544,15 +545,19 @@ def test_stages_that_were_not_reached_are_named() -> None:
     assert "gear_stiffness 2" in result.verdict.not_identified
 
 
-def test_one_warning_for_one_cause() -> None:
+def test_warnings_of_several_records_with_one_cause_are_merged() -> None:
     records = ("prbs-j1", "prbs-j2")
     delays = [
-        Diagnostic("misaligned", name, f"the link sensor of joint {j} is {ms} ms late in {name}")
+        Diagnostic.at(
+            "misaligned",
+            Place.in_records(name),
+            f"the link sensor of joint {j} is {ms} ms late in {name}",
+        )
         for name, ms in zip(records, (0.72, 0.5), strict=True)
         for j in (1, 2)
     ]
     other = Diagnostic("at-bounds", "beta", "ended at 0.72")
-    first, second, third = grouped([*delays, other], records)
+    first, second, third = merge_by_cause([*delays, other])
     assert first.where == "prbs-j1, prbs-j2"
     assert first.experiments == records
     assert first.message == "the link sensor of joint 1 is 0.5 to 0.72 ms late in "
@@ -560,30 +565,34 @@ def test_one_warning_for_one_cause() -> None:
     assert third == other
 
 
-def test_one_warning_for_one_cause_in_a_joint_of_several_records() -> None:
+def test_warnings_of_joints_in_several_records_are_merged() -> None:
     records = ("prbs-j1", "prbs-j1-servo", "prbs-j2")
     spectra = [
-        Diagnostic(
-            "interaction-spectrum", f"{name}, joint {j}", f"in {share} % of the band of {name}"
+        Diagnostic.at(
+            "interaction-spectrum",
+            Place.in_records(name, joint=j),
+            f"in {share} % of the band of {name}",
         )
         for name, j, share in (("prbs-j1", 1, 20), ("prbs-j1-servo", 1, 35), ("prbs-j2", 2, 10))
     ]
-    coherence = Diagnostic("coherence", "prbs-j2, joint 2", "coherence 0.4 in prbs-j2")
-    other_record = replace(spectra[0], where="other, joint 1")
-    merged, single, unmerged = grouped([*spectra, coherence, other_record], records)
+    place = Place.in_records("prbs-j2", joint=2)
+    coherence = Diagnostic.at("coherence", place, "coherence 0.4 in prbs-j2")
+    without_record = Diagnostic("interaction-spectrum", "other.csv", spectra[0].message)
+    merged, single, unmerged = merge_by_cause([*spectra, coherence, without_record])
     assert merged.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
     assert merged.experiments == records
     assert merged.message == "in 10 to 35 % of the band of "
     assert single == replace(coherence, experiments=("prbs-j2",))
-    assert unmerged == other_record
+    assert unmerged == without_record
 
 
-def test_what_a_later_stage_decides_is_not_warned_of_by_an_earlier_one() -> None:
-    early = Diagnostic("implausible", "gear_damping of joint 1", "negative")
+def test_a_later_stage_supersedes_warnings_of_an_earlier_one() -> None:
+    early = Diagnostic.at("implausible", Place(joint=1, parameter="gear_damping"), "negative")
     result = replace(run(), warnings=(early,))
     assert early not in published_warnings(result)
     assert early in published_warnings(replace(result, tuned=None))
-    slope_warning = Diagnostic("equivalent-stiffness", "gear_stiffness of joint 1", "one slope")
+    place = Place(joint=1, parameter="gear_stiffness")
+    slope_warning = Diagnostic.at("equivalent-stiffness", place, "one slope")
     assert result.tuned is not None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))

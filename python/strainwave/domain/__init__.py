@@ -48,7 +48,14 @@ from strainwave.domain.comparison import (
     outcomes_text,
 )
 from strainwave.domain.corrections import Correction
-from strainwave.domain.estimates import Consistency, Diagnostic, Parameter, Prediction, Suspicion
+from strainwave.domain.estimates import (
+    Consistency,
+    Diagnostic,
+    Parameter,
+    Place,
+    Prediction,
+    Suspicion,
+)
 from strainwave.domain.final_table import Decision, half_width
 from strainwave.domain.identification import Identification
 from strainwave.domain.joint_models import (
@@ -182,6 +189,7 @@ __all__ = [
     "ParameterShift",
     "ParameterText",
     "PhysicalOptions",
+    "Place",
     "PlausibleRange",
     "Positive",
     "Prbs",

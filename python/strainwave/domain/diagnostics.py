@@ -6,8 +6,9 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
-from strainwave.domain.estimates import Diagnostic, Parameter
+from strainwave.domain.estimates import Diagnostic, Parameter, Place
 from strainwave.domain.final_table import Decision
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.identification import Identification, model_defects
 from strainwave.domain.ranges import implausible_joints
 
@@ -15,31 +16,29 @@ _NUMBER = re.compile(
     r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
 )
 """A number in a message, except joint numbers ("joint 2") and digits in names ("u1")."""
-_IN_JOINT = re.compile(r", joint (\d+)$")
 _STAGE_CODES = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
 """Codes of warnings about one parameter in one stage."""
 
 
-def published_warnings(found: Identification) -> tuple[Diagnostic, ...]:
+def published_warnings(result: Identification) -> tuple[Diagnostic, ...]:
     """Collect the warnings of a run, one for each cause.
 
     A warning about a parameter is omitted if a later stage decides that parameter. It remains in
     the warnings of its stage. Each reason for rejection has one warning.
     """
-    decisions = found.decisions
-    warnings = [*_current_warnings(found, decisions), *rejections(decisions)]
-    warnings += model_defects(found)
-    for size in implausible_joints(found.study.arm, found.parameters):
-        warnings.append(Diagnostic("implausible-size", f"joint {size.joint}", size.text))
-    has_unpredicted = any(check.unexplained for check in found.checks if not check.of_drive)
-    if found.tuned is not None and not found.verdict.validated.elastic and not has_unpredicted:
-        where = str(found.study.path)
-        warnings.append(Diagnostic("elastic-not-validated", where, not_exercised(found)))
-    experiments = [e.name for e in found.study.experiments]
-    return grouped(dict.fromkeys(warnings), experiments)
+    decisions = result.decisions
+    warnings = [*_current_warnings(result, decisions), *rejection_warnings(decisions)]
+    warnings += model_defects(result)
+    for size in implausible_joints(result.study.arm, result.parameters):
+        warnings.append(Diagnostic.at("implausible-size", Place(joint=size.joint), size.text))
+    has_unpredicted = any(check.unexplained for check in result.checks if not check.of_drive)
+    if result.tuned is not None and not result.verdict.validated.elastic and not has_unpredicted:
+        where = str(result.study.path)
+        warnings.append(Diagnostic("elastic-not-validated", where, missing_validation(result)))
+    return merge_by_cause(dict.fromkeys(warnings))
 
 
-def rejections(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
+def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
     """Yield one warning for each reason for rejection, with the rejected values."""
     by_reason: dict[str, list[Decision]] = {}
     for decision in decisions:
@@ -51,21 +50,21 @@ def rejections(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
         joints = ", ".join(str(n) for n in sorted(n for n in joint_numbers if n is not None))
         where = f"joint {joints}" if joints and None not in joint_numbers else "arm"
         if len(rows) == 1:
-            where = _place_name(rows[0].parameter)
-        yield Diagnostic("rejected", where, f"{reason}; what it gave does not count: {values}")
+            where = str(_place_of(rows[0].parameter))
+        yield Diagnostic("rejected", where, f"{reason}; rejected values: {values}")
 
 
-def not_exercised(found: Identification) -> str:
+def missing_validation(result: Identification) -> str:
     """Explain why the elastic model is not validated, and what to record.
 
     Returns a clause without a full stop.
     """
-    motion_checks = [check for check in found.checks if not check.of_drive]
+    motion_checks = [check for check in result.checks if not check.of_drive]
     record = (
         'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage '
         "of every motor and the servo's references"
     )
-    if found.tuned is None:
+    if result.tuned is None:
         return "there is no whole-arm fit to predict with"
     if not motion_checks:
         return f"no check record can be simulated; {record}"
@@ -76,62 +75,69 @@ def not_exercised(found: Identification) -> str:
     return f"{names} would be predicted alike with other gear stiffness; {record}"
 
 
-def grouped(warnings: Iterable[Diagnostic], experiments: Sequence[str]) -> tuple[Diagnostic, ...]:
+def merge_by_cause(warnings: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Merge warnings about several records with the same cause into one.
 
     Two warnings have the same cause if their codes and messages are equal except for numbers. The
-    merged message gives the range of each number. Only warnings about a record in `experiments`, or
-    about one of its joints ("prbs-j1, joint 1"), are merged. The order is that of the first warning
-    of each cause.
+    merged message gives the range of each number. Only warnings whose place is one record, or one
+    joint in one record, are merged. The order is that of the first warning of each cause.
     """
     groups: dict[tuple[str, ...], list[Diagnostic]] = {}
-    for each in warnings:
+    for warning in warnings:
+        record = _record(warning)
         cause = (
-            (each.code, _NUMBER.sub("#", _without_place(each)))
-            if _record(each) in experiments
-            else (each.code, each.where, each.message)
+            (warning.code, warning.where, warning.message)
+            if record is None
+            else (warning.code, _NUMBER.sub("#", warning.message.replace(record, "")))
         )
-        groups.setdefault(cause, []).append(each)
-    return tuple(_merge(group, experiments) for group in groups.values())
+        groups.setdefault(cause, []).append(warning)
+    return tuple(_merge(group) for group in groups.values())
 
 
-def _record(warning: Diagnostic) -> str:
-    return _IN_JOINT.sub("", warning.where)
+def _record(warning: Diagnostic) -> str | None:
+    """Record that the warning concerns; None unless it is exactly one."""
+    place = warning.place
+    return place.experiments[0] if place is not None and place.is_one_record else None
 
 
-def _without_place(warning: Diagnostic) -> str:
-    return warning.message.replace(_record(warning), "")
-
-
-def _merge(group: Sequence[Diagnostic], experiments: Sequence[str]) -> Diagnostic:
+def _merge(group: Sequence[Diagnostic]) -> Diagnostic:
+    """Merge warnings with one cause into one that gives all places and the ranges of numbers."""
     first = group[0]
-    if _record(first) not in experiments:
-        return first
-    names = tuple(dict.fromkeys(_record(each) for each in group))
-    places = tuple(dict.fromkeys(each.where for each in group))
-    if len(places) == 1:
+    joints_by_record: dict[tuple[str, int | None], None] = {}
+    messages = []
+    for warning in group:
+        record, place = _record(warning), warning.place
+        if record is None or place is None:
+            return first
+        joints_by_record[record, place.joint] = None
+        messages.append(warning.message.replace(record, ""))
+    names = tuple(dict.fromkeys(record for record, _ in joints_by_record))
+    if len(joints_by_record) == 1:
         return replace(first, experiments=names)
-    where = ", ".join(_IN_JOINT.sub(r" (joint \1)", place) for place in places)
-    pieces = _NUMBER.split(_without_place(first))
-    numbers = zip(*(_NUMBER.findall(_without_place(each)) for each in group), strict=True)
+    where = ", ".join(
+        name if joint is None else f"{name} (joint {joint})" for name, joint in joints_by_record
+    )
+    pieces = _NUMBER.split(messages[0])
+    numbers = zip(*(_NUMBER.findall(message) for message in messages), strict=True)
     message = pieces[0]
     for values, piece in zip(numbers, pieces[1:], strict=True):
         smallest, largest = min(values, key=float), max(values, key=float)
         message += (smallest if smallest == largest else f"{smallest} to {largest}") + piece
-    return replace(first, where=where, message=message, experiments=names)
+    return Diagnostic(first.code, where, message, names)
 
 
-def _current_warnings(found: Identification, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
+def _current_warnings(
+    result: Identification, decisions: Sequence[Decision]
+) -> Iterator[Diagnostic]:
     """Yield all warnings except those about parameters that a later stage decides."""
-    final = {_place_name(d.parameter): d for d in decisions}
-    tuned_warnings = set(found.tuned.warnings) if found.tuned is not None else set()
-    for warning in found.warnings:
-        decision = final.get(warning.where)
+    decision_by_place = {_place_of(d.parameter): d for d in decisions}
+    tuned_warnings = set(result.tuned.warnings) if result.tuned is not None else set()
+    for warning in result.warnings:
         if warning.code in _STAGE_CODES and warning not in tuned_warnings:
+            decision = decision_by_place.get(warning.place) if warning.place else None
             if decision is None:  # the whole-arm fit has a stiffness curve instead
-                is_superseded = found.tuned is not None and warning.where.startswith(
-                    "gear_stiffness "
-                )
+                is_stiffness = warning.place is not None and warning.place.parameter == STIFFNESS
+                is_superseded = result.tuned is not None and is_stiffness
             else:
                 has_value = decision.parameter.value is not None
                 is_superseded = decision.parameter.stage == "tuned"
@@ -141,6 +147,5 @@ def _current_warnings(found: Identification, decisions: Sequence[Decision]) -> I
         yield warning
 
 
-def _place_name(p: Parameter) -> str:
-    """Name of a parameter in warnings."""
-    return p.name if p.joint is None else f"{p.name} of joint {p.joint}"
+def _place_of(p: Parameter) -> Place:
+    return Place(joint=p.joint, parameter=p.name)

@@ -13,15 +13,56 @@ from strainwave.domain.study import LINK_KINDS, channel_parts
 CI95_STDS = 1.96
 """Half-width of a 95 % interval in standard deviations of a normal variable."""
 
+_LINK_GEOMETRY = ("accelerometer_distance", "link_length")
+"""Keys of the study that affect only predictions of link sensors."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Place that a warning or a suspected fault concerns; decisions read its fields."""
+
+    experiments: tuple[str, ...] = ()
+    channel: str | None = None
+    joint: int | None = None  # from 1
+    parameter: str | None = None  # name of an estimated parameter
+    key: str | None = None  # key of the study file
+
+    @classmethod
+    def in_records(cls, *experiments: str, joint: int | None = None) -> Place:
+        """Place of one or more records, or of one joint in them."""
+        return cls(experiments=experiments, joint=joint)
+
+    @property
+    def is_one_record(self) -> bool:
+        """Whether the place is one record, or one joint in one record."""
+        return (
+            len(self.experiments) == 1 and (self.channel, self.parameter, self.key) == (None,) * 3
+        )
+
+    def __str__(self) -> str:
+        """Text of the place: "prbs-j1, joint 1", "beta", "gear_stiffness of joint 1"."""
+        if self.parameter is not None:
+            of_joint = "" if self.joint is None else f" of joint {self.joint}"
+            return f"{self.parameter}{of_joint}"
+        parts = [*self.experiments, self.channel, self.joint and f"joint {self.joint}"]
+        text = ", ".join(str(part) for part in parts if part)
+        return f"{text} {self.key or ''}".strip()
+
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
     """Warning about a result."""
 
     code: str  # stable, kebab-case; index of the troubleshooting page
-    where: str  # file, experiment, joint or parameter
+    where: str  # text of the place: file, experiment, joint or parameter
     message: str  # observation, consequence and remedy
     experiments: tuple[str, ...] = ()  # records affected, if there are several
+    place: Place | None = field(default=None, compare=False)  # None: a file or a stage
+
+    @classmethod
+    def at(cls, code: str, place: Place, message: str) -> Diagnostic:
+        """Warning about a record, a joint or a parameter."""
+        return cls(code, str(place), message, place=place)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,12 +70,18 @@ class Suspicion:
     """Possible cause of a contradiction between channels, or between a channel and the study."""
 
     code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
-    where: str  # faulty channel, experiment or key of the study: "a1", "joint 2"
+    places: tuple[Place, ...] = field(default=(), compare=False)  # empty if read from a result
+    where: str = ""  # text of the places: "a1", "joint 2 gear_ratio"
     message: str  # one sentence, with the measured value
     remedy: str  # line of study.toml, or action at the rig, that corrects it
     factor: float | None = None  # ratio of the data to the value that the study implies
     delay_s: float | None = None  # delay of the channel [s]
     corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
+
+    def __post_init__(self) -> None:
+        """Render the text of the places."""
+        if self.places:
+            object.__setattr__(self, "where", ", ".join(str(place) for place in self.places))
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,12 +93,15 @@ class Consistency:
     @property
     def motors_agree(self) -> bool:
         """Whether all suspected faults concern link sensors, their positions or the link length."""
-        places = [each.strip() for found in self.suspected for each in found.where.split(",")]
         return all(
-            channel_parts(place)[0] in LINK_KINDS
-            or place.endswith(("accelerometer_distance", "link_length"))
-            for place in places
+            suspicion.places and all(_is_on_link(place) for place in suspicion.places)
+            for suspicion in self.suspected
         )
+
+
+def _is_on_link(place: Place) -> bool:
+    is_link_channel = place.channel is not None and channel_parts(place.channel)[0] in LINK_KINDS
+    return is_link_channel or place.key in _LINK_GEOMETRY
 
 
 @dataclass(frozen=True, slots=True)

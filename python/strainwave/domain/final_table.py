@@ -23,7 +23,7 @@ from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
-from strainwave.domain.study import Study
+from strainwave.domain.study import LINK_KINDS, Study, channel_parts
 
 MAX_EFFECT_SHIFT = 0.05
 """Largest relative shift of a value due to an effect that the model omits.
@@ -33,11 +33,18 @@ A value is rejected if the shift exceeds this limit and its 95 % confidence inte
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
-_LINK_SIDE = re.compile(
-    r"(?:a[xyz]?|g[xyz]|gyro|theta_l|deflection)\d+|accelerometer_(?:distance|hz)|gyro_hz|"
-    r"link_length|link_encoder_counts|imu"
+_LINK_CHANNELS = LINK_KINDS | {"ax", "ay", "az", "gx", "gy", "gz"}
+_MOTOR_CHANNELS = frozenset({"u", "torque", "theta_m", "omega_m", "ref"})
+_LINK_KEYS = frozenset(
+    {
+        "accelerometer_distance",
+        "accelerometer_hz",
+        "gyro_hz",
+        "link_length",
+        "link_encoder_counts",
+        "imu",
+    }
 )
-_MOTOR_SIDE = re.compile(r"(?:u|torque|theta_m|omega_m|ref)\d+")
 # standard deviations below zero from which a negative value is significant
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
@@ -97,17 +104,17 @@ def decide(
     Returns one decision for each parameter and joint: parameters of the whole arm first, then joint
     by joint.
     """
-    first_faulty_stage = min((first_faulty(one, study) for one in suspected), default=_NONE)
+    first_affected = min((first_affected_stage(one, study) for one in suspected), default=_NONE)
     table: _Table = {}
     if rigid is not None:
         table = _stage_table(rigid.parameters, "rigid", spread_to_all=False)
-    if first_faulty_stage <= _RIGID:
+    if first_affected <= _RIGID:
         table = _reject_all(table.values(), _FAULT_REASON)
-    accepted = [one for one in joints if not _discard(table, one, first_faulty_stage)]
+    accepted = [one for one in joints if not _discard(table, one, first_affected)]
     for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
     if tuned is not None:
-        _enter_whole_arm(table, tuned, first_faulty_stage)
+        _enter_whole_arm(table, tuned, first_affected)
     else:
         _make_consistent(table, study.arm, accepted)
     _remove_equivalent_stiffness(table, study, tuned is not None)
@@ -124,23 +131,27 @@ def decide(
     return tuple(sorted(rows, key=place))
 
 
-def first_faulty(suspicion: Suspicion, study: Study) -> int:
+def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     """First stage that a suspected fault affects: 0 rigid, 1 decoupled, 2 tuned, 3 none.
 
     The rigid step uses only motor signals of `motion` records. The decoupled step also uses link
     signals and the fast records. A fault of motor signals, or without a known channel, affects all
     stages.
     """
-    words = re.findall(r"[A-Za-z0-9_]+", suspicion.where)
-    has_link_side = (
-        any(_LINK_SIDE.fullmatch(word) for word in words) or suspicion.code == "wrong-geometry"
+    places = suspicion.places
+    kinds = {channel_parts(place.channel)[0] for place in places if place.channel is not None}
+    is_on_link = (
+        not kinds.isdisjoint(_LINK_CHANNELS)
+        or any(place.key in _LINK_KEYS for place in places)
+        or suspicion.code == "wrong-geometry"
     )
-    has_motor_side = any(_MOTOR_SIDE.fullmatch(word) for word in words)
-    channel_stage = _DECOUPLED if has_link_side and not has_motor_side else _RIGID
-    names = {e.name: e.use for e in study.experiments}
-    places = re.split(r"[,;:\s]+", suspicion.where)
-    uses = [_STAGE_OF_USE.get(names[word], _NONE) for word in places if word in names]
-    return max(channel_stage, min(uses, default=_RIGID))
+    is_on_motor = not kinds.isdisjoint(_MOTOR_CHANNELS)
+    channel_stage = _DECOUPLED if is_on_link and not is_on_motor else _RIGID
+    uses = {e.name: e.use for e in study.experiments}
+    record_stages = [
+        _STAGE_OF_USE.get(uses[name], _NONE) for place in places for name in place.experiments
+    ]
+    return max(channel_stage, min(record_stages, default=_RIGID))
 
 
 def _key(parameter: Parameter) -> Key:

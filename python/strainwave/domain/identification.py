@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from strainwave.display import Displayed
 from strainwave.domain.arm_model import ArmModel, MotorResponse, ResidualTest, contradictions
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
-from strainwave.domain.estimates import Diagnostic, Parameter, Prediction, Suspicion
+from strainwave.domain.estimates import Diagnostic, Parameter, Place, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
@@ -65,7 +65,7 @@ class Identification(Displayed):
     @property
     def verdict(self) -> Verdict:
         """Verdict as defined in docs/result.md: status, exit code and reasons."""
-        return verdict_of(self)
+        return compute_verdict(self)
 
     @property
     def determined(self) -> bool:
@@ -86,41 +86,41 @@ class _Requirements:
     primary: tuple[str, ...]  # labels, as in the verdict
 
 
-def verdict_of(found: Identification) -> Verdict:
+def compute_verdict(result: Identification) -> Verdict:
     """Compute the verdict on a run, as defined in docs/result.md."""
-    decisions = found.decisions
-    required = _required_by(found)
+    decisions = result.decisions
+    required = _required_stages(result)
     labels = {d.parameter.label for d in decisions}
     identified = tuple(d.parameter.label for d in decisions if d.identified)
     rejected = tuple(d.parameter.label for d in decisions if d.rejected)
     undecided = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
     not_identified = (*undecided, *(label for label in required.primary if label not in labels))
-    reasons = tuple(_reasons(found, required, identified, rejected))
+    reasons = tuple(_failure_reasons(result, required, identified, rejected))
     primary = [label for label in required.primary if label in identified]
     status: Status = "partly-determined" if reasons else "determined"
     if not primary:
         status = "not-determined"
-    if found.suspected:
+    if result.suspected:
         status = "inconsistent-input"
     return Verdict(
         status=status,
         identified=identified,
         not_identified=not_identified,
         rejected=rejected,
-        validated=_validated(found),
-        suspected=found.suspected,
+        validated=_validate_models(result),
+        suspected=result.suspected,
         reasons=reasons,
     )
 
 
-def _required_by(found: Identification) -> _Requirements:
+def _required_stages(result: Identification) -> _Requirements:
     """Required stages among those requested, and the primary parameters that they estimate."""
-    study = found.study
+    study = result.study
     arm, kind = study.arm, kind_of(study.arm)
     elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
     has_motion = any(e.use == "motion" for e in study.experiments)
     is_independent = is_uncoupled(arm) and bool(elastic)
-    has_decoupled = bool(elastic) and "decoupled" in found.stages
+    has_decoupled = bool(elastic) and "decoupled" in result.stages
     stages = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
     names: list[str] = []
     if stages:
@@ -130,7 +130,7 @@ def _required_by(found: Identification) -> _Requirements:
     viscous = viscous_friction(arm)
     for number in range(1, arm.n_joints + 1):
         names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
-    has_whole_arm = "tuned" in found.stages and len(elastic) == arm.n_joints
+    has_whole_arm = "tuned" in result.stages and len(elastic) == arm.n_joints
     is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if has_decoupled and (is_excited or not has_whole_arm):
         stages.append("decoupled")
@@ -145,57 +145,60 @@ def _required_by(found: Identification) -> _Requirements:
     return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
 
 
-def _reasons(
-    found: Identification, called: _Requirements, identified: Sequence[str], rejected: Sequence[str]
+def _failure_reasons(
+    result: Identification,
+    required: _Requirements,
+    identified: Sequence[str],
+    rejected: Sequence[str],
 ) -> Iterator[str]:
     """Yield the reasons why a run is not determined, most important first."""
-    if found.suspected:  # all other failures may follow from these
-        yield from (suspicion.message for suspicion in found.suspected)
+    if result.suspected:  # all other failures may follow from these
+        yield from (suspicion.message for suspicion in result.suspected)
         return
-    yield from found.failures
-    yield from _stages_missing(found, called)
-    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(found))
-    yield from (size.text for size in implausible_joints(found.study.arm, found.parameters))
-    if found.tuned is not None:
-        yield from _contradictions(found.tuned)
-    rejected_primary = [label for label in called.primary if label in rejected]
+    yield from result.failures
+    yield from _missing_stages(result, required)
+    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(result))
+    yield from (size.text for size in implausible_joints(result.study.arm, result.parameters))
+    if result.tuned is not None:
+        yield from _contradiction_reasons(result.tuned)
+    rejected_primary = [label for label in required.primary if label in rejected]
     if rejected_primary:
         yield f"rejected: {', '.join(rejected_primary)}"
     missing = [
-        name for name in called.primary if name not in identified and name not in rejected_primary
+        name for name in required.primary if name not in identified and name not in rejected_primary
     ]
     if missing:
         yield f"not identified: {', '.join(missing)}"
 
 
-def _contradictions(tuned: ArmModel) -> Iterator[str]:
+def _contradiction_reasons(tuned: ArmModel) -> Iterator[str]:
     """Yield the disagreements of the stages, with likely causes and experiments to test them."""
     for test in contradictions(tuned.agreement):
         text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
-        yield f"{text}{_causes(tuned)}"
+        yield f"{text}{_likely_causes(tuned)}"
 
 
-def _causes(tuned: ArmModel | None) -> str:
+def _likely_causes(tuned: ArmModel | None) -> str:
     """Likely causes of unexplained residuals, as the end of a sentence."""
-    causes = ", or ".join(each.text for each in tuned.suspects) if tuned else ""
+    causes = ", or ".join(cause.text for cause in tuned.suspects) if tuned else ""
     if not causes:
         return ", so check the constants in the study"
     return f", likely causes in this order: {causes}"
 
 
-def _stages_missing(found: Identification, called: _Requirements) -> Iterator[str]:
-    elastic = [n for n, j in enumerate(found.study.arm.joints, start=1) if j.elastic]
-    fitted = {joint.joint for joint in found.joints}
-    if found.failures:
+def _missing_stages(result: Identification, required: _Requirements) -> Iterator[str]:
+    elastic = [n for n, j in enumerate(result.study.arm.joints, start=1) if j.elastic]
+    fitted = {joint.joint for joint in result.joints}
+    if result.failures:
         return  # failures are reported separately; later stages depend on them
-    if "rigid" in called.stages and found.rigid is None:
+    if "rigid" in required.stages and result.rigid is None:
         yield "the rigid stage was not reached"
-    if "decoupled" in called.stages and not fitted.issuperset(elastic):
+    if "decoupled" in required.stages and not fitted.issuperset(elastic):
         names = ", ".join(str(n) for n in elastic if n not in fitted)
         yield f"the decoupled stage gave no model of joint {names}"
-    if "tuned" in called.stages and found.tuned is None:
+    if "tuned" in required.stages and result.tuned is None:
         yield "the whole-arm fit was not reached"
-    if "tuned" in called.stages and found.tuned and found.tuned.status == "iteration-limit":
+    if "tuned" in required.stages and result.tuned and result.tuned.status == "iteration-limit":
         yield "the whole-arm fit did not converge"
 
 
@@ -207,19 +210,19 @@ A very good prediction has a fit of 95 %. If the change is smaller than the rema
 stiffness would also pass.
 """
 
-MAX_RESIDUAL = 0.1
+MAX_RELATIVE_RESIDUAL = 0.1
 """Residual norm, relative to the centred channel, above which the model is considered defective.
 
 The residual must also be far above the sensor noise.
 """
 
 
-def _validated(found: Identification) -> Validated:
+def _validate_models(result: Identification) -> Validated:
     """Check whether validation records excite each model and the model predicts them."""
-    elastic = {n for n, joint in enumerate(found.study.arm.joints, start=1) if joint.elastic}
-    drive_checks = [check for check in found.checks if check.of_drive]
-    motion_checks = [check for check in found.checks if not check.of_drive]
-    decisive_checks = _decisive_checks(found)
+    elastic = {n for n, joint in enumerate(result.study.arm.joints, start=1) if joint.elastic}
+    drive_checks = [check for check in result.checks if check.of_drive]
+    motion_checks = [check for check in result.checks if not check.of_drive]
+    decisive_checks = _decisive_checks(result)
     excited = {
         number
         for check in motion_checks
@@ -235,40 +238,41 @@ def _validated(found: Identification) -> Validated:
         elastic=bool(elastic)
         and excited >= elastic
         and not any(check.unexplained for check in motion_checks)
-        and _worst_residual(found) is None,
+        and _worst_residual(result) is None,
     )
 
 
-def _decisive_checks(found: Identification) -> list[Prediction]:
+def _decisive_checks(result: Identification) -> list[Prediction]:
     """Predictions of validation records that decide whether a model holds.
 
     The rigid model omits the vibration of elastic gears, so its torques of a record decide only if
     all joints are rigid.
     """
-    has_elastic_joints = any(joint.elastic for joint in found.study.arm.joints)
-    return [c for c in found.checks if not (c.of_drive and has_elastic_joints)]
+    has_elastic_joints = any(joint.elastic for joint in result.study.arm.joints)
+    return [c for c in result.checks if not (c.of_drive and has_elastic_joints)]
 
 
-def model_defects(found: Identification) -> Iterator[Diagnostic]:
+def model_defects(result: Identification) -> Iterator[Diagnostic]:
     """Yield records that the models do not describe.
 
     Validation records come first, then the fitted record with the largest residual.
     """
-    for check in _decisive_checks(found):
+    for check in _decisive_checks(result):
         if check.unexplained:
-            yield Diagnostic("not-predicted", check.experiment, _not_predicted(found, check))
-    worst_residual = _worst_residual(found)
+            place = Place.in_records(check.experiment)
+            yield Diagnostic.at("not-predicted", place, _describe_prediction_error(result, check))
+    worst_residual = _worst_residual(result)
     if worst_residual is not None:
         ratio, test = worst_residual
         text = (
             f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
             f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
-            f" describe the record{_harder_spring(found) or _causes(found.tuned)}"
+            f" describe the record{_hardening_advice(result) or _likely_causes(result.tuned)}"
         )
-        yield Diagnostic("not-described", test.experiment, text)
+        yield Diagnostic.at("not-described", Place.in_records(test.experiment), text)
 
 
-def _not_predicted(found: Identification, check: Prediction) -> str:
+def _describe_prediction_error(result: Identification, check: Prediction) -> str:
     """Describe the worst channel of a validation record, and what to do."""
     channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
     text = (
@@ -283,30 +287,30 @@ def _not_predicted(found: Identification, check: Prediction) -> str:
             f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
             " limit of [servo], or the references of that record"
         )
-    advice = _harder_spring(found)
+    advice = _hardening_advice(result)
     return f"{text}{advice or ', so check [servo], the references and the payload of that record'}"
 
 
-def _worst_residual(found: Identification) -> tuple[float, ResidualTest] | None:
+def _worst_residual(result: Identification) -> tuple[float, ResidualTest] | None:
     """Largest residual far above the noise, relative to the signal; None without one."""
-    if found.tuned is None or found.tuned.criticism is None:
+    if result.tuned is None or result.tuned.criticism is None:
         return None
     candidates = []
-    for test in found.tuned.criticism.residuals:
-        fit = found.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
+    for test in result.tuned.criticism.residuals:
+        fit = result.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
         relative_residual = 1.0 - 0.01 * fit
-        if relative_residual > MAX_RESIDUAL and test.is_far_above_noise:
+        if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
             candidates.append((relative_residual, test))
-    return max(candidates, key=lambda one: one[0], default=None)
+    return max(candidates, key=lambda candidate: candidate[0], default=None)
 
 
-def _harder_spring(found: Identification) -> str:
+def _hardening_advice(result: Identification) -> str:
     """Advice if a sweep shows hardening of a gear that the study declares linear, or ""."""
     hardening = [
         sweep.joint
-        for sweep in found.sweeps
+        for sweep in result.sweeps
         if sweep.verdict == "hardening"
-        and not found.study.arm.joints[sweep.joint - 1].law.is_curved
+        and not result.study.arm.joints[sweep.joint - 1].law.is_curved
     ]
     if not hardening:
         return ""

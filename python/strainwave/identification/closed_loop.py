@@ -11,7 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Log, Prediction
+from strainwave.domain import (
+    Diagnostic,
+    FloatArray,
+    Log,
+    Place,
+    Prediction,
+)
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.parameter_table import base_name
@@ -176,7 +182,7 @@ def _warnings_at_rest(seen: Observed) -> Iterator[Diagnostic]:
     for name, moves in zip(seen.channels, seen.moves, strict=True):
         if not moves:
             message = f"{name} has no fit: what it shows hardly stands out of its noise"
-            yield Diagnostic("nothing-to-predict", seen.log.name, message)
+            yield Diagnostic.at("nothing-to-predict", Place.in_records(seen.log.name), message)
 
 
 def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:

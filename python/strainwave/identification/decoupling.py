@@ -15,6 +15,7 @@ from strainwave.domain import (
     FloatArray,
     JointModel,
     LinkSignals,
+    Place,
     RigidModel,
 )
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
@@ -264,5 +265,6 @@ def _warnings(
         return
     for check in checks:
         if not check.passed:
-            where = f"{signals.experiment.name}, joint {i + 1}" if arm.n_joints > 1 else ""
-            yield Diagnostic(check.name, where or signals.experiment.name, check.message)
+            joint = i + 1 if arm.n_joints > 1 else None
+            place = Place.in_records(signals.experiment.name, joint=joint)
+            yield Diagnostic.at(check.name, place, check.message)

@@ -8,7 +8,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Diagnostic, FloatArray, Log, Prediction, RigidModel, Signals
+from strainwave.domain import (
+    ArmModel,
+    Diagnostic,
+    FloatArray,
+    Log,
+    Place,
+    Prediction,
+    RigidModel,
+    Signals,
+)
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
@@ -126,9 +135,9 @@ def predict_rigid(
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
         unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
         warnings=tuple(
-            Diagnostic(
+            Diagnostic.at(
                 "nothing-to-predict",
-                signals.experiment.name,
+                Place.in_records(signals.experiment.name),
                 f"{name} has no fit: its motor stands, or its torque does not vary",
             )
             for name, fit in zip(names, band.fit_percent, strict=True)

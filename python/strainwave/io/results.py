@@ -305,7 +305,7 @@ def _short(values: FloatArray) -> list[float]:
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
     suspected = [
-        {key: value for key, value in asdict(one).items() if value is not None}
+        {k: value for k, value in asdict(one).items() if k != "places" and value is not None}
         for one in verdict.suspected
     ]
     return {

@@ -27,6 +27,7 @@ from strainwave.domain import (
     Log,
     MotorResponse,
     Options,
+    Place,
     Prediction,
     RecordModel,
     RigidModel,
@@ -286,7 +287,9 @@ def _predict(
         return validation.predict_rigid(model, record, run.arm, fitted)
     except NotIdentifiable as failure:
         name = record.experiment.name
-        run.warnings.append(Diagnostic("nothing-to-predict", name, f"{name} {failure}"))
+        run.warnings.append(
+            Diagnostic.at("nothing-to-predict", Place.in_records(name), f"{name} {failure}")
+        )
         return None
 
 
@@ -322,8 +325,8 @@ def _fit_whole_arm(
             run.warnings.append(Diagnostic("not-tuned", str(the_study.path), str(failure)))
             return None
     # the whole-arm fit replaces the earlier estimates of the same delays
-    places = {w.where for w in arm_model.warnings if w.code == "sensor-delay"}
-    run.warnings = [w for w in run.warnings if w.code != "sensor-delay" or w.where not in places]
+    places = {w.place for w in arm_model.warnings if w.code == "sensor-delay"}
+    run.warnings = [w for w in run.warnings if w.code != "sensor-delay" or w.place not in places]
     run.warnings.extend(arm_model.warnings)
     return arm_model
 

@@ -6,7 +6,15 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Log
+from strainwave.domain import (
+    BoolArray,
+    Decoupled,
+    Diagnostic,
+    FloatArray,
+    Joint,
+    Log,
+    Place,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.standstill import runs_of, sliding_direction
@@ -92,7 +100,7 @@ def saturation(
         if share > _MAX_SATURATED_SHARE:
             text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
             text += ". Record a slower motion"
-            warnings.append(Diagnostic("saturated", log.name, text))
+            warnings.append(Diagnostic.at("saturated", Place.in_records(log.name), text))
     return saturated, tuple(warnings)
 
 

@@ -6,7 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import Delay, Diagnostic, LinkSignals
+from strainwave.domain import (
+    Delay,
+    Diagnostic,
+    LinkSignals,
+    Place,
+)
 
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
@@ -38,17 +43,17 @@ def _combine_delays(delays: Sequence[Delay]) -> Delay:
     return Delay(mean if is_significant else 0.0, combined_std)
 
 
-def misaligned(delay: Delay | None, what: str, where: str) -> Iterator[Diagnostic]:
+def misaligned(delay: Delay | None, channel: str, place: Place) -> Iterator[Diagnostic]:
     """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
     if delay is None or abs(delay.value) < _MIN_SIGNIFICANCE * delay.std:
         return
     side = "behind" if delay.value > 0.0 else "ahead of"
-    text = f"{what} is {1e3 * abs(delay.value):.3g} +- {1e3 * delay.std:.2g} ms {side} the motor"
+    text = f"{channel} is {1e3 * abs(delay.value):.3g} +- {1e3 * delay.std:.2g} ms {side} the motor"
     text += (
         " encoder, and was not shifted. Check the time stamps of the logger, and the bandwidths in"
     )
     text += " the study (accelerometer_hz, gyro_hz, current_loop_hz)"
-    yield Diagnostic("misaligned", where, text)
+    yield Diagnostic.at("misaligned", place, text)
 
 
 def constants_of(
@@ -78,4 +83,4 @@ def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
             " the motor encoder; its channel was shifted by that. Likely causes: its bandwidth is"
         )
         text += " missing from the study, latency of its converter or bus, time stamps"
-        yield Diagnostic("sensor-delay", f"joint {joint}", text)
+        yield Diagnostic.at("sensor-delay", Place(joint=joint), text)

@@ -20,6 +20,7 @@ from strainwave.domain import (
     LinkSignals,
     LinkSource,
     Log,
+    Place,
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import LONGEST_DELAY, moved
@@ -395,12 +396,12 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
         if source == "motor":
             text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"
             text += " accelerometer, a link encoder or the deflection would make intervals narrower"
-            warnings.append(Diagnostic("no-link-sensor", view.log.name, text))
+            warnings.append(Diagnostic.at("no-link-sensor", Place.in_records(view.log.name), text))
     prbs = view.log.experiment.prbs
     if prbs and prbs.clock < 0.999 * view.log.sample_time:
         text = f"the voltage changes every {prbs.clock:g} s but is logged every"
         text += f" {view.log.sample_time:g} s: what lies between is lost; log at least at its clock"
-        warnings.append(Diagnostic("sub-sampled", view.log.name, text))
+        warnings.append(Diagnostic.at("sub-sampled", Place.in_records(view.log.name), text))
     return valid, warnings
 
 
@@ -412,14 +413,14 @@ def _with_delays(
     For a single record (`alone`) this includes the delays of link sensors; otherwise they are
     estimated from all records.
     """
-    joints, name = range(arm.n_joints), found.experiment.name
+    joints, place = range(arm.n_joints), Place.in_records(found.experiment.name)
     sensor = tuple(_discard_uncertain(sensor_delay(found, arm, i)) for i in joints)
     drive = tuple(_discard_uncertain(drive_delay(found, arm, i, view.band)) for i in joints)
     for i in joints:
         if alone:
-            warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", name))
+            warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", place))
         description = f"motor {i + 1}'s response to the channel {view.channels[i]}"
-        warnings.extend(misaligned(drive[i], description, name))
+        warnings.extend(misaligned(drive[i], description, place))
     return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 

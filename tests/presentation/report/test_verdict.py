@@ -219,6 +219,9 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     assert odd.rows[0][3].text == "See the message."
 
 
+CONSTRUCTORS = ("Diagnostic", "Diagnostic.at", "Check", "tried")
+
+
 def codes() -> set[str]:
     """The code of every warning that a stage gives."""
     names: set[str] = set()
@@ -226,10 +229,10 @@ def codes() -> set[str]:
         if path.relative_to(PACKAGE).parts[0] in OTHER_COMMANDS:
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
+            if not isinstance(node, ast.Call) or not node.args:
                 continue
-            first = node.args[0] if node.args else None
-            if isinstance(first, ast.Constant) and node.func.id in ("Diagnostic", "Check", "tried"):
+            function, first = ast.unparse(node.func), node.args[0]
+            if isinstance(first, ast.Constant) and function in CONSTRUCTORS:
                 names.add(str(first.value))
     return names
 

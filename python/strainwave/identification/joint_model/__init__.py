@@ -27,6 +27,7 @@ from strainwave.domain import (
     LinkSignals,
     Modes,
     PhysicalOptions,
+    Place,
     RecordModel,
     RigidModel,
     StateSpace,
@@ -214,19 +215,20 @@ def fit_record(
     of another record, the starting value of a model that is not judged.
     """
     chosen = options or RecordOptions()
-    where = decoupled.experiment.name
+    name = decoupled.experiment.name
+    place = Place.in_records(name)
     warnings: list[Diagnostic] = []
 
     def tried(code: str, step: Callable[[], Result]) -> Result | None:
         try:
             return step()
         except (StrainwaveError, np.linalg.LinAlgError) as problem:
-            warnings.append(Diagnostic(code, where, str(problem)))
+            warnings.append(Diagnostic.at(code, place, str(problem)))
             return None
 
     def grey_box() -> JointModel:
-        if together is not None and where in together.model.experiments:
-            return together.of_record(where)
+        if together is not None and name in together.model.experiments:
+            return together.of_record(name)
         # start in the band of the fit of all records
         first = FIRST_BAND_HZ if together is None else together.model.band_hz
         pair = [(signals, decoupled)]
@@ -246,7 +248,7 @@ def fit_record(
         )
     if linear is not None:
         fit = linear
-        warnings += [replace(each, where=where) for each in fit.model.warnings]
+        warnings += [Diagnostic.at(w.code, place, w.message) for w in fit.model.warnings]
         modes = tried("modes-failed", lambda: modes_of(fit.model))
     if linear is not None and judged:
         check = tried("not-judged", lambda: judge(fit))

@@ -7,7 +7,13 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Joint, Parameter
+from strainwave.domain import (
+    Diagnostic,
+    FloatArray,
+    Joint,
+    Parameter,
+    Place,
+)
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.parameters import unit_of
 
@@ -64,23 +70,24 @@ def warnings_of(
     for (name, value), std, is_determined in zip(
         values.items(), standard_deviations, determined, strict=True
     ):
-        place, unit = f"{name} of joint {number}", unit_of(name, joint)
+        place, unit = Place(joint=number, parameter=name), unit_of(name, joint)
         identified = _is_identified(name, value, std, is_determined)
         estimate = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
         if value + 2.0 * np.nan_to_num(std) < 0.0 and (
             identified or name not in _VISCOUS_FRICTIONS
         ):
             text = f"{estimate} is impossible: {source} show something that"
-            yield Diagnostic("implausible", place, text + " this joint's model has not")
+            yield Diagnostic.at("implausible", place, text + " this joint's model has not")
         elif not identified:
             text = f"{source} identify it only to {estimate}"
             if name.endswith("viscous_friction"):
                 text += "; of the viscous frictions only the total is well known"
-            yield Diagnostic("not-identifiable", place, text)
+            yield Diagnostic.at("not-identifiable", place, text)
     if joint.law.is_curved:
         text = f"one stiffness for the whole curve, at the torsion reached in {source}: "
         text += joint.law.equivalent_note
-        yield Diagnostic("equivalent-stiffness", f"gear_stiffness of joint {number}", text)
+        place = Place(joint=number, parameter="gear_stiffness")
+        yield Diagnostic.at("equivalent-stiffness", place, text)
 
 
 def status_of(

@@ -33,6 +33,7 @@ from strainwave.domain import (
     LinearOptions,
     ModelCheck,
     Modes,
+    Place,
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
@@ -446,11 +447,11 @@ def _model(
 
 
 def _order_warning(records: Sequence[Decoupled], order: int) -> Diagnostic:
-    where = ", ".join(record.experiment.name for record in records)
+    place = Place.in_records(*(record.experiment.name for record in records))
     text = (
         f"the data ask for {order} states, but no such model converges with a resonance: this has"
     )
-    return Diagnostic("order-reduced", where, f"{text} {PHYSICAL_ORDER}")
+    return Diagnostic.at("order-reduced", place, f"{text} {PHYSICAL_ORDER}")
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
@@ -510,10 +511,10 @@ def _has_resonances(model: StateSpace) -> bool:
 
 
 def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Diagnostic]:
-    where = ", ".join(record.experiment.name for record in records)
+    place = Place.in_records(*(record.experiment.name for record in records))
     growth = float(np.abs(np.linalg.eigvals(model.A)).max())
     if growth > 1.0:
         rate = float(np.log(growth) / model.sample_time)
         text = f"the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite taken off"
         text += " makes it seem; the simulated fit means nothing, resonances are not touched"
-        yield Diagnostic("unstable-model", where, text)
+        yield Diagnostic.at("unstable-model", place, text)

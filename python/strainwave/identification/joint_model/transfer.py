@@ -21,6 +21,7 @@ from strainwave.domain import (
     FloatArray,
     JointModel,
     Mode,
+    Place,
     StateSpace,
 )
 from strainwave.dynamics.arm import Arm
@@ -95,7 +96,7 @@ def from_state_space(
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
-    joint, where = arm.joints[number - 1], ", ".join(names)
+    joint, source = arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
     vector, pair_covariance = _pairs_with_covariance(model, nominal)
     if pair_covariance is None:
@@ -124,8 +125,8 @@ def from_state_space(
         fit["reciprocity"] = reciprocity
     estimate = values, covariance, identified, joint, number
     warnings = (
-        *warnings_of(*estimate, where),
-        *_assumption_warnings(nominal, coefficients, reciprocity, where),
+        *warnings_of(*estimate, source),
+        *_assumption_warnings(nominal, coefficients, reciprocity, Place.in_records(*names)),
     )
     return JointModel(
         joint=number,
@@ -286,24 +287,24 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
 
 
 def _assumption_warnings(
-    own: _Pairs, lag: FloatArray, reciprocity: float | None, where: str
+    own: _Pairs, lag: FloatArray, reciprocity: float | None, place: Place
 ) -> Iterator[Diagnostic]:
     """Warnings for assumptions of the method that the estimates violate."""
     if reciprocity is not None and reciprocity < _MIN_RECIPROCITY_PERCENT:
         message = (
             f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
         )
-        yield Diagnostic(
-            "not-reciprocal", where, message + " ratio, torque_per_volt and the link sensor"
+        yield Diagnostic.at(
+            "not-reciprocal", place, message + " ratio, torque_per_volt and the link sensor"
         )
     if abs(lag[4] / lag[5]) > _MAX_LAG_TO_ANTI_RESONANCE * abs(own.zero):
         message = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
-        yield Diagnostic("lag-not-slow", where, message)
+        yield Diagnostic.at("lag-not-slow", place, message)
     ratio = own.lag[1] / lag[5]
     if abs(ratio - 1.0) > _MAX_INERTIA_DIFFERENCE:
         message = (
             f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
         )
-        yield Diagnostic(
-            "inertia-mismatch", where, message + " what friction and torque_per_volt do to either"
+        yield Diagnostic.at(
+            "inertia-mismatch", place, message + " what friction and torque_per_volt do to either"
         )

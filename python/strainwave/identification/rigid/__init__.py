@@ -20,6 +20,7 @@ from strainwave.domain import (
     Diagnostic,
     FloatArray,
     Parameter,
+    Place,
     RigidModel,
     RigidOptions,
     Signals,
@@ -513,10 +514,11 @@ def _fits(
 def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
     """Warnings on unidentified parameters, stiction, excitation, convergence and elasticity."""
     columns = arm.rigid_columns
-    names = ", ".join(s.signals.experiment.name for s in best.stretches)
+    records = Place.in_records(*(s.signals.experiment.name for s in best.stretches))
     for k, column in enumerate(columns):
         if not best.determined[k]:
-            yield Diagnostic("not-identifiable", str(column), _reason(arm, best, k))
+            place = Place(joint=column.joint, parameter=column.name)
+            yield Diagnostic.at("not-identifiable", place, _reason(arm, best, k))
     for stretch in best.stretches:
         stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stiction_shares):
@@ -525,14 +527,15 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
                 message += (
                     " then carries no information on its friction; move faster, reverse less often"
                 )
-                yield Diagnostic("standing", stretch.signals.experiment.name, message)
+                place = Place.in_records(stretch.signals.experiment.name)
+                yield Diagnostic.at("standing", place, message)
     if best.factor.condition_number > _MAX_CONDITION_NUMBER and best.determined.all():
         weakest_direction = np.abs(best.factor.directions[-1])
         names_involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
         message = (
             f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
         )
-        yield Diagnostic("poor-excitation", names, f"{message} {names_involved}; {_REMEDY}")
+        yield Diagnostic.at("poor-excitation", records, f"{message} {names_involved}; {_REMEDY}")
     for k in _implausible_parameters(arm, best):
         message = (
             f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
@@ -540,18 +543,19 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
         message += (
             " the records show something that a rigid arm with Coulomb and viscous friction is not"
         )
-        yield Diagnostic("implausible", str(columns[k]), message)
+        place = Place(joint=columns[k].joint, parameter=columns[k].name)
+        yield Diagnostic.at("implausible", place, message)
     if best.last_move > _MAX_LAST_CHANGE:
         message = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
         message += " deviations; record a longer or livelier motion"
-        yield Diagnostic("not-settled", names, message)
+        yield Diagnostic.at("not-settled", records, message)
     limit = _max_rigid_bandwidth(arm, best)
     if best.bandwidth_hz > limit:
         message = (
             f"the gears' compliance shows at {_RESONANCE_RATIO * limit:.1f} Hz, too near to the"
         )
         message += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
-        yield Diagnostic("not-rigid", names, message)
+        yield Diagnostic.at("not-rigid", records, message)
 
 
 def _reason(arm: Arm, best: _Trial, unknown: int) -> str:

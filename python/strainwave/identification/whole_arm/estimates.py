@@ -8,7 +8,12 @@ from functools import cached_property
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter
+from strainwave.domain import (
+    Diagnostic,
+    FloatArray,
+    Parameter,
+    Place,
+)
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.parameters import unit_of
@@ -220,20 +225,21 @@ def warnings_of(
     values = space.parameters(fit.z)
     stds = np.sqrt(np.diag(fit.confidence.combined))
     for k, (unknown, at) in enumerate(zip(space.unknowns, bounded, strict=True)):
+        place = Place(joint=unknown.joint, parameter=unknown.name)
         if at and unknown.name != SETTLING:
             text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
             text += " records do not agree on it"
-            yield Diagnostic("at-bounds", str(unknown), text)
+            yield Diagnostic.at("at-bounds", place, text)
         if parameters[k].value is not None:
             continue
         if is_by_load(unknown.name):
             code, text = _curve_reason(k, parameters[: len(space.unknowns)])
-            yield Diagnostic(code, str(unknown), text)
+            yield Diagnostic.at(code, place, text)
             continue
         message = f"the records identify it only to {values[k]:.3g} +- {stds[k]:.2g} {unknown.unit}"
         if unknown.name in VISCOUS:
             message += "; of the viscous frictions only the total is well known"
-        yield Diagnostic("not-identifiable", str(unknown), message)
+        yield Diagnostic.at("not-identifiable", place, message)
     arm = fit.objective.records[0].arm
     for name, number in _vanished_parameters(fit, arm):
         simpler = arm.joints[number - 1].law.simpler

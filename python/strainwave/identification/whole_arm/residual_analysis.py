@@ -9,7 +9,13 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Diagnostic, FloatArray, ResidualTest
+from strainwave.domain import (
+    BoolArray,
+    Diagnostic,
+    FloatArray,
+    Place,
+    ResidualTest,
+)
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import Objective, Rows, Weights, lagged_products
 from strainwave.numerics.correlations import correlate_residuals
@@ -202,4 +208,4 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
         if not explained:
             text += "; none of the effects that the program knows explains them"
         text += "; intervals were widened for it"
-        yield Diagnostic("residual-not-noise", worst.experiment, text)
+        yield Diagnostic.at("residual-not-noise", Place.in_records(worst.experiment), text)

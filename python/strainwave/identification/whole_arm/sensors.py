@@ -13,7 +13,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter, TuningOptions
+from strainwave.domain import (
+    Diagnostic,
+    FloatArray,
+    Parameter,
+    Place,
+    TuningOptions,
+)
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
@@ -364,7 +370,7 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
                 " motor encoder; estimated and corrected. Likely causes: its bandwidth is missing"
             )
             text += " from the study, latency of its converter or bus, time stamps"
-            yield Diagnostic("sensor-delay", f"joint {parameter.joint}", text)
+            yield Diagnostic.at("sensor-delay", Place(joint=parameter.joint), text)
         else:
             text = (
                 f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion; estimated"

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from strainwave.domain import Decision, Identification, Parameter, half_width
-from strainwave.domain.diagnostics import not_exercised
+from strainwave.domain.diagnostics import missing_validation
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -180,7 +180,7 @@ def _validation(identification: Identification) -> Iterator[Block]:
     yield from table("Fits of check records", heads, rows, heading=False)
     if any(joint.elastic for joint in identification.study.arm.joints) and not validated:
         lead = Span("Elastic model not validated: ", strong=True)
-        yield paragraph(lead, f"{not_exercised(identification)}.")
+        yield paragraph(lead, f"{missing_validation(identification)}.")
     elif not rows:
         lead = Span("Not validated: ", strong=True)
         yield paragraph(lead, "the motors hardly move in the check records.")

@@ -42,7 +42,8 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
     """
     with one_blas_thread():
         suspicions = list(clipped(logs, Arm.of(study.arm)))
-        unclipped = evidence(logs, study).without([each.where for each in suspicions])
+        clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
+        unclipped = evidence(logs, study).without(clipped_channels)
         suspicions.extend(_explain_contradictions(unclipped))
     return Consistency(tuple(suspicions))
 

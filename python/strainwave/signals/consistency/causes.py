@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Correction, Suspicion
+from strainwave.domain import Correction, Place, Suspicion
 from strainwave.domain.corrections import correction_text
 from strainwave.domain.study_limits import accepted_range
 from strainwave.signals.consistency.evidence import Evidence
@@ -119,7 +119,7 @@ def _joint_causes(
 def _cause(
     seen: Evidence,
     code: str,
-    where: str,
+    places: Sequence[Place],
     message: str,
     corrections: Sequence[Correction],
     *,
@@ -133,7 +133,7 @@ def _cause(
     remedy = text[:1].upper() + text[1:] + more
     suspicion = Suspicion(
         code=code,
-        where=where,
+        places=tuple(places),
         message=message,
         remedy=remedy,
         factor=factor,
@@ -141,6 +141,10 @@ def _cause(
         corrections=tuple(corrections),
     )
     return Cause(suspicion, is_free)
+
+
+def _channels_at(names: Iterable[str]) -> list[Place]:
+    return [Place(channel=name) for name in names]
 
 
 def _values(
@@ -193,7 +197,9 @@ def _time(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cau
                 "clock of the study: the clock of the logger is wrong by that factor"
             )
             code, more = "clock-drift", ", or correct prbs.clock and the period of the servo"
-        yield _cause(seen, code, "t", message, corrections, factor=1.0 / factor, more=more)
+        yield _cause(
+            seen, code, [Place(channel="t")], message, corrections, factor=1.0 / factor, more=more
+        )
 
 
 def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
@@ -214,7 +220,7 @@ def _input_delays(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
         corrections = [Correction("log", name, "delay_s", round(delay, 6)) for name in group]
         more = ", or have one clock stamp commands and encoders"
         yield _cause(
-            seen, "misaligned", ", ".join(group), message, corrections, delay_s=delay, more=more
+            seen, "misaligned", _channels_at(group), message, corrections, delay_s=delay, more=more
         )
 
 
@@ -229,7 +235,8 @@ def _test_signals(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
                 f"the test signal is in the command of joint {excited}"
             )
             corrections = [Correction("experiment", record.name, "joint", excited)]
-            yield _cause(seen, "swapped-channels", f"{each.where} joint", message, corrections)
+            place = Place(experiments=(record.name,), key="joint")
+            yield _cause(seen, "swapped-channels", [place], message, corrections)
     for name in dict.fromkeys(o.where for o in contradictions if o.kind == "level"):
         yield from _amplitude(seen, name)
 
@@ -257,17 +264,18 @@ def _amplitude(seen: Evidence, name: str) -> Iterator[Cause]:
     amplitude = max(stated[record] for record in wrong)
     unit = _match_known_factor(1.0 / ratio, _UNITS["u"])
     scales = _scale_corrections(seen, name, unit[1] if unit else 1.0 / ratio)
-    pair = [(f"{', '.join(wrong)} prbs", amplitudes, scales), (name, scales, amplitudes)]
+    prbs = Place(experiments=tuple(wrong), key="prbs")
+    pair = [(prbs, amplitudes, scales), (Place(channel=name), scales, amplitudes)]
     if amplitude * ratio > max(amplitude, _MAX_VOLTAGE):
         pair.reverse()
-    for where, corrections, other in pair:
+    for place, corrections, other in pair:
         message = (
             f"{listed(wrong)}: the PRBS in {name} has an amplitude of "
             f"{number(amplitude * ratio)} V, and the study states {number(amplitude)} V, a factor "
             f"of {number(ratio)}: either the scale of {name} or the amplitude is wrong"
         )
         more = f"; or, if that is right, {correction_text(seen.study, other)}"
-        yield _cause(seen, "wrong-unit", where, message, corrections, factor=ratio, more=more)
+        yield _cause(seen, "wrong-unit", [place], message, corrections, factor=ratio, more=more)
 
 
 def _gravity(seen: Evidence) -> Iterator[Cause]:
@@ -282,7 +290,7 @@ def _gravity(seen: Evidence) -> Iterator[Cause]:
             f"{number(given)}: the arm is horizontal"
         )
         corrections = [Correction("arm", "", "gravity", None)]
-    yield _cause(seen, "wrong-geometry", "gravity", message, corrections)
+    yield _cause(seen, "wrong-geometry", [Place(key="gravity")], message, corrections)
 
 
 def _exchanges(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
@@ -302,11 +310,12 @@ def _exchanges(seen: Evidence, contradictions: Sequence[Observation]) -> Iterato
                 corrections.append(Correction("channels", name, "scale", source.scale))
                 corrections.append(Correction("channels", name, "offset", source.offset))
         pairs = [f"{kind}1, {kind}2" for kind in group]
+        paired = [f"{kind}{joint}" for kind in group for joint in (1, 2)]
         message = f"{listed(pairs)}: the channels of the two joints are exchanged"
         if len(group) == 1:
             kind = group[0]
             message = f"{kind}1 follows joint 2 and {kind}2 joint 1: the two channels are exchanged"
-        yield _cause(seen, "swapped-channels", ", ".join(pairs), message, corrections)
+        yield _cause(seen, "swapped-channels", _channels_at(paired), message, corrections)
 
 
 def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
@@ -327,13 +336,13 @@ def _angle_units(seen: Evidence, contradictions: Sequence[Observation]) -> Itera
         ]
         message = f"{listed(names)} are logged in {unit}, not in radians"
         factor = seen.channel(names[0]).scale / scales[0]
-        where = ", ".join(names)
-        yield _cause(seen, "wrong-unit", where, message, corrections, factor=factor)
+        places = _channels_at(names)
+        yield _cause(seen, "wrong-unit", places, message, corrections, factor=factor)
         if rates and unit == "degrees":
             more = [each for name in rates for each in _scale_corrections(seen, name, _DEGREE)]
             message = f"{listed([*names, *rates])} are logged in degrees, not in radians"
-            where = ", ".join([*names, *rates])
-            yield _cause(seen, "wrong-unit", where, message, corrections + more, factor=factor)
+            places = _channels_at([*names, *rates])
+            yield _cause(seen, "wrong-unit", places, message, corrections + more, factor=factor)
 
 
 def _angle_scales(seen: Evidence, name: str) -> dict[str, float]:
@@ -368,7 +377,7 @@ def _ac_coupled_sensors(seen: Evidence, contradictions: Sequence[Observation]) -
             "would fit its phase by wrong damping"
         )
         corrections = [Correction("log", name, "high_pass_hz", cutoffs[name]) for name in group]
-        yield _cause(seen, "ac-coupled", ", ".join(group), message, corrections)
+        yield _cause(seen, "ac-coupled", _channels_at(group), message, corrections)
 
 
 def _late_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iterator[Cause]:
@@ -387,7 +396,7 @@ def _late_sensors(seen: Evidence, contradictions: Sequence[Observation]) -> Iter
 
 def _late_sensor(seen: Evidence, group: Sequence[str], kind: Kind, value: float) -> Cause:
     """A common delay [s] or drift [s/s] of a group of channels."""
-    names = ", ".join(group)
+    names, places = ", ".join(group), _channels_at(group)
     if kind == "delay":
         message = (
             f"{names}: {number(1e3 * abs(value), 3)} ms {'late' if value > 0.0 else 'early'} "
@@ -395,7 +404,7 @@ def _late_sensor(seen: Evidence, group: Sequence[str], kind: Kind, value: float)
         )
         corrections = [Correction("log", name, "delay_s", value) for name in group]
         more = "; or give the sensor's bandwidth (accelerometer_hz, gyro_hz) if it has a filter"
-        return _cause(seen, "misaligned", names, message, corrections, delay_s=value, more=more)
+        return _cause(seen, "misaligned", places, message, corrections, delay_s=value, more=more)
     message = (
         f"{names}: the delay against the motor angle changes by {number(1e3 * value, 3)} ms per "
         f"second: they are sampled by another clock, {number(100.0 * abs(value), 3)} % "
@@ -403,7 +412,7 @@ def _late_sensor(seen: Evidence, group: Sequence[str], kind: Kind, value: float)
     )
     corrections = [Correction("log", name, "clock", value) for name in group]
     more = ", or have one clock stamp all channels"
-    return _cause(seen, "clock-drift", names, message, corrections, factor=1.0 - value, more=more)
+    return _cause(seen, "clock-drift", places, message, corrections, factor=1.0 - value, more=more)
 
 
 def _channel_scale(seen: Evidence, name: str, factor: float, unit: str | None, basis: str) -> Cause:
@@ -422,7 +431,7 @@ def _channel_scale(seen: Evidence, name: str, factor: float, unit: str | None, b
     return _cause(
         seen,
         code,
-        name,
+        [Place(channel=name)],
         message,
         _scale_corrections(seen, name, factor),
         factor=ratio,
@@ -512,8 +521,8 @@ def _angle(
             f"{number(per_turn or 0.0, 7)} implies, while its motion agrees with the other signals"
         )
         corrections = [Correction("joint", str(joint), "encoder_counts", counts)]
-        where = f"joint {joint} encoder_counts"
-        yield _cause(seen, "wrong-unit", where, message, corrections, factor=ratio)
+        place = Place(joint=joint, key="encoder_counts")
+        yield _cause(seen, "wrong-unit", [place], message, corrections, factor=ratio)
 
 
 def _round_scales(scale: float, ratios: Sequence[float]) -> dict[str, float]:
@@ -551,11 +560,10 @@ def _gear(seen: Evidence, joint: int, turns: Sequence[float]) -> Iterator[Cause]
             "turn"
         )
         corrections = [Correction("joint", str(joint), "gear_ratio", ratio)]
-        where = f"joint {joint} gear_ratio"
         yield _cause(
             seen,
             "wrong-gear-ratio",
-            where,
+            [Place(joint=joint, key="gear_ratio")],
             message,
             corrections,
             factor=n / ratio,
@@ -585,7 +593,7 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
         yield _cause(
             seen,
             "wrong-geometry",
-            f"joint {joint} accelerometer_distance",
+            [Place(joint=joint, key="accelerometer_distance")],
             message,
             [Correction("joint", str(joint), "accelerometer_distance", corrected)],
             factor=1.0 / ratio,
@@ -604,7 +612,7 @@ def _geometry(seen: Evidence, contradictions: Sequence[Observation], joint: int)
             yield _cause(
                 seen,
                 "wrong-geometry",
-                "link_length",
+                [Place(key="link_length")],
                 message,
                 corrections,
                 factor=1.0 / ratio,
@@ -634,4 +642,5 @@ def _reversed_gear(seen: Evidence, joint: int) -> Iterator[Cause]:
         "opposite sign of its motor's signals"
     )
     more = ", so that motor and link turn the same way"
-    yield _cause(seen, "wrong-sign", ", ".join(names), message, corrections, factor=-1.0, more=more)
+    places = _channels_at(names)
+    yield _cause(seen, "wrong-sign", places, message, corrections, factor=-1.0, more=more)

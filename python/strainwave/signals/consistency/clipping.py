@@ -6,7 +6,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import Correction, Log, Suspicion
+from strainwave.domain import (
+    Correction,
+    Log,
+    Place,
+    Suspicion,
+)
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import SHARE, ends_of_range
@@ -43,7 +48,7 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
             )
             yield Suspicion(
                 code="clipped",
-                where=name,
+                places=(Place(channel=name),),
                 message=(
                     f"{name} stays at {values.min():.4g} or {values.max():.4g} for "
                     f"{100.0 * share:.2g} % of {first}{others}: the sensor is at the end of "

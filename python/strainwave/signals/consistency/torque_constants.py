@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from strainwave.domain import Channel, Consistency, Correction, Study, Suspicion
+from strainwave.domain import (
+    Channel,
+    Consistency,
+    Correction,
+    Place,
+    Study,
+    Suspicion,
+)
 from strainwave.signals.consistency.wording import number
 
 # Minimum significance of a ratio other than 1, in standard deviations.
@@ -58,7 +65,7 @@ def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
         )
     return Suspicion(
         code="wrong-torque-constant",
-        where="torque_per_volt",
+        places=(Place(key="torque_per_volt"),),
         message=(
             f"the torques of joint 1 are {factor} (deviation {number(std, 2)}) times what the "
             "symmetry of the inertia matrix allows beside those of joint 2: one of the two torque "

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from strainwave.domain import Study, Suspicion
+from strainwave.domain import (
+    Place,
+    Study,
+    Suspicion,
+)
+from strainwave.domain.study import channel_names
 from strainwave.signals.consistency.observations import Kind, Observation
 from strainwave.signals.consistency.sensors import LINK_CHANNELS
 from strainwave.signals.consistency.torque_constants import wrong_torque_constant
@@ -101,12 +106,14 @@ def unexplained(
     ]
     remedy = "No single cause explains all contradictions. Likely causes in order, each with the "
     remedy += f"experiment that separates it: {'; '.join(steps)}"
-    places: set[str] = set()
+    channels = set(channel_names(study.arm.n_joints))
+    reported: set[str] = set()
     for each in sorted(left, key=lambda o: o.kind == "followed"):
-        place = each.where.split()[0]  # "u1 torque" refers to channel u1
-        if place in places:
+        name = each.where.split()[0]  # "u1 torque" refers to channel u1
+        if name in reported:
             continue
-        places.add(place)
+        reported.add(name)
+        place = Place(channel=name) if name in channels else Place.in_records(each.where)
         if each.kind == "torque-ratio":
             yield wrong_torque_constant(each.value, each.std, study)
             continue
@@ -116,4 +123,4 @@ def unexplained(
             w=each.where, v=number(each.value), p=number(100.0 * each.value, 2), j=each.joint
         )
         factor = None if is_timed else each.value
-        yield Suspicion(code=code, where=place, message=text, remedy=remedy, factor=factor)
+        yield Suspicion(code=code, places=(place,), message=text, remedy=remedy, factor=factor)
