@@ -101,11 +101,13 @@ def rig(effects: Asked) -> Study:
 def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
     """Study with a PRBS on each joint at each amplitude [V] as its experiments.
 
-    A slow PRBS over a wide range of angles excites the effects of joint 1.
+    Each record lasts half a second, or a quarter if there are several amplitudes. A slow PRBS over a
+    wide range of angles excites the effects of joint 1.
     """
     experiments = []
+    order = 9 if len(amplitudes) == 1 else 8
     for amplitude in amplitudes:
-        for one in shaken_study(study, amplitude).experiments:
+        for one in shaken_study(study, amplitude, order=order).experiments:
             name = one.name if amplitude == amplitudes[0] else f"{one.name}-{amplitude:g}V"
             experiments.append(replace(one, name=name, file=f"{name}.parquet"))
     if any(effect in FAR for effect in study.arm.joints[0].effects):
@@ -117,7 +119,7 @@ def shaken(study: Study, amplitudes: tuple[float, ...]) -> Study:
 def records(
     effects: tuple[EffectName, ...], shapes: Shapes = ()
 ) -> tuple[Study, Values, tuple[Log, ...]]:
-    """Half a second of each joint in open loop at each amplitude with noise; see `shaken`."""
+    """Records of each joint in open loop at each amplitude with noise; see `shaken`."""
     known = truth()[1] | EVERY | dict(shapes)
     amplitudes = max((AMPLITUDES.get(name, (8.0,)) for name in effects), key=len, default=(8.0,))
     study, logs = simulated_logs(shaken(rig(effects), amplitudes), known, noise=SensorNoise())

@@ -84,7 +84,11 @@ class From:
 
 @cache
 def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
-    """Half a second of each joint in each posture, with noise and one changing parameter."""
+    """Records of each joint in each posture, with noise and one changing parameter.
+
+    Each record lasts a quarter of a second, or half a second under gravity, whose parameters need
+    more motion.
+    """
     base, known = rig(()), truth()[1]
     if vertical:
         base = replace(base, arm=replace(base.arm, gravity=9.81))
@@ -93,7 +97,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
     logs: list[Log] = []
     each = zip(AMPLITUDES, POSTURES, CHANGES, strict=True)
     for k, (amplitude, posture, change) in enumerate(each, start=1):
-        study = shaken_study(base, amplitude)
+        study = shaken_study(base, amplitude, order=9 if vertical else 8)
         named = [(e, f"{e.name}-{k}") for e in study.experiments]
         experiments = tuple(replace(e, name=name, file=f"{name}.parquet") for e, name in named)
         own = dict(known)

@@ -153,7 +153,7 @@ def glued(
     delay: float = 0.0,
     gravity: float | None = None,
 ) -> tuple[ArmModel, Values]:
-    """Fit to open-loop records of 1 s with an IMU of unknown position on one link."""
+    """Fit to open-loop records of 0.5 s, or 1 s under gravity, with an IMU of unknown position on one link."""
     study, true_values = truth()
     if gravity is not None:
         study = replace(study, arm=replace(study.arm, gravity=gravity))
@@ -168,7 +168,7 @@ def glued(
         return replace(base_study, arm=replace(base_study.arm, joints=tuple(joints)))
 
     true = carrying(Imu(PLACE, rpy, accelerometer_hz=300.0, gyro_hz=100.0))
-    short_study = shaken_study(true, 10.0, order=10)
+    short_study = shaken_study(true, 10.0, order=9 if gravity is None else 10)
     written, logs = simulated_logs(short_study, true_values, noise=SensorNoise())
     kept_channels = (*MOTORS, *(f"{axis}{joint}" for axis in axes))
     records = [
