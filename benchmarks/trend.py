@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from strainwave.domain import FloatArray
-from strainwave.monitoring.shapes import Series, change_of
+from strainwave.monitoring.shapes import Series, fit_change
 from strainwave.monitoring.trend import trend
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory, Visit
 
@@ -104,7 +104,7 @@ def delay(rng: np.random.Generator, size: float, run_std: float, between: float,
             std[past],
             np.empty((visits, 0)),
         )
-        change = change_of(series, rng)
+        change = fit_change(series, rng)
         if change is not None and PARAMETERS * change.p < LEVEL:
             return visits - HEALTHY
     return PATIENCE

@@ -301,7 +301,7 @@ def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
         ((one,), 2, "needs two results"),
         ((one, one, "--level", "5"), 2, "not a probability"),
         ((one, str(tmp_path / "missing")), 2, "does not exist"),
-        ((one, none), 3, "nothing to compare"),
+        ((one, none), 3, "no comparison is possible"),
     ):
         process = run("compare", *arguments, "--out", str(tmp_path / "out"))
         assert process.returncode == code

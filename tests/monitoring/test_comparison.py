@@ -17,7 +17,12 @@ from compared_results import NAMES, covariance, drawn, estimates, write
 from strainwave.domain import Parameter
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.monitoring.comparison import DIFFERS, SAME, ResultComparison, compare
-from strainwave.monitoring.estimates import Estimates, degrees_of, estimates_of, read_estimates
+from strainwave.monitoring.estimates import (
+    Estimates,
+    degrees_of_freedom,
+    estimates_of,
+    read_estimates,
+)
 from virtual_arms import MOTION, motion_log, rigid_two_link, values_of
 
 FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
@@ -141,7 +146,7 @@ def test_refusals() -> None:
         compare([result, result], level=0.0)
     with pytest.raises(InvalidInput, match="two results"):
         compare([result])
-    with pytest.raises(NotIdentifiable, match="nothing to compare"):
+    with pytest.raises(NotIdentifiable, match="no comparison is possible"):
         compare([result, replace(result, parameters=())])
 
 
@@ -186,8 +191,8 @@ def test_invalid_files_are_named(tmp_path: Path) -> None:
 def test_degrees_follow_from_the_interval(nu: float) -> None:
     half_width = 2.5 * float(stats.t.ppf(0.975, nu))
     p = Parameter("beta", None, 1.0, 2.5, "kg m^2", "rigid", (1.0 - half_width, 1.0 + half_width))
-    assert degrees_of(p) == pytest.approx(nu, rel=1e-3)
-    assert degrees_of(replace(p, ci95=(1.0 - 4.9, 1.0 + 4.9))) == float("inf")
+    assert degrees_of_freedom(p) == pytest.approx(nu, rel=1e-3)
+    assert degrees_of_freedom(replace(p, ci95=(1.0 - 4.9, 1.0 + 4.9))) == float("inf")
 
 
 def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estimates:

@@ -68,7 +68,7 @@ def test_the_terminal_has_a_row_per_parameter_and_the_verdict() -> None:
 
 def test_the_figure_shows_all_differences() -> None:
     comparison = made(0.5)
-    figure = output.forest(comparison, comparison.pairs[0])
+    figure = output.change_figure(comparison, comparison.pairs[0])
     assert figure is not None
     upper, lower = figure.panels
     assert [getattr(mark, "name", "") for mark in upper.marks] == [DIFFERS, "agrees"]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from strainwave.monitoring.joint_tests import holm, joint_test, welch_test
+from strainwave.monitoring.joint_tests import adjust_p_values, joint_test, welch_test
 
 KNOWN = float("inf")
 
@@ -77,13 +77,13 @@ def test_one_difference_is_tested_as_by_welch() -> None:
 
 
 def test_an_example_of_holm() -> None:
-    assert holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
-    assert holm([]) == []
+    assert adjust_p_values([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    assert adjust_p_values([]) == []
 
 
 @given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=30))
 def test_adjusted_p_values_are_larger_and_keep_the_order(p: list[float]) -> None:
-    adjusted = holm(p)
+    adjusted = adjust_p_values(p)
     assert all(a >= b for a, b in zip(adjusted, p, strict=True))
     assert min(adjusted) == pytest.approx(min(1.0, len(p) * min(p)))
     order = np.argsort(p, kind="stable")

@@ -14,7 +14,7 @@ from strainwave.monitoring import output
     ("p", "text"), [(1.0, "1"), (0.0312, "0.031"), (2.2e-6, "2e-06"), (0.0, "<1e-16")]
 )
 def test_p_values_as_text(p: float, text: str) -> None:
-    assert output.probability(p) == text
+    assert output.format_p(p) == text
 
 
 @pytest.mark.parametrize("width", [20, 60])

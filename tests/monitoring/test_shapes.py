@@ -16,12 +16,12 @@ from strainwave.monitoring.shapes import (
     Change,
     Series,
     Shape,
-    change_of,
+    cap_union_probability,
+    estimate_visit_variance,
+    fit_change,
     fitted_line,
-    moment_variance,
     regressors,
-    student_tails,
-    union_of_caps,
+    student_tail_probability,
 )
 
 FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
@@ -38,7 +38,7 @@ def series(
 
 
 def found(one: Series, seed: int = 0) -> Change:
-    change = change_of(one, np.random.default_rng(seed))
+    change = fit_change(one, np.random.default_rng(seed))
     assert change is not None
     return change
 
@@ -78,7 +78,7 @@ def test_the_false_alarm_rate_is_the_level(n: int, between: float) -> None:
         value = (
             50.0 + 3.0 * temperature[:, 0] + between * rng.normal(size=n) + std * rng.normal(size=n)
         )
-        change = change_of(series(value, std, temperature), rng)
+        change = fit_change(series(value, std, temperature), rng)
         assert change is not None
         p[k] = change.p
     for level in (0.2, 0.05):
@@ -134,15 +134,15 @@ def test_redundant_covariates_are_dropped() -> None:
 
 def test_time_as_a_covariate_allows_no_test() -> None:
     visits = series(np.arange(10.0), 1.0, np.arange(10.0)[:, None])
-    assert change_of(visits, np.random.default_rng(0)) is None
+    assert fit_change(visits, np.random.default_rng(0)) is None
 
 
 def test_too_few_visits_or_equal_times_allow_no_test() -> None:
     rng = np.random.default_rng(0)
-    assert change_of(series(np.zeros(MIN_VISITS)), rng) is None
-    assert change_of(series(rng.normal(size=MIN_VISITS + 1)), rng) is not None
+    assert fit_change(series(np.zeros(MIN_VISITS)), rng) is None
+    assert fit_change(series(rng.normal(size=MIN_VISITS + 1)), rng) is not None
     equal_times = Series(np.zeros(12), rng.normal(size=12), np.ones(12), np.empty((12, 0)))
-    assert change_of(equal_times, rng) is None
+    assert fit_change(equal_times, rng) is None
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 4.0))
@@ -151,7 +151,7 @@ def test_the_moment_equation_is_solved(seed: int, between: float) -> None:
     std = np.exp(rng.normal(size=15))
     value = between * rng.normal(size=15) + std * rng.normal(size=15)
     X = np.column_stack([np.ones(15), np.arange(15.0)])
-    tau2 = moment_variance(value, std, X)
+    tau2 = estimate_visit_variance(value, std, X)
     root = 1.0 / np.sqrt(std**2 + tau2)
     residual = (
         root * value - (X * root[:, None]) @ np.linalg.lstsq(X * root[:, None], root * value)[0]
@@ -165,7 +165,7 @@ def test_the_moment_estimate_is_unbiased() -> None:
     std = np.exp(0.5 * rng.normal(size=30))
     X = np.ones((30, 1))
     variances = [
-        moment_variance(2.0 * rng.normal(size=30) + std * rng.normal(size=30), std, X)
+        estimate_visit_variance(2.0 * rng.normal(size=30) + std * rng.normal(size=30), std, X)
         for _ in range(400)
     ]
     assert float(np.mean(variances)) == pytest.approx(
@@ -189,10 +189,10 @@ def test_the_union_of_caps_equals_a_monte_carlo_count() -> None:
     share = np.max((u @ (free.T @ directions)) ** 2, axis=1)
     for quantile in (0.5, 0.95, 0.999):
         limit = float(np.quantile(share, quantile))
-        p = union_of_caps(limit, directions, free, rng)
+        p = cap_union_probability(limit, directions, free, rng)
         assert p == pytest.approx(
             1.0 - quantile, rel=0.08
-        )  # 3 % for 1,000 counts, and 3 % for the samples of union_of_caps
+        )  # 3 % for 1,000 counts, and 3 % for the samples of cap_union_probability
 
 
 def test_one_direction_is_student_s_and_small_p_values_add_up() -> None:
@@ -200,9 +200,11 @@ def test_one_direction_is_student_s_and_small_p_values_add_up() -> None:
     free, orthogonal = np.eye(9), np.eye(9)[:, :4]
     for t2 in (0.3, 9.0, 400.0):
         share = t2 / (t2 + 8.0)
-        assert union_of_caps(share, orthogonal[:, :1], free, rng) == pytest.approx(
-            student_tails(t2, 8)
+        assert cap_union_probability(share, orthogonal[:, :1], free, rng) == pytest.approx(
+            student_tail_probability(t2, 8)
         )
-    assert union_of_caps(share, orthogonal, free, rng) == pytest.approx(4.0 * student_tails(t2, 8))
-    assert union_of_caps(1.0, orthogonal, free, rng) == 0.0
-    assert union_of_caps(0.0, orthogonal, free, rng) == pytest.approx(1.0)
+    assert cap_union_probability(share, orthogonal, free, rng) == pytest.approx(
+        4.0 * student_tail_probability(t2, 8)
+    )
+    assert cap_union_probability(1.0, orthogonal, free, rng) == 0.0
+    assert cap_union_probability(0.0, orthogonal, free, rng) == pytest.approx(1.0)

@@ -10,7 +10,7 @@ import pytest
 
 import visited_arms
 from strainwave.errors import InvalidInput
-from strainwave.monitoring.visits import as_time, read_conditions, read_histories
+from strainwave.monitoring.visits import parse_time, read_conditions, read_histories
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
     visited_arms.write(tmp_path, runs, parameters)
     histories = read_histories(tmp_path)
     assert [visit.run for visit in histories.arms[0].visits] == ["a-2", "a-3"]
-    assert any("1 of 4 runs are left out: they failed" in note for note in histories.notes)
+    assert any("1 of 4 runs are omitted: they failed" in note for note in histories.notes)
     assert any("the same study has a later run" in note for note in histories.notes)
 
 
@@ -147,5 +147,5 @@ def test_another_folder_is_refused(tmp_path: Path) -> None:
 
 
 def test_times_without_zone_are_utc() -> None:
-    assert as_time("2026-01-05", "") == datetime(2026, 1, 5, tzinfo=UTC)
-    assert as_time("2026-01-05T01:00+01:00", "") == datetime(2026, 1, 5, tzinfo=UTC)
+    assert parse_time("2026-01-05", "") == datetime(2026, 1, 5, tzinfo=UTC)
+    assert parse_time("2026-01-05T01:00+01:00", "") == datetime(2026, 1, 5, tzinfo=UTC)

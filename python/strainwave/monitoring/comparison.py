@@ -11,8 +11,8 @@ import numpy as np
 from strainwave.domain import FloatArray, Parameter
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, require
-from strainwave.monitoring.estimates import Estimates, degrees_of
-from strainwave.monitoring.joint_tests import JointTest, holm, joint_test, welch_test
+from strainwave.monitoring.estimates import Estimates, degrees_of_freedom
+from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -88,25 +88,25 @@ class ResultComparison:
     def tests(self) -> tuple[ParameterDifference | JointTest, ...]:
         """All tests that share the probability of a false alarm."""
         joint = (*(pair.joint for pair in self.pairs), self.homogeneity)
-        each = [one for pair in self.pairs for one in pair.parameters]
-        return (*each, *(test for test in joint if test is not None))
+        differences = [d for pair in self.pairs for d in pair.parameters]
+        return (*differences, *(test for test in joint if test is not None))
 
     @property
     def differs(self) -> bool:
-        """Whether any test finds a difference."""
+        """Whether any test is significant."""
         return any(test.adjusted_p < self.level for test in self.tests)
 
     @property
     def headline(self) -> str:
-        """The verdict in one sentence."""
+        """Verdict in one sentence."""
         level = f"{100.0 * self.level:g} %"
         if not self.differs:
             return f"no difference at the level of {level}"
         labels = dict.fromkeys(
-            one.first.label
+            difference.first.label
             for pair in self.pairs
-            for one in pair.parameters
-            if self.verdict(one) == DIFFERS
+            for difference in pair.parameters
+            if self.verdict(difference) == DIFFERS
         )
         listed = ", ".join(labels) or "no single parameter, but all parameters together"
         return f"the results differ at the level of {level}: {listed}"
@@ -118,17 +118,17 @@ class ResultComparison:
             {
                 "first": pair.first,
                 "second": pair.second,
-                "name": one.first.name,
-                "joint": one.first.joint,
-                "first_value": one.first.value,
-                "second_value": one.second.value,
-                "change_percent": one.percent,
-                "z": one.z,
-                "adjusted_p": one.adjusted_p,
-                "verdict": self.verdict(one),
+                "name": difference.first.name,
+                "joint": difference.first.joint,
+                "first_value": difference.first.value,
+                "second_value": difference.second.value,
+                "change_percent": difference.percent,
+                "z": difference.z,
+                "adjusted_p": difference.adjusted_p,
+                "verdict": self.verdict(difference),
             }
             for pair in self.pairs
-            for one in pair.parameters
+            for difference in pair.parameters
         ]
         frame: DataFrame = pandas.DataFrame(rows).astype({"joint": "Int64"})
         return frame
@@ -163,24 +163,26 @@ def compare(results: Sequence[Estimates], level: float = 0.05) -> ResultComparis
             f"the level {level:g} is not a probability", remedy="give for example 0.05"
         )
     if len(results) < 2:
-        raise InvalidInput("a comparison needs two results", remedy="name two result.json or more")
+        raise InvalidInput(
+            "a comparison needs two results", remedy="give at least two result.json files"
+        )
     first, *others = results
-    pairs = [_pair(first, other) for other in others]
+    pairs = [_compare_pair(first, other) for other in others]
     if not any(pair.parameters for pair in pairs):
         raise NotIdentifiable(
-            "there is nothing to compare: no parameter has a value and a standard deviation in "
+            "no comparison is possible: no parameter has a value and a standard deviation in "
             "both results"
         )
-    homogeneity = _homogeneity(results) if len(others) > 1 else None
+    homogeneity = _test_homogeneity(results) if len(others) > 1 else None
     notes = tuple(_notes(results, pairs))
-    return _adjusted(ResultComparison(level, tuple(results), tuple(pairs), homogeneity, notes))
+    return _adjust_tests(ResultComparison(level, tuple(results), tuple(pairs), homogeneity, notes))
 
 
-def _adjusted(comparison: ResultComparison) -> ResultComparison:
-    """The comparison with adjusted p-values."""
-    adjusted = iter(holm([test.p for test in comparison.tests]))
+def _adjust_tests(comparison: ResultComparison) -> ResultComparison:
+    """Return the comparison with adjusted p-values."""
+    adjusted = iter(adjust_p_values([test.p for test in comparison.tests]))
     parameters = [
-        tuple(replace(one, adjusted_p=next(adjusted)) for one in pair.parameters)
+        tuple(replace(d, adjusted_p=next(adjusted)) for d in pair.parameters)
         for pair in comparison.pairs
     ]
     joint = [
@@ -191,30 +193,35 @@ def _adjusted(comparison: ResultComparison) -> ResultComparison:
         replace(pair, parameters=differences, joint=test)
         for pair, differences, test in zip(comparison.pairs, parameters, joint, strict=True)
     )
-    whole = comparison.homogeneity
-    homogeneity = whole and replace(whole, adjusted_p=next(adjusted))
+    homogeneity = comparison.homogeneity
+    if homogeneity is not None:
+        homogeneity = replace(homogeneity, adjusted_p=next(adjusted))
     return replace(comparison, pairs=pairs, homogeneity=homogeneity)
 
 
-def _pair(first: Estimates, second: Estimates) -> Pair:
-    of_first = {p.label: p for p in first.parameters}
-    of_second = {p.label: p for p in second.parameters}
-    left_out, differences = [], []
-    for label in dict.fromkeys([*of_first, *of_second]):
-        a, b = of_first.get(label), of_second.get(label)
+def _compare_pair(first: Estimates, second: Estimates) -> Pair:
+    first_by_label = {p.label: p for p in first.parameters}
+    second_by_label = {p.label: p for p in second.parameters}
+    omitted, differences = [], []
+    for label in dict.fromkeys([*first_by_label, *second_by_label]):
+        a, b = first_by_label.get(label), second_by_label.get(label)
         reason = _reason_to_omit(a, b, first.label, second.label)
         if reason or a is None or b is None:
-            left_out.append((label, reason))
+            omitted.append((label, reason))
             continue
-        z, p = welch_test(_value(b) - _value(a), (_std(a), _std(b)), (degrees_of(a), degrees_of(b)))
+        z, p = welch_test(
+            _value(b) - _value(a),
+            (_std(a), _std(b)),
+            (degrees_of_freedom(a), degrees_of_freedom(b)),
+        )
         differences.append(ParameterDifference(a, b, z, p))
-    compared = {one.first.label for one in differences}
+    compared = {d.first.label for d in differences}
     joint = _joint_test((first, second), compared)
-    return Pair(first.label, second.label, tuple(differences), joint, tuple(left_out))
+    return Pair(first.label, second.label, tuple(differences), joint, tuple(omitted))
 
 
 def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second: str) -> str:
-    """Why two entries cannot be compared; empty if they can."""
+    """Reason why two entries cannot be compared; empty if they can."""
     for parameter, result in ((a, first), (b, second)):
         if parameter is None or parameter.value is None:
             return f"not identified in {result}"
@@ -225,35 +232,38 @@ def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second
     return ""
 
 
-def _homogeneity(results: Sequence[Estimates]) -> JointTest | None:
+def _test_homogeneity(results: Sequence[Estimates]) -> JointTest | None:
     common = set.intersection(
-        *({p.label for p in one.parameters if p.value is not None and p.std} for one in results)
+        *(
+            {p.label for p in result.parameters if p.value is not None and p.std}
+            for result in results
+        )
     )
     return _joint_test(results, common)
 
 
 def _joint_test(results: Sequence[Estimates], compared: set[str]) -> JointTest | None:
-    """Test of the differences from the first result, over parameters in every covariance.
+    """Test the differences from the first result over the parameters in every covariance.
 
-    With d = (x_2 - x_1, x_3 - x_1, ...) the covariance of the first result is in every block.
+    With d = (x_2 - x_1, x_3 - x_1, ...), every block contains the covariance of the first result.
     """
-    covariances = [one.covariance for one in results if one.covariance is not None]
+    covariances = [r.covariance for r in results if r.covariance is not None]
     if len(covariances) < len(results):
         return None
-    shared = set.intersection(compared, *(set(one.names) for one in covariances))
+    shared = set.intersection(compared, *(set(c.names) for c in covariances))
     names = [name for name in covariances[0].names if name in shared]
     if not names:
         return None
-    values = [np.array([_value(one.of(name)) for name in names]) for one in results]
+    values = [np.array([_value(r.of(name)) for name in names]) for r in results]
     matrices = []
-    for one in covariances:
-        index = [one.names.index(name) for name in names]
-        matrices.append(one.matrix[np.ix_(index, index)])
+    for covariance in covariances:
+        index = [covariance.names.index(name) for name in names]
+        matrices.append(covariance.matrix[np.ix_(index, index)])
     others = len(results) - 1
     blocks = [np.ones((others, others)), *(_unit(others, k) for k in range(others))]
     parts = [np.asarray(np.kron(block, S)) for block, S in zip(blocks, matrices, strict=True)]
     difference = np.concatenate([value - values[0] for value in values[1:]])
-    degrees = [min(degrees_of(one.of(name)) for name in names) for one in results]
+    degrees = [min(degrees_of_freedom(r.of(name)) for name in names) for r in results]
     return joint_test(difference, parts, degrees)
 
 
@@ -266,20 +276,20 @@ def _unit(n: int, k: int) -> FloatArray:
 
 def _notes(results: Sequence[Estimates], pairs: Sequence[Pair]) -> Iterator[str]:
     """Limits of the comparison."""
-    for one in results:
-        if one.covariance is None:
+    for result in results:
+        if result.covariance is None:
             yield (
-                f"{one.label} has no joint covariance, like results of earlier versions; its "
+                f"{result.label} has no joint covariance, as results of earlier versions; its "
                 "parameters are compared by their standard deviations alone"
             )
-        if one.status not in ("", "determined"):
-            yield f"{one.label} is {one.status}"
-    covariances = {one.label: one.covariance for one in results}
+        if result.status not in ("", "determined"):
+            yield f"{result.label} is {result.status}"
+    covariances = {result.label: result.covariance for result in results}
     for pair in pairs:
-        unequal = [one for one in pair.parameters if one.first.stage != one.second.stage]
+        unequal = [d for d in pair.parameters if d.first.stage != d.second.stage]
         if unequal:
             listed = ", ".join(
-                f"{one.first.label} ({one.first.stage}, {one.second.stage})" for one in unequal
+                f"{d.first.label} ({d.first.stage}, {d.second.stage})" for d in unequal
             )
             yield f"{pair.second}: estimated by stages with different systematic errors: {listed}"
         if pair.joint is None and None not in (covariances[pair.first], covariances[pair.second]):

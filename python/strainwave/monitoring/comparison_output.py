@@ -23,7 +23,7 @@ from strainwave.monitoring.comparison import (
     ResultComparison,
 )
 from strainwave.monitoring.joint_tests import JointTest
-from strainwave.monitoring.output import probability
+from strainwave.monitoring.output import format_p
 from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
@@ -53,54 +53,56 @@ def write(comparison: ResultComparison, folder: Path) -> None:
 
 def to_document(comparison: ResultComparison) -> dict[str, Any]:
     """The comparison as plain JSON values, in the layout of docs/compare.md."""
-    whole = comparison.homogeneity
+    homogeneity = comparison.homogeneity
     return {
         "schema": SCHEMA,
         "level": comparison.level,
         "differs": comparison.differs,
         "results": [
             {
-                "label": one.label,
-                "path": one.path,
-                "created": one.created,
-                "status": one.status,
-                "study": dict(zip(("path", "sha256"), one.study, strict=True)),
+                "label": result.label,
+                "path": result.path,
+                "created": result.created,
+                "status": result.status,
+                "study": dict(zip(("path", "sha256"), result.study, strict=True)),
             }
-            for one in comparison.results
+            for result in comparison.results
         ],
         "pairs": [
             {
                 "first": pair.first,
                 "second": pair.second,
-                "parameters": [_difference(comparison, one) for one in pair.parameters],
-                "joint_test": pair.joint and _test(comparison, pair.joint),
+                "parameters": [_difference_entry(comparison, d) for d in pair.parameters],
+                "joint_test": pair.joint and _test_entry(comparison, pair.joint),
                 "left_out": [{"parameter": p, "reason": reason} for p, reason in pair.left_out],
             }
             for pair in comparison.pairs
         ],
-        "homogeneity": whole and _test(comparison, whole),
+        "homogeneity": homogeneity and _test_entry(comparison, homogeneity),
         "notes": list(comparison.notes),
     }
 
 
-def _difference(comparison: ResultComparison, one: ParameterDifference) -> dict[str, Any]:
+def _difference_entry(
+    comparison: ResultComparison, difference: ParameterDifference
+) -> dict[str, Any]:
     return {
-        "name": one.first.name,
-        "joint": one.first.joint,
-        "unit": one.first.unit,
-        "first": {"value": one.first.value, "std": one.first.std},
-        "second": {"value": one.second.value, "std": one.second.std},
-        "change": one.change,
-        "change_std": one.std,
-        "change_percent": one.percent,
-        "z": one.z,
-        "p": one.p,
-        "adjusted_p": one.adjusted_p,
-        "verdict": comparison.verdict(one),
+        "name": difference.first.name,
+        "joint": difference.first.joint,
+        "unit": difference.first.unit,
+        "first": {"value": difference.first.value, "std": difference.first.std},
+        "second": {"value": difference.second.value, "std": difference.second.std},
+        "change": difference.change,
+        "change_std": difference.std,
+        "change_percent": difference.percent,
+        "z": difference.z,
+        "p": difference.p,
+        "adjusted_p": difference.adjusted_p,
+        "verdict": comparison.verdict(difference),
     }
 
 
-def _test(comparison: ResultComparison, test: JointTest) -> dict[str, Any]:
+def _test_entry(comparison: ResultComparison, test: JointTest) -> dict[str, Any]:
     return {
         "statistic": test.statistic,
         "rank": test.rank,
@@ -119,11 +121,11 @@ def print_comparison(
     console = console or Console(highlight=False)
     for pair in comparison.pairs:
         console.print(Text(f"{pair.second} against {pair.first}", style="bold"))
-        output.print_table(console, _printed(comparison, pair))
-        for line in _lines_below(comparison, pair):
+        output.print_table(console, _printed_pair_table(comparison, pair))
+        for line in _joint_test_lines(comparison, pair):
             console.print(Text(line))
     if comparison.homogeneity is not None:
-        sentence = _sentence(comparison, comparison.homogeneity)
+        sentence = _describe_test(comparison, comparison.homogeneity)
         console.print(Text(f"all {len(comparison.results)} results, {_ALL_PARAMETERS}: {sentence}"))
     output.print_end(
         console,
@@ -135,7 +137,7 @@ def print_comparison(
     )
 
 
-def _printed(comparison: ResultComparison, pair: Pair) -> Table:
+def _printed_pair_table(comparison: ResultComparison, pair: Pair) -> Table:
     table = output.printed_table()
     table.add_column("parameter")
     labels = (pair.first, pair.second)
@@ -143,57 +145,69 @@ def _printed(comparison: ResultComparison, pair: Pair) -> Table:
     for head in (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p"):
         table.add_column(Text(head), justify="right")
     table.add_column("verdict")
-    for one in pair.parameters:
-        verdict = comparison.verdict(one)
-        values = (plus_minus(p.value, p.std)[0] for p in (one.first, one.second))
-        cells = (one.first.label, *values, *_tested(one), verdict)
+    for difference in pair.parameters:
+        verdict = comparison.verdict(difference)
+        values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
+        cells = (difference.first.label, *values, *_format_tests(difference), verdict)
         table.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
     return table
 
 
-def _tested(one: ParameterDifference) -> tuple[str, str, str]:
+def _format_tests(difference: ParameterDifference) -> tuple[str, str, str]:
     """Change [%], z and adjusted p-value as text."""
-    percent = "" if one.percent is None else f"{one.percent:+.{3 if abs(one.percent) < 1 else 2}f}"
-    return percent, f"{one.z:+.1f}", probability(one.adjusted_p)
+    percent = (
+        ""
+        if difference.percent is None
+        else f"{difference.percent:+.{3 if abs(difference.percent) < 1 else 2}f}"
+    )
+    return percent, f"{difference.z:+.1f}", format_p(difference.adjusted_p)
 
 
-def _lines_below(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
+def _joint_test_lines(comparison: ResultComparison, pair: Pair) -> Iterator[str]:
     """Lines below the table of a pair."""
     if pair.joint is not None:
-        yield f"{_ALL_PARAMETERS}: {_sentence(comparison, pair.joint)}"
+        yield f"{_ALL_PARAMETERS}: {_describe_test(comparison, pair.joint)}"
     if pair.left_out:
         listed = "; ".join(f"{name} {reason}" for name, reason in pair.left_out)
         yield f"not compared: {listed}"
 
 
-def _sentence(comparison: ResultComparison, test: JointTest) -> str:
-    """A joint test as a clause."""
+def _describe_test(comparison: ResultComparison, test: JointTest) -> str:
+    """Describe a joint test in a clause."""
     law = f"chi-square with {test.rank} degrees of freedom"
     if math.isfinite(test.degrees):
         law = f"rank {test.rank}, covariance with {test.degrees:.3g} degrees of freedom"
     return (
         f"{test.statistic:.1f} ({law}; {test.n_values} values), "
-        f"adjusted p {probability(test.adjusted_p)}: {comparison.verdict(test)}"
+        f"adjusted p {format_p(test.adjusted_p)}: {comparison.verdict(test)}"
     )
 
 
 def render(comparison: ResultComparison) -> str:
     """The comparison as one self-contained HTML page."""
-    whole = comparison.homogeneity
-    facts = [] if whole is None else [f"All results together: {_sentence(comparison, whole)}"]
-    before = output.opening(comparison.headline, facts, comparison.notes, bad=comparison.differs)
+    homogeneity = comparison.homogeneity
+    facts = (
+        []
+        if homogeneity is None
+        else [f"All results together: {_describe_test(comparison, homogeneity)}"]
+    )
+    before = output.page_summary(
+        comparison.headline, facts, comparison.notes, bad=comparison.differs
+    )
     sections = [
         Section(
-            f"pair-{k}", f"{pair.second} against {pair.first}", tuple(_blocks(comparison, pair))
+            f"pair-{k}",
+            f"{pair.second} against {pair.first}",
+            tuple(_pair_blocks(comparison, pair)),
         )
         for k, pair in enumerate(comparison.pairs, start=1)
     ]
-    sections.append(Section("results", "Results", tuple(_results(comparison))))
-    title = " and ".join(one.label for one in comparison.results)
+    sections.append(Section("results", "Results", tuple(_result_blocks(comparison))))
+    title = " and ".join(result.label for result in comparison.results)
     return page_of(title, "Comparison of results", sections, before=(before,))
 
 
-def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
+def _pair_blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
     heads: Row = (
         "parameter",
         "verdict",
@@ -204,60 +218,66 @@ def _blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
         number(pair.second),
         "unit",
     )
-    rows = [_row(comparison, one) for one in pair.parameters]
+    rows = [_difference_row(comparison, d) for d in pair.parameters]
     yield from table("Parameters", heads, rows, heading=False)
     if pair.joint is not None:
-        yield paragraph(f"All parameters together: {_sentence(comparison, pair.joint)}.")
-    figure = forest(comparison, pair)
+        yield paragraph(f"All parameters together: {_describe_test(comparison, pair.joint)}.")
+    figure = change_figure(comparison, pair)
     if figure is not None:
-        words = (
+        caption = (
             "Change of each parameter with its 95 % interval, in percent and in standard "
             "deviations. The upper panel truncates intervals much wider than the others."
         )
-        yield Plot(f"changes {pair.second}", "Changes of the parameters", figure, words)
+        yield Plot(f"changes {pair.second}", "Changes of the parameters", figure, caption)
     heads = ("not compared", "reason")
     rows = [(p, prose(reason)) for p, reason in pair.left_out]
     yield from table("Not compared", heads, rows)
 
 
-def _row(comparison: ResultComparison, one: ParameterDifference) -> Row:
-    verdict = comparison.verdict(one)
-    values = (" ± ".join(plus_minus(p.value, p.std)) for p in (one.first, one.second))
+def _difference_row(comparison: ResultComparison, difference: ParameterDifference) -> Row:
+    verdict = comparison.verdict(difference)
+    values = (" ± ".join(plus_minus(p.value, p.std)) for p in (difference.first, difference.second))
     return (
-        Cell(one.first.label, "name"),
+        Cell(difference.first.label, "name"),
         Cell(verdict, mark="bad" if verdict == DIFFERS else ""),
-        *map(number, _tested(one)),
+        *map(number, _format_tests(difference)),
         *map(number, values),
-        one.first.unit,
+        difference.first.unit,
     )
 
 
-def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
+def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
     """Changes with their 95 % intervals; None if no change can be given in percent."""
-    shown = [one for one in pair.parameters if one.percent is not None]
+    shown = [difference for difference in pair.parameters if difference.percent is not None]
     if not shown:
         return None
-    percent = np.array([one.percent or 0.0 for one in shown])
-    half_width = np.array([CI95_STDS * (one.std_percent or 0.0) for one in shown])
+    percent = np.array([difference.percent or 0.0 for difference in shown])
+    half_width = np.array([CI95_STDS * (difference.std_percent or 0.0) for difference in shown])
     groups = [
-        (verdict, colour, [k for k, one in enumerate(shown) if comparison.verdict(one) == verdict])
+        (
+            verdict,
+            colour,
+            [k for k, difference in enumerate(shown) if comparison.verdict(difference) == verdict],
+        )
         for verdict, colour in ((DIFFERS, MODEL), (SAME, MEASURED))
     ]
     upper, lower = [], []
-    for verdict, colour, own in groups:
-        if own:
-            names = tuple(shown[k].first.label for k in own)
-            upper.append(Markers(names, percent[own], verdict, colour, 7.0, error=half_width[own]))
-            z = np.array([shown[k].z for k in own])
+    for verdict, colour, indices in groups:
+        if indices:
+            names = tuple(shown[k].first.label for k in indices)
+            upper.append(
+                Markers(names, percent[indices], verdict, colour, 7.0, error=half_width[indices])
+            )
+            z = np.array([shown[k].z for k in indices])
             lower.append(
-                Markers(names, z, verdict, colour, 7.0, error=np.full(len(own), CI95_STDS))
+                Markers(names, z, verdict, colour, 7.0, error=np.full(len(indices), CI95_STDS))
             )
     ordinary = half_width <= _MAX_INTERVAL_RATIO * float(np.median(half_width))
     widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + half_width[ordinary]))
     significant = [
         abs(p) * 1.2
-        for p, one in zip(percent, shown, strict=True)
-        if comparison.verdict(one) == DIFFERS
+        for p, difference in zip(percent, shown, strict=True)
+        if comparison.verdict(difference) == DIFFERS
     ]
     limit = max([widest, *significant])
     panels = (
@@ -267,17 +287,17 @@ def forest(comparison: ResultComparison, pair: Pair) -> Figure | None:
     return Figure(Axis(""), panels)
 
 
-def _results(comparison: ResultComparison) -> Iterator[Block]:
-    for one in comparison.results:
+def _result_blocks(comparison: ResultComparison) -> Iterator[Block]:
+    for result in comparison.results:
         facts = [
-            ("result", one.label),
-            ("file", one.path),
-            ("created", one.created),
-            ("status", one.status),
-            ("study", one.study[0]),
-            ("sha256", one.study[1]),
+            ("result", result.label),
+            ("file", result.path),
+            ("created", result.created),
+            ("status", result.status),
+            ("study", result.study[0]),
+            ("sha256", result.study[1]),
         ]
-        if one.covariance is not None:
-            n = len(one.covariance.names)
-            facts.append(("joint covariance", f"{n} parameters, stage {one.covariance.stage}"))
+        if result.covariance is not None:
+            n = len(result.covariance.names)
+            facts.append(("joint covariance", f"{n} parameters, stage {result.covariance.stage}"))
         yield Facts(tuple((term, fact or "unknown") for term, fact in facts))

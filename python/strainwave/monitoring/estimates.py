@@ -44,7 +44,9 @@ def read_estimates(paths: Sequence[Path]) -> tuple[Estimates, ...]:
     is not a result.
     """
     if len(paths) < 2:
-        raise InvalidInput("a comparison needs two results", remedy="name two result.json or more")
+        raise InvalidInput(
+            "a comparison needs two results", remedy="give at least two result.json files"
+        )
     estimates = [_read(results.result_path(path)) for path in paths]
     labels = [one.label for one in estimates]
     return tuple(
@@ -65,18 +67,18 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
         status=str(document.get("status", "")),
         study=(str(study.get("path", "")), str(study.get("sha256", ""))),
         parameters=tuple(
-            p for p in results.parameters_of(document, str(path)) if not is_of_one_record(p.name)
+            p for p in results.parameters_of(document, str(path)) if not is_record_parameter(p.name)
         ),
         covariance=covariance_of(document),
     )
 
 
-def is_of_one_record(name: str) -> bool:
+def is_record_parameter(name: str) -> bool:
     """Whether a parameter describes one record instead of the arm."""
     return _OF_ONE_RECORD.fullmatch(name) is not None
 
 
-def degrees_of(parameter: Parameter) -> float:
+def degrees_of_freedom(parameter: Parameter) -> float:
     """Degrees of freedom of a standard deviation, from the width of its 95 % interval.
 
     The rigid stage estimates variances from few segments of motion and gives Student's intervals.

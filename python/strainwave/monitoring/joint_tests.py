@@ -78,7 +78,7 @@ def welch_test(
     return float(z), float(2.0 * stdtr(total * total / spread, -abs(z)))
 
 
-def holm(p: Sequence[float]) -> list[float]:
+def adjust_p_values(p: Sequence[float]) -> list[float]:
     """p-values adjusted for their number, valid under any dependence (Holm, 1979).
 
     The smallest of m is multiplied by m, the next by m - 1, and so on; the result does not decrease
@@ -86,7 +86,7 @@ def holm(p: Sequence[float]) -> list[float]:
     """
     order = np.argsort(p, kind="stable")
     factors = np.arange(len(p), 0, -1)
-    raised = np.minimum(1.0, np.maximum.accumulate(factors * np.asarray(p, dtype=float)[order]))
+    scaled = np.minimum(1.0, np.maximum.accumulate(factors * np.asarray(p, dtype=float)[order]))
     adjusted = np.empty(len(p))
-    adjusted[order] = raised
-    return [float(each) for each in adjusted]
+    adjusted[order] = scaled
+    return [float(value) for value in adjusted]

@@ -53,7 +53,7 @@ def print_end(
             console.print(Text(f"written: {folder / file}"), soft_wrap=True)
 
 
-def opening(verdict: str, facts: Sequence[str], notes: Sequence[str], *, bad: bool) -> Callout:
+def page_summary(verdict: str, facts: Sequence[str], notes: Sequence[str], *, bad: bool) -> Callout:
     """The beginning of a page: verdict, facts, notes; `bad` colours a verdict that needs action."""
     mark: Mark = "bad" if bad else "good"
     lead = [paragraph(Span(f"{verdict[0].upper()}{verdict[1:]}.", strong=True))]
@@ -62,7 +62,7 @@ def opening(verdict: str, facts: Sequence[str], notes: Sequence[str], *, bad: bo
     return Callout(mark, tuple(lead))
 
 
-def probability(p: float) -> str:
+def format_p(p: float) -> str:
     """A p-value with two significant digits, one below 1e-4."""
     if p < _MIN_PRINTED_P:
         return f"<{_MIN_PRINTED_P:.0e}"

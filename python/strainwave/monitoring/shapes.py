@@ -65,37 +65,37 @@ class Change:
     fitted: FloatArray  # (n_visits,) with covariates
 
 
-def change_of(series: Series, rng: np.random.Generator) -> Change | None:
+def fit_change(series: Series, rng: np.random.Generator) -> Change | None:
     """The shape that explains a series best; None if the series is too short for a test.
 
     Weights are 1/(s^2 + tau^2), with tau by moments without any shape. For each shape t^2 is the
     reduction of the weighted squares over the residual squares per degree of freedom, which is not
     less than the standard deviations of the runs give. Under the hypothesis of no change the
     direction of the residuals is uniform on a sphere, so the p-value of the largest t^2 is that of
-    a union of caps (`union_of_caps`), whatever tau is.
+    a union of caps (`cap_union_probability`), whatever tau is.
     """
     X = regressors(series)
     degrees = len(series.value) - X.shape[1] - 1
     if degrees < MIN_VISITS - 1:
         return None
     shapes, columns = _shapes(series.time)
-    tau2 = moment_variance(series.value, series.std, X)
+    tau2 = estimate_visit_variance(series.value, series.std, X)
     space = _Whitened.of(series, X, tau2)
     directions, scale = space.directions(columns)
     usable = scale > 0.0
     if not usable[0]:
         return None  # covariates explain any line over time
-    shapes = [shape for shape, keep in zip(shapes, usable, strict=True) if keep]
+    shapes = [shape for shape, is_usable in zip(shapes, usable, strict=True) if is_usable]
     columns, directions, scale = columns[:, usable], directions[:, usable], scale[usable]
     along = directions.T @ space.residual
     residual = np.maximum(space.residual @ space.residual - along**2, 0.0) / degrees
     variance = np.maximum(residual, space.min_variance)
     t2 = along**2 / variance
     best = int(np.argmax(t2))
-    p = union_of_caps(t2[best] / (t2[best] + degrees), directions, space.free, rng)
+    p = cap_union_probability(t2[best] / (t2[best] + degrees), directions, space.free, rng)
     size, size_std = along / scale, np.sqrt(variance) / scale
     column = columns[:, best]
-    tau2 = moment_variance(series.value, series.std, np.column_stack([X, column]))
+    tau2 = estimate_visit_variance(series.value, series.std, np.column_stack([X, column]))
     fitted = series.value - space.residual_of(series.value - size[best] * column)
     return Change(
         shape=shapes[best],
@@ -104,7 +104,7 @@ def change_of(series: Series, rng: np.random.Generator) -> Change | None:
         p=p,
         drift=float(size[0]) / float(np.ptp(series.time)),
         drift_std=float(size_std[0]) / float(np.ptp(series.time)),
-        drift_p=student_tails(float(t2[0]), degrees),
+        drift_p=student_tail_probability(float(t2[0]), degrees),
         level=space.level(series.value - size[best] * column),
         repeatability=float(np.sqrt(tau2)),
         degrees=degrees,
@@ -131,7 +131,7 @@ def regressors(series: Series) -> FloatArray:
     return np.asarray(X)
 
 
-def moment_variance(value: FloatArray, std: FloatArray, X: FloatArray) -> float:
+def estimate_visit_variance(value: FloatArray, std: FloatArray, X: FloatArray) -> float:
     """tau^2, the variance between visits, by the method of moments (Paule and Mandel, 1982).
 
     It makes the sum of r_i^2/(s_i^2 + tau^2) equal to n - p, with r the weighted least-squares
@@ -155,14 +155,14 @@ def moment_variance(value: FloatArray, std: FloatArray, X: FloatArray) -> float:
     return tau2
 
 
-def student_tails(t2: float, degrees: int) -> float:
+def student_tail_probability(t2: float, degrees: int) -> float:
     """Probability that the square of Student's t exceeds t2."""
     from scipy.special import stdtr
 
     return float(2.0 * stdtr(degrees, -np.sqrt(t2)))
 
 
-def union_of_caps(
+def cap_union_probability(
     share: float, directions: FloatArray, free: FloatArray, rng: np.random.Generator
 ) -> float:
     """Probability that a random direction has such a share of its square along any of `directions`.
@@ -177,8 +177,8 @@ def union_of_caps(
 
     n_directions, m = directions.shape[1], free.shape[1]
     half = 0.5 * (m - 1)
-    one = float(betainc(half, 0.5, 1.0 - share))
-    if one == 0.0:
+    cap_probability = float(betainc(half, 0.5, 1.0 - share))
+    if cap_probability == 0.0:
         return 0.0
     A = free.T @ directions
     G = A.T @ A
@@ -188,7 +188,7 @@ def union_of_caps(
     across = np.sqrt(
         np.sum(Z * Z, axis=1)[:, None] - C * C
     )  # length orthogonal to the k-th direction
-    rest = betaincinv(half, 0.5, one * rng.uniform(size=(samples, n_directions)))
+    rest = betaincinv(half, 0.5, cap_probability * rng.uniform(size=(samples, n_directions)))
     height, width = np.sqrt(1.0 - rest), np.sqrt(rest) / across
     inverse = np.empty((samples, n_directions))
     for k in range(n_directions):
@@ -196,7 +196,7 @@ def union_of_caps(
         inside = u * u > share
         inside[:, k] = True
         inverse[:, k] = 1.0 / inside.sum(axis=1)
-    return float(min(1.0, one * inverse.mean(axis=0).sum()))
+    return float(min(1.0, cap_probability * inverse.mean(axis=0).sum()))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,9 +214,9 @@ class _Whitened:
     def of(cls, series: Series, X: FloatArray, tau2: float) -> _Whitened:
         w = 1.0 / (series.std**2 + tau2)
         root = np.sqrt(w)
-        whole = np.linalg.qr(X * root[:, None], mode="complete")[0]
+        basis = np.linalg.qr(X * root[:, None], mode="complete")[0]
         p = X.shape[1]
-        Q, free = whole[:, :p], whole[:, p:]
+        Q, free = basis[:, :p], basis[:, p:]
         white = series.value * root
         residual = white - Q @ (Q.T @ white)
         return cls(root, X, Q, free, residual, float(np.mean(w * series.std**2)))
@@ -245,10 +245,10 @@ def _shapes(time: FloatArray) -> tuple[list[Shape], FloatArray]:
     span = max(float(np.ptp(time)), np.finfo(float).tiny)
     shapes = [Shape("drift", 0)]
     columns = [(time - time[0]) / span]
-    for k in _places(time):
+    for k in _change_visits(time):
         shapes.append(Shape("step", int(k)))
         columns.append((np.arange(n) >= k).astype(np.float64))
-    for k in _places(time):
+    for k in _change_visits(time):
         start = time[k - 1]
         if start > time[0] and time[-1] > time[k]:
             shapes.append(Shape("drift since", int(k) - 1))
@@ -256,7 +256,7 @@ def _shapes(time: FloatArray) -> tuple[list[Shape], FloatArray]:
     return shapes, np.column_stack(columns)
 
 
-def _places(time: FloatArray) -> IntArray:
+def _change_visits(time: FloatArray) -> IntArray:
     """Visits before which a change may occur: later than the visit before."""
     later = np.flatnonzero(np.diff(time) > 0.0) + 1
     return np.asarray(later[later >= _MIN_VISITS_BEFORE])

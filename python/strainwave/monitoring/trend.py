@@ -9,13 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.monitoring.joint_tests import holm
-from strainwave.monitoring.shapes import MIN_VISITS, Change, change_of
+from strainwave.monitoring.joint_tests import adjust_p_values
+from strainwave.monitoring.shapes import MIN_VISITS, Change, fit_change
 from strainwave.monitoring.visits import ArmHistory, Histories, ParameterHistory
 
 _MIN_LEVEL_STDS = 2.0  # a level within two standard deviations of zero gives no percentages
-_CHANCE_P = 0.5  # an unchanged arm exceeds it in half of all analyses
-_MAX_SINGLE_VISITS = 0.5  # share of arms with one visit; more suggests wrongly named arms
+_MIN_CHANCE_P = 0.5  # an unchanged arm exceeds it in half of all analyses
+_MAX_SINGLE_VISIT_SHARE = 0.5  # share of arms with one visit; more suggests wrongly named arms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,7 +40,7 @@ class ParameterTrend:
     @property
     def is_likely_chance(self) -> bool:
         """Whether the change is more likely chance than not."""
-        return self.adjusted_p > _CHANCE_P
+        return self.adjusted_p > _MIN_CHANCE_P
 
     @property
     def words(self) -> str:
@@ -63,7 +63,7 @@ class ArmTrend:
     @property
     def p(self) -> float:
         """Adjusted p-value of the most significant change; 1 if no parameter was tested."""
-        return min((one.adjusted_p for one in self.parameters), default=1.0)
+        return min((parameter.adjusted_p for parameter in self.parameters), default=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,7 +77,7 @@ class Trend:
 
     def concerns(self, arm: ArmTrend) -> tuple[ParameterTrend, ...]:
         """Parameters of an arm that change significantly."""
-        return tuple(one for one in arm.parameters if one.adjusted_p < self.level)
+        return tuple(parameter for parameter in arm.parameters if parameter.adjusted_p < self.level)
 
     @property
     def concern(self) -> bool:
@@ -97,24 +97,27 @@ def trend(histories: Histories, level: float = 0.01) -> Trend:
         raise InvalidInput(
             f"the level {level:g} is not a probability", remedy="give for example 0.01"
         )
-    arms = [_arm(history) for history in histories.arms]
+    arms = [_test_arm(history) for history in histories.arms]
     if not any(arm.parameters for arm in arms):
-        most = max((len(h.visits) for h in histories.arms), default=0)
-        needed = MIN_VISITS + 1 + len(histories.covariates)
+        max_visits = max((len(h.visits) for h in histories.arms), default=0)
+        n_required = MIN_VISITS + 1 + len(histories.covariates)
         raise NotIdentifiable(
-            f"no arm has enough visits for a trend: {len(arms)} arm(s) with at most {most} "
-            f"visit(s), and {needed} with different times are needed; {arm_hint(histories)}"
+            f"no arm has enough visits for a trend: {len(arms)} arm(s) with at most {max_visits} "
+            f"visit(s), but {n_required} at different times are required; "
+            f"{arm_naming_hint(histories)}"
         )
     arms.sort(key=lambda arm: (arm.p, arm.history.arm))
     notes = histories.notes
-    single = sum(len(arm.visits) == 1 for arm in histories.arms)
-    if single > _MAX_SINGLE_VISITS * len(arms):
-        notes += (f"{single} of {len(arms)} arms have one visit; {arm_hint(histories)}",)
+    n_single_visits = sum(len(arm.visits) == 1 for arm in histories.arms)
+    if n_single_visits > _MAX_SINGLE_VISIT_SHARE * len(arms):
+        notes += (
+            f"{n_single_visits} of {len(arms)} arms have one visit; {arm_naming_hint(histories)}",
+        )
     return Trend(level, tuple(arms), histories.covariates, notes)
 
 
-def arm_hint(histories: Histories) -> str:
-    """How to name arms, with a study of the store as an example."""
+def arm_naming_hint(histories: Histories) -> str:
+    """Explain how to name arms, with a study of the store as an example."""
     study = next((arm.visits[0].study for arm in histories.arms if arm.visits), "")
     return (
         "an arm is the folder of its studies unless --arm names it, for example "
@@ -123,22 +126,24 @@ def arm_hint(histories: Histories) -> str:
     )
 
 
-def _arm(arm: ArmHistory) -> ArmTrend:
+def _test_arm(arm: ArmHistory) -> ArmTrend:
     tested, too_few = [], []
     for history in arm.parameters:
-        change = change_of(history.series, _rng(arm.arm, history.label))
+        change = fit_change(history.series, _rng(arm.arm, history.label))
         if change is None:
             too_few.append((history.label, len(history.visits)))
         else:
             tested.append(ParameterTrend(history, change))
-    ordered = sorted(_adjusted(tested), key=lambda one: (one.adjusted_p, one.change.p))
+    ordered = sorted(
+        _adjust_trends(tested), key=lambda parameter: (parameter.adjusted_p, parameter.change.p)
+    )
     return ArmTrend(arm, tuple(ordered), tuple(too_few))
 
 
-def _adjusted(trends: Sequence[ParameterTrend]) -> Iterator[ParameterTrend]:
-    adjusted = holm([one.change.p for one in trends])
-    for one, p in zip(trends, adjusted, strict=True):
-        yield replace(one, adjusted_p=p)
+def _adjust_trends(trends: Sequence[ParameterTrend]) -> Iterator[ParameterTrend]:
+    adjusted = adjust_p_values([parameter.change.p for parameter in trends])
+    for parameter, p in zip(trends, adjusted, strict=True):
+        yield replace(parameter, adjusted_p=p)
 
 
 def _rng(*names: str) -> np.random.Generator:

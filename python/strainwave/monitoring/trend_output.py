@@ -13,7 +13,7 @@ from rich.text import Text
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.monitoring import output
-from strainwave.monitoring.output import probability
+from strainwave.monitoring.output import format_p
 from strainwave.monitoring.shapes import fitted_line
 from strainwave.monitoring.trend import ArmTrend, ParameterTrend, Trend
 from strainwave.presentation.figures import (
@@ -69,7 +69,7 @@ def to_document(trend: Trend) -> dict[str, Any]:
                 "visits": len(arm.history.visits),
                 "first": arm.history.visits[0].time.isoformat(),
                 "last": arm.history.visits[-1].time.isoformat(),
-                "parameters": [_parameter(trend, one) for one in arm.parameters],
+                "parameters": [_parameter_entry(trend, parameter) for parameter in arm.parameters],
                 "too_few": [{"parameter": name, "visits": n} for name, n in arm.too_few],
             }
             for arm in trend.arms
@@ -78,16 +78,16 @@ def to_document(trend: Trend) -> dict[str, Any]:
     }
 
 
-def _parameter(trend: Trend, one: ParameterTrend) -> dict[str, Any]:
-    history, change = one.history, one.change
+def _parameter_entry(trend: Trend, parameter: ParameterTrend) -> dict[str, Any]:
+    history, change = parameter.history, parameter.change
     return {
         "name": history.name,
         "joint": history.joint,
         "unit": history.unit,
         "stage": history.stage,
-        "concern": one.adjusted_p < trend.level,
+        "concern": parameter.adjusted_p < trend.level,
         "p": change.p,
-        "adjusted_p": one.adjusted_p,
+        "adjusted_p": parameter.adjusted_p,
         "change": {
             "kind": change.shape.kind,
             "at": None
@@ -95,7 +95,7 @@ def _parameter(trend: Trend, one: ParameterTrend) -> dict[str, Any]:
             else history.visits[change.shape.first].time.isoformat(),
             "size": change.size,
             "std": change.size_std,
-            "percent": one.percent,
+            "percent": parameter.percent,
         },
         "drift": {"per_day": change.drift, "std": change.drift_std, "p": change.drift_p},
         "level": change.level,
@@ -118,17 +118,17 @@ def _parameter(trend: Trend, one: ParameterTrend) -> dict[str, Any]:
 
 
 def headline(trend: Trend) -> str:
-    """The verdict in one sentence."""
-    named = [arm.history.arm for arm in trend.arms if trend.concerns(arm)]
-    of = f"of {_counted(len(trend.arms), 'arm')}"
+    """Verdict in one sentence."""
+    changed_arms = [arm.history.arm for arm in trend.arms if trend.concerns(arm)]
+    total = f"of {_count_noun(len(trend.arms), 'arm')}"
     level = f"at the level of {100.0 * trend.level:g} % per arm"
-    if not named:
-        return f"no arm {of} changes {level}"
-    changes = "changes" if len(named) == 1 else "change"
-    return f"{len(named)} {of} {changes} {level}: {', '.join(named)}"
+    if not changed_arms:
+        return f"no arm {total} changes {level}"
+    verb = "changes" if len(changed_arms) == 1 else "change"
+    return f"{len(changed_arms)} {total} {verb} {level}: {', '.join(changed_arms)}"
 
 
-def _counted(n: int, noun: str) -> str:
+def _count_noun(n: int, noun: str) -> str:
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
@@ -137,60 +137,69 @@ def print_trend(
 ) -> None:
     """Print the most significant change of each arm, the verdict, and the files in `folder`."""
     console = console or Console(highlight=False)
-    printed = output.printed_table()
-    printed.add_column("arm")
-    printed.add_column("visits", justify="right")
-    printed.add_column("parameter")
-    printed.add_column("change")
-    printed.add_column("%", justify="right")
-    printed.add_column("adj. p", justify="right")
+    summary = output.printed_table()
+    summary.add_column("arm")
+    summary.add_column("visits", justify="right")
+    summary.add_column("parameter")
+    summary.add_column("change")
+    summary.add_column("%", justify="right")
+    summary.add_column("adj. p", justify="right")
     for arm in trend.arms:
-        for k, one in enumerate(trend.concerns(arm) or arm.parameters[:1]):
+        for k, parameter in enumerate(trend.concerns(arm) or arm.parameters[:1]):
             first = (arm.history.arm, str(len(arm.history.visits))) if k == 0 else ("", "")
-            label = "" if one.is_likely_chance else one.history.label
-            cells = (*first, label, one.words, _percent(one), _p(one))
-            style = "red" if one.adjusted_p < trend.level else ""
-            printed.add_row(*map(Text, cells), style=style)
+            label = "" if parameter.is_likely_chance else parameter.history.label
+            cells = (
+                *first,
+                label,
+                parameter.words,
+                _format_percent(parameter),
+                _format_adjusted_p(parameter),
+            )
+            style = "red" if parameter.adjusted_p < trend.level else ""
+            summary.add_row(*map(Text, cells), style=style)
         if not arm.parameters:
-            printed.add_row(Text(arm.history.arm), str(len(arm.history.visits)), "too few visits")
-    output.print_table(console, printed)
+            summary.add_row(Text(arm.history.arm), str(len(arm.history.visits)), "too few visits")
+    output.print_table(console, summary)
     output.print_end(console, "trend", headline(trend), trend.notes, folder, bad=trend.concern)
 
 
-def _percent(one: ParameterTrend) -> str:
-    shown = one.percent is not None and not one.is_likely_chance
-    return f"{one.percent:+.2f}" if shown else ""
+def _format_percent(parameter: ParameterTrend) -> str:
+    shown = parameter.percent is not None and not parameter.is_likely_chance
+    return f"{parameter.percent:+.2f}" if shown else ""
 
 
-def _p(one: ParameterTrend) -> str:
-    return probability(one.adjusted_p)
+def _format_adjusted_p(parameter: ParameterTrend) -> str:
+    return format_p(parameter.adjusted_p)
 
 
 def render(trend: Trend) -> str:
     """The trend as one self-contained HTML page."""
-    worst = [arm for arm in trend.arms if trend.concerns(arm)]
+    changed = [arm for arm in trend.arms if trend.concerns(arm)]
     unchanged = [arm for arm in trend.arms if not trend.concerns(arm)]
     folds = tuple(
-        Fold(f"{arm.history.arm}: {len(arm.history.visits)} visits", tuple(_arm(trend, arm)))
+        Fold(f"{arm.history.arm}: {len(arm.history.visits)} visits", tuple(_arm_blocks(trend, arm)))
         for arm in unchanged
     )
     sections = [
-        Section("fleet", "Fleet", tuple(_fleet(trend))),
-        *(Section(_key(arm), arm.history.arm, tuple(_arm(trend, arm))) for arm in worst),
+        Section("fleet", "Fleet", tuple(_fleet_blocks(trend))),
+        *(
+            Section(_arm_anchor(arm), arm.history.arm, tuple(_arm_blocks(trend, arm)))
+            for arm in changed
+        ),
         Section("others", "Arms without a significant change", folds),
-        Section("reading", "Method", tuple(_reading(trend))),
+        Section("reading", "Method", tuple(_method_blocks(trend))),
     ]
     visits = sum(len(arm.history.visits) for arm in trend.arms)
-    subtitle = f"{_counted(len(trend.arms), 'arm')}, {_counted(visits, 'visit')}"
-    before = output.opening(headline(trend), (), trend.notes, bad=trend.concern)
+    subtitle = f"{_count_noun(len(trend.arms), 'arm')}, {_count_noun(visits, 'visit')}"
+    before = output.page_summary(headline(trend), (), trend.notes, bad=trend.concern)
     return page_of("Parameters over time", subtitle, sections, before=(before,))
 
 
-def _key(arm: ArmTrend) -> str:
+def _arm_anchor(arm: ArmTrend) -> str:
     return f"arm-{slug(arm.history.arm)}"
 
 
-def _fleet(trend: Trend) -> Iterator[Block]:
+def _fleet_blocks(trend: Trend) -> Iterator[Block]:
     heads: Row = (
         "arm",
         "change",
@@ -208,25 +217,27 @@ def _fleet(trend: Trend) -> Iterator[Block]:
 def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
     concerns = trend.concerns(arm)
     visits = arm.history.visits
-    name = Cell(arm.history.arm, href=f"#{_key(arm)}" if concerns else "#others")
+    name = Cell(arm.history.arm, href=f"#{_arm_anchor(arm)}" if concerns else "#others")
     dates = tuple(f"{visit.time:%Y-%m-%d}" for visit in (visits[0], visits[-1]))
     if not arm.parameters:
         return (name, prose("too few visits"), *[number("")] * 3, number(str(len(visits))), *dates)
-    one = arm.parameters[0]
+    parameter = arm.parameters[0]
     mark: Mark = "bad" if concerns else ""
-    chance = one.is_likely_chance
+    chance = parameter.is_likely_chance
     return (
         name,
-        Cell("none" if chance else f"{one.history.label}: {one.words}", "text", mark=mark),
-        number(_percent(one)),
-        number(_p(one)),
+        Cell(
+            "none" if chance else f"{parameter.history.label}: {parameter.words}", "text", mark=mark
+        ),
+        number(_format_percent(parameter)),
+        number(_format_adjusted_p(parameter)),
         number(str(len(concerns))),
         number(str(len(visits))),
         *dates,
     )
 
 
-def _arm(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
+def _arm_blocks(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
     """Plots of changed parameters, a table of all parameters, plots of the others."""
     concerns = trend.concerns(arm)
     others = arm.parameters[len(concerns) :]
@@ -243,7 +254,7 @@ def _arm(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
         number("drift [% in 30 days]"),
         number("p of the drift"),
     )
-    rows = [_row(trend, one) for one in arm.parameters]
+    rows = [_row(trend, parameter) for parameter in arm.parameters]
     yield from table(f"{name}: all parameters", heads, rows, heading=False)
     if others:
         plots = tuple(
@@ -258,48 +269,52 @@ def _arm(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
         yield paragraph(f"Too few visits: {listed}.")
 
 
-def _row(trend: Trend, one: ParameterTrend) -> Row:
-    change = one.change
-    drift = tuple(one.of_level(_MONTH_DAYS * each) for each in (change.drift, change.drift_std))
-    between = one.of_level(change.repeatability)
+def _row(trend: Trend, parameter: ParameterTrend) -> Row:
+    change = parameter.change
+    drift = tuple(
+        parameter.of_level(_MONTH_DAYS * each) for each in (change.drift, change.drift_std)
+    )
+    between = parameter.of_level(change.repeatability)
     return (
-        Cell(one.history.label, "name"),
-        Cell(one.words, mark="bad" if one.adjusted_p < trend.level else ""),
-        number(_percent(one)),
-        number(_p(one)),
-        number(plus_minus(change.level, float(np.median(one.history.series.std)))[0]),
-        one.history.unit,
+        Cell(parameter.history.label, "name"),
+        Cell(parameter.words, mark="bad" if parameter.adjusted_p < trend.level else ""),
+        number(_format_percent(parameter)),
+        number(_format_adjusted_p(parameter)),
+        number(plus_minus(change.level, float(np.median(parameter.history.series.std)))[0]),
+        parameter.history.unit,
         number("" if between is None else f"{between:.2g}"),
         number("" if drift[0] is None else " ± ".join(plus_minus(*drift))),
-        number(probability(change.drift_p)),
+        number(format_p(change.drift_p)),
     )
 
 
 def _plots(
-    trend: Trend, arm: ArmTrend, chosen: Sequence[ParameterTrend], name: str, label: str
+    trend: Trend, arm: ArmTrend, parameters: Sequence[ParameterTrend], name: str, label: str
 ) -> Iterator[Plot]:
     start = f"{arm.history.start:%Y-%m-%d}"
-    words = "Estimates with their 95 % intervals; the line is the most significant change, if any."
-    for k in range(0, len(chosen), _MAX_PANELS):
+    caption = (
+        "Estimates with their 95 % intervals; the line is the most significant change, if any."
+    )
+    for k in range(0, len(parameters), _MAX_PANELS):
         title = label if k == 0 else f"{label}, continued"
-        panels = tuple(_panel(trend, one) for one in chosen[k : k + _MAX_PANELS])
-        drawn = Figure(Axis(f"days since {start}"), panels)
-        yield Plot(f"{name} {1 + k // _MAX_PANELS}", title, drawn, words)
+        panels = tuple(_panel(trend, parameter) for parameter in parameters[k : k + _MAX_PANELS])
+        figure = Figure(Axis(f"days since {start}"), panels)
+        yield Plot(f"{name} {1 + k // _MAX_PANELS}", title, figure, caption)
 
 
-def _panel(trend: Trend, one: ParameterTrend) -> Panel:
-    series, concern = one.history.series, one.adjusted_p < trend.level
-    time, value = np.array(list(fitted_line(one.change, series))).T
+def _panel(trend: Trend, parameter: ParameterTrend) -> Panel:
+    series, concern = parameter.history.series, parameter.adjusted_p < trend.level
+    time, value = np.array(list(fitted_line(parameter.change, series))).T
     colour = MODEL if concern else RESIDUAL
     points = Markers(
         series.time, series.value, "estimate", MEASURED, 5.0, error=CI95_STDS * series.std
     )
     line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
-    axis = Axis(f"{one.history.label} [{one.history.unit}]")
-    return Panel(axis, (points,) if one.is_likely_chance else (line, points))
+    axis = Axis(f"{parameter.history.label} [{parameter.history.unit}]")
+    return Panel(axis, (points,) if parameter.is_likely_chance else (line, points))
 
 
-def _reading(trend: Trend) -> Iterator[Block]:
+def _method_blocks(trend: Trend) -> Iterator[Block]:
     regressed = ", ".join(trend.covariates) or "none"
     yield paragraph(
         "Estimates are weighted by their standard deviations and the scatter between visits, which "

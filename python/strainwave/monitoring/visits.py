@@ -17,7 +17,7 @@ from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.monitoring.estimates import is_of_one_record
+from strainwave.monitoring.estimates import is_record_parameter
 from strainwave.monitoring.shapes import Series
 
 _USABLE_STATUS = ("determined", "partly-determined", "not-determined")
@@ -89,16 +89,16 @@ class Histories:
 def read_histories(
     store: Path | str, *, arm: str | None = None, covariates: Path | None = None
 ) -> Histories:
-    """Arms of the store of a campaign, with each parameter over time.
+    """Read the arms of a campaign store, with each parameter over time.
 
-    Of several runs of one study the last counts. Runs that failed or have inconsistent input are
-    left out. Each parameter is followed in the stage that most visits have it from.
+    If a study has several runs, the last run is used. Runs that failed or have inconsistent input
+    are omitted. Each parameter is read from the stage that estimates it in most visits.
 
     `arm` is a column of the runs, or a regular expression that is searched for in the study's path:
     its group named `arm`, else its first group, is the arm; a group named `time` is the time of the
     visit. By default an arm is the folder of a study. `covariates` is a CSV table with the columns
-    `study`, optionally `time` in ISO 8601, and numbers to regress out. Raises `InvalidInput` if the
-    store, the expression or the table is at fault.
+    `study`, optionally `time` in ISO 8601, and covariates of the regression. Raises `InvalidInput`
+    if the store, the expression or the table is invalid.
     """
     runs = read_runs(store).to_pylist()
     parameters = read_parameters(store).to_pylist()
@@ -107,52 +107,52 @@ def read_histories(
     notes = []
     if len(usable) < len(runs):
         notes.append(
-            f"{len(runs) - len(usable)} of {len(runs)} runs are left out: they failed or have "
+            f"{len(runs) - len(usable)} of {len(runs)} runs are omitted: they failed or have "
             "inconsistent input"
         )
-    last: dict[str, Row] = {}
+    latest: dict[str, Row] = {}
     for row in sorted(usable, key=lambda row: str(row["started"])):
-        last[str(row["study"])] = row
-    if len(last) < len(usable):
+        latest[str(row["study"])] = row
+    if len(latest) < len(usable):
         notes.append(
-            f"{len(usable) - len(last)} of {len(usable)} runs are left out: the same study has a "
+            f"{len(usable) - len(latest)} of {len(usable)} runs are omitted: the same study has a "
             "later run"
         )
-    named = _namer(arm, set(runs[0]))
-    visits, time_from, dropped = _visits(last.values(), named, conditions)
+    arm_namer = _arm_namer(arm, set(runs[0]))
+    visits, time_from, dropped = _group_visits(latest.values(), arm_namer, conditions)
     if dropped:
         notes.append(
-            f"{dropped} visits are left out: they have no complete row in the table of covariates"
+            f"{dropped} visits are omitted: they have no complete row in the table of covariates"
         )
     if time_from == "started":
         notes.append(
-            "times are those of the runs, not of the recordings; give the latter in a column time "
-            "of --covariates, or as a group named time in --arm"
+            "times are those of the runs, not of the recordings; give the recording times in the "
+            "column time of --covariates, or as a group named time in --arm"
         )
     by_run: dict[str, list[Row]] = {}
     for row in parameters:
         by_run.setdefault(str(row["run"]), []).append(row)
     arms = tuple(
-        _arm_history(name, sorted(own, key=lambda v: (v.time, v.study)), by_run)
-        for name, own in visits.items()
+        _arm_history(name, sorted(arm_visits, key=lambda v: (v.time, v.study)), by_run)
+        for name, arm_visits in visits.items()
     )
     return Histories(arms, conditions.names, time_from, tuple(notes))
 
 
 def read_conditions(path: Path) -> Conditions:
-    """Read a CSV table of covariates; rows with an empty cell are left out.
+    """Read a CSV table of covariates; rows with an empty cell are omitted.
 
     Raises `InvalidInput` if there is no column `study`, or a cell is neither a number nor a time.
     """
     rows = list(csv.DictReader(decode(read_bytes(path, "the table"), path).splitlines()))
-    heads = list(rows[0]) if rows else []
-    if "study" not in heads:
+    columns = list(rows[0]) if rows else []
+    if "study" not in columns:
         raise InvalidInput(
             "has no column 'study'",
             where=str(path),
             remedy="begin with a header such as study,time,temperature",
         )
-    names = tuple(name for name in heads if name not in ("study", "time"))
+    names = tuple(name for name in columns if name not in ("study", "time"))
     values, times = {}, {}
     for number, row in enumerate(rows, start=2):
         place = f"{path}, line {number}"
@@ -160,35 +160,37 @@ def read_conditions(path: Path) -> Conditions:
         if all(cells):
             values[row["study"]] = tuple(_number(cell, place) for cell in cells)
         if row.get("time"):
-            times[row["study"]] = as_time(row["time"], place)
+            times[row["study"]] = parse_time(row["time"], place)
     return Conditions(names, values, times)
 
 
-def as_time(value: object, where: str) -> datetime:
-    """A time in UTC from ISO 8601, which is UTC without a zone; `InvalidInput` names `where`."""
+def parse_time(value: object, where: str) -> datetime:
+    """Convert ISO 8601 to UTC; a time without zone is UTC. `InvalidInput` reports `where`."""
     try:
-        found = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
+        time = value if isinstance(value, datetime) else datetime.fromisoformat(str(value))
     except ValueError as error:
         raise InvalidInput(
             f"{value!r} is not a time",
             where=where,
             remedy="write it as 2026-01-31 or 2026-01-31T12:00",
         ) from error
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    return time.replace(tzinfo=UTC) if time.tzinfo is None else time.astimezone(UTC)
 
 
 def _number(cell: str, where: str) -> float:
     try:
-        found = float(cell)
+        value = float(cell)
     except ValueError:
-        found = float("nan")
-    if not np.isfinite(found):
+        value = float("nan")
+    if not np.isfinite(value):
         raise InvalidInput(f"{cell!r} is not a finite number", where=where, remedy="write a number")
-    return found
+    return value
 
 
-def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | None, str | None]]:
-    """A function that gives the arm of a run, and its time if the expression has a group for it."""
+def _arm_namer(
+    arm: str | None, columns: set[str]
+) -> Callable[[Row], tuple[str | None, str | None]]:
+    """Return a function from a run to its arm, and to its time if the expression has that group."""
     if arm is None:
         return lambda row: (_folder(str(row["study"])), None)
     if arm in columns:
@@ -201,40 +203,40 @@ def _namer(arm: str | None, columns: set[str]) -> Callable[[Row], tuple[str | No
         raise InvalidInput(
             f"--arm {arm!r} is neither a column of the runs nor a regular expression with a group"
             f"{nearest(arm, columns)}",
-            remedy="put the name of the arm in brackets: 'fleet/([^/]+)/'",
+            remedy="put the name of the arm in parentheses: 'fleet/([^/]+)/'",
         )
 
-    def named(row: Row) -> tuple[str | None, str | None]:
-        found = expression.search(str(row["study"]))
-        if found is None:
+    def name_arm(row: Row) -> tuple[str | None, str | None]:
+        match = expression.search(str(row["study"]))
+        if match is None:
             return None, None
-        groups = found.groupdict()
-        first = next((g for g in found.groups() if g is not None), None)
+        groups = match.groupdict()
+        first = next((g for g in match.groups() if g is not None), None)
         return groups.get("arm") or first, groups.get("time")
 
-    return named
+    return name_arm
 
 
 def _folder(study: str) -> str:
-    """The folder of a study file, or the name of a study without folder."""
+    """Folder of a study file, or the name of a study without folder."""
     path = PurePosixPath(study)
     return path.parent.name or path.stem
 
 
-def _visits(
+def _group_visits(
     rows: Iterable[Row],
-    named: Callable[[Row], tuple[str | None, str | None]],
+    arm_namer: Callable[[Row], tuple[str | None, str | None]],
     conditions: Conditions,
 ) -> tuple[dict[str, list[Visit]], str, int]:
     """Visits by arm, the source of their times, and the number of visits without covariates."""
-    found: dict[str, list[Visit]] = {}
+    visits: dict[str, list[Visit]] = {}
     sources: Counter[str] = Counter()
-    matched = _Matcher(conditions)
+    matcher = _Matcher(conditions)
     dropped = unnamed = 0
     for row in rows:
         study = str(row["study"])
-        arm, time_text = named(row)
-        key = matched(study)
+        arm, time_text = arm_namer(row)
+        key = matcher(study)
         if arm is None:
             unnamed += 1
             continue
@@ -244,26 +246,26 @@ def _visits(
         if key is not None and key in conditions.times:
             time, source = conditions.times[key], "covariates"
         elif time_text is not None:
-            time, source = as_time(time_text, f"study {study}"), "--arm"
+            time, source = parse_time(time_text, f"study {study}"), "--arm"
         else:
-            time, source = as_time(row["started"], f"run {row['run']}"), "started"
+            time, source = parse_time(row["started"], f"run {row['run']}"), "started"
         sources[source] += 1
         covariates = conditions.values[key] if conditions.names and key is not None else ()
-        found.setdefault(arm, []).append(Visit(str(row["run"]), study, time, covariates))
-    if unnamed and not found:
+        visits.setdefault(arm, []).append(Visit(str(row["run"]), study, time, covariates))
+    if unnamed and not visits:
         raise InvalidInput(
             "--arm matches no study", remedy=f"the store has studies such as {study!r}"
         )
-    if dropped and not found:
+    if dropped and not visits:
         raise InvalidInput(
             "no study of the table of covariates is in the store",
             remedy="write the studies as in the column `study` of the store",
         )
-    return found, "started" if "started" in sources else "recorded", dropped
+    return visits, "started" if "started" in sources else "recorded", dropped
 
 
 class _Matcher:
-    """The row of the table for a study: its name, or the end of its path."""
+    """Finds the row of the table for a study by its name or the end of its path."""
 
     def __init__(self, conditions: Conditions) -> None:
         self._names = {*conditions.values, *conditions.times}
@@ -283,38 +285,38 @@ def _arm_history(
     arm: str, visits: Sequence[Visit], by_run: Mapping[str, Sequence[Row]]
 ) -> ArmHistory:
     start = visits[0].time
-    of_parameter: dict[tuple[str, int | None], list[tuple[Visit, Row]]] = {}
+    rows_by_parameter: dict[tuple[str, int | None], list[tuple[Visit, Row]]] = {}
     for visit in visits:
         for row in by_run.get(visit.run, ()):
-            if _usable(row):
-                of_parameter.setdefault((row["name"], row["joint"]), []).append((visit, row))
-    return ArmHistory(arm, tuple(visits), tuple(_parameter_histories(of_parameter, start)))
+            if _is_usable(row):
+                rows_by_parameter.setdefault((row["name"], row["joint"]), []).append((visit, row))
+    return ArmHistory(arm, tuple(visits), tuple(_parameter_histories(rows_by_parameter, start)))
 
 
-def _usable(row: Row) -> bool:
+def _is_usable(row: Row) -> bool:
     value, std = row["value"], row["std"]
     finite = value is not None and std is not None and bool(np.isfinite([value, std]).all())
-    return finite and std > 0.0 and not is_of_one_record(row["name"])
+    return finite and std > 0.0 and not is_record_parameter(row["name"])
 
 
 def _parameter_histories(
-    of_parameter: Mapping[tuple[str, int | None], Sequence[tuple[Visit, Row]]], start: datetime
+    rows_by_parameter: Mapping[tuple[str, int | None], Sequence[tuple[Visit, Row]]], start: datetime
 ) -> Iterator[ParameterHistory]:
-    for (name, joint), pairs in of_parameter.items():
+    for (name, joint), pairs in rows_by_parameter.items():
         (stage, unit), _ = Counter((row["stage"], row["unit"]) for _, row in pairs).most_common(1)[
             0
         ]
-        own = [(v, row) for v, row in pairs if (row["stage"], row["unit"]) == (stage, unit)]
-        of_stage = tuple(visit for visit, _ in own)
+        same_stage = [(v, row) for v, row in pairs if (row["stage"], row["unit"]) == (stage, unit)]
+        stage_visits = tuple(visit for visit, _ in same_stage)
         series = Series(
-            time=np.array([(visit.time - start) / _DAY for visit in of_stage]),
-            value=_column(own, "value"),
-            std=_column(own, "std"),
-            covariates=np.array([visit.covariates for visit in of_stage]).reshape(
-                len(of_stage), -1
+            time=np.array([(visit.time - start) / _DAY for visit in stage_visits]),
+            value=_column(same_stage, "value"),
+            std=_column(same_stage, "std"),
+            covariates=np.array([visit.covariates for visit in stage_visits]).reshape(
+                len(stage_visits), -1
             ),
         )
-        yield ParameterHistory(name, joint, unit, stage, of_stage, series)
+        yield ParameterHistory(name, joint, unit, stage, stage_visits, series)
 
 
 def _column(pairs: Sequence[tuple[Visit, Row]], name: str) -> FloatArray:
