@@ -218,7 +218,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     )
     if study.arm.joints[0].spring == "three-slope":
         space = with_curves(space, Arm.of(study.arm), [60.0, 15.0])
-    objective = Objective.of(space, records).reweighted(space.coordinates(values))
+    objective = Objective.of(space, records).update_weights(space.coordinates(values))
     repeats = [np.sqrt(weights.repeats) for weights in objective.weights]
 
     def residual(z: FloatArray) -> FloatArray:

@@ -18,7 +18,7 @@ PROLOGUE = """
 import sys, threading, time
 from pathlib import Path
 from strainwave.io import atomic_files, interrupt
-from strainwave.numerics.parallel import side_by_side, stop_if_asked
+from strainwave.numerics.parallel import run_parallel, stop_if_asked
 interrupt.listen()
 def ready():
     print("ready", flush=True)
@@ -78,7 +78,7 @@ def endless():
 def first():
     ready()
     endless()
-side_by_side([first, endless, endless])
+run_parallel([first, endless, endless])
 """
     exit_code, stderr, seconds = stopped(code)
     assert (exit_code, stderr) == (130, NOTHING)
@@ -88,7 +88,7 @@ side_by_side([first, endless, endless])
 @pytest.mark.parametrize("times", [1, 2])
 def test_compiled_code_is_ended(times: int) -> None:
     """Jobs that never check for the signal end after the grace period, or at a second Ctrl-C."""
-    code = "side_by_side([lambda: ready() or time.sleep(100), lambda: time.sleep(100)])"
+    code = "run_parallel([lambda: ready() or time.sleep(100), lambda: time.sleep(100)])"
     exit_code, stderr, seconds = stopped(code, times=times)
     assert (exit_code, stderr) == (130, NOTHING)
     assert seconds < MAX_STOP_S

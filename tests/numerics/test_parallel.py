@@ -11,11 +11,11 @@ from functools import partial
 
 import pytest
 
-from strainwave.numerics.parallel import Stopped, side_by_side, stop_if_asked
+from strainwave.numerics.parallel import Stopped, run_parallel, stop_if_asked
 
 
 def test_results_come_in_order() -> None:
-    assert side_by_side([partial(pow, k, 2) for k in range(7)]) == [0, 1, 4, 9, 16, 25, 36]
+    assert run_parallel([partial(pow, k, 2) for k in range(7)]) == [0, 1, 4, 9, 16, 25, 36]
 
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
@@ -26,7 +26,7 @@ def test_jobs_run_at_the_same_time() -> None:
         both.wait()  # raises unless the other job arrives
         return True
 
-    assert side_by_side([meet, meet]) == [True, True]
+    assert run_parallel([meet, meet]) == [True, True]
 
 
 def test_a_job_that_fails_shows_who_asks() -> None:
@@ -34,7 +34,7 @@ def test_a_job_that_fails_shows_who_asks() -> None:
         raise ValueError("no")
 
     with pytest.raises(ValueError, match="no"):
-        side_by_side([lambda: 3, job])
+        run_parallel([lambda: 3, job])
 
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
@@ -58,11 +58,11 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
         raise ValueError("no")
 
     def begins_two() -> None:
-        side_by_side([endless, endless])
+        run_parallel([endless, endless])
 
     jobs: list[Callable[[], object]] = [fails, begins_two, partial(late.append, 1)]
     with pytest.raises(ValueError, match="no"):
-        side_by_side(jobs)
+        run_parallel(jobs)
     assert len(ended) == 2
     assert not any(thread.is_alive() for thread in ended)
     assert late in ([], [1])  # it may have started before the failure

@@ -102,10 +102,10 @@ def _group() -> _Group | None:
 def limited(
     threads: int | None = None, cancelled: Callable[[], bool] | None = None
 ) -> Iterator[None]:
-    """Limit the threads of every `side_by_side` in this block, and allow cancellation.
+    """Limit the threads of every `run_parallel` in this block, and allow cancellation.
 
     `threads`: Maximum number of threads, including those of nested jobs. None: one thread per core
-        in each `side_by_side`.
+        in each `run_parallel`.
     `cancelled`: Called at every `stop_if_asked`; True cancels the work.
 
     Raises `Stopped` after cancellation.
@@ -122,14 +122,14 @@ def stop_if_asked() -> None:
     """Stop the current job if its result is no longer needed.
 
     Long loops call this function in every iteration. Raises `Stopped` if a job of the same
-    `side_by_side` failed, its caller was interrupted, or the work was cancelled.
+    `run_parallel` failed, its caller was interrupted, or the work was cancelled.
     """
     group = _group()
     if group is not None and group.is_stopped():
         raise Stopped
 
 
-def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
+def run_parallel(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     """Run independent jobs on all cores, or on as many threads as `limited` allows.
 
     Threads suffice, because NumPy and the core release the interpreter lock. No thread outlives the
@@ -157,9 +157,9 @@ def side_by_side(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
 
 
 def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[First, Second]:
-    """Results of two jobs run by `side_by_side`."""
+    """Results of two jobs run by `run_parallel`."""
     jobs: list[Callable[[], First | Second]] = [first, second]
-    first_result, second_result = side_by_side(jobs)
+    first_result, second_result = run_parallel(jobs)
     return cast("First", first_result), cast("Second", second_result)
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 from strainwave.domain import ArmModel, Comparison, Protocol, Tally
 from strainwave.errors import StrainwaveError
-from strainwave.numerics.parallel import one_blas_thread, side_by_side
+from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.paper import amplitude, decoupled, feedback, inputs, refinement, steps
 from strainwave.paper.claims import failed_comparison
 from strainwave.paper.document import document_of, to_json
@@ -88,7 +88,7 @@ def compare_seeds(
         return run if seed == seeds[0] else tuple(replace(each, plots=()) for each in run)
 
     with one_blas_thread():  # for the duration of all runs
-        runs = side_by_side([partial(job, seed, chosen) for seed in seeds for chosen in settings])
+        runs = run_parallel([partial(job, seed, chosen) for seed in seeds for chosen in settings])
     by_key: dict[tuple[int, Protocol], list[Comparison]] = {}
     for run in runs:
         for each in run:

@@ -50,7 +50,7 @@ from strainwave.io.atomic_files import write_whole
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
-from strainwave.numerics.parallel import both, limited, one_blas_thread, side_by_side
+from strainwave.numerics.parallel import both, limited, one_blas_thread, run_parallel
 from strainwave.pipeline.elastic_joints import decoupled, from_catalogue
 from strainwave.pipeline.run import Run, planned_parts
 from strainwave.presentation.matplotlib_backend import images
@@ -263,7 +263,7 @@ def _fit_rigid(
             of_use,
         ) in records.items():  # those of the fit first: they show what errors are usual
             fitted = predictions.get("motion", ())
-            predicted = side_by_side(
+            predicted = run_parallel(
                 [partial(_predict, run, model, each, fitted) for each in of_use]
             )
             predictions[use] = tuple(each for each in predicted if each is not None)
@@ -274,7 +274,7 @@ def _fit_rigid(
 def _motor_signals(run: Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
     """Motor-side signals of the records of one use."""
     used = _logs_of_use(all_logs, use)
-    motor_sides = side_by_side([partial(signals.motor_side, log, run.arm) for log in used])
+    motor_sides = run_parallel([partial(signals.motor_side, log, run.arm) for log in used])
     run.warnings.extend(warning for each in motor_sides for warning in each.warnings)
     return motor_sides
 
@@ -345,7 +345,7 @@ def _add_elastic_predictions(
             if missing_recorded_input(run.arm, log) is None
         ]
         arm = with_sensor_positions(run.arm, tuned.values)
-        predictions = side_by_side(
+        predictions = run_parallel(
             [partial(validation.predict_elastic, tuned, log, arm) for log in simulated]
         )
     run.warnings.extend(warning for each in predictions for warning in each.warnings)
@@ -366,7 +366,7 @@ def _motor_responses(
             if log.experiment.joint is not None and missing_motor_signal(run.arm, log) is None
         ]
         jobs = [partial(motor_response, log, tuned, joints, run.arm) for log in used]
-        return tuple(side_by_side(jobs))
+        return tuple(run_parallel(jobs))
 
 
 def _logs_of_use(all_logs: Sequence[Log], use: str) -> list[Log]:

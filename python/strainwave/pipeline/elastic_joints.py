@@ -27,7 +27,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.identification import joint_model as physical
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.run import Run
 from strainwave.signals import link_motion as links
 from strainwave.signals.mounting_start import with_stand_ins
@@ -75,7 +75,7 @@ def decoupled(
         if any("motor" in side.sources for side in sides):
             return JointStage(_from_motors(run, the_study, model, sides))
         try:
-            joints = side_by_side(
+            joints = run_parallel(
                 [partial(decoupling.decouple, side, model, placed_arm) for side in sides]
             )
         except NotIdentifiable as failure:
@@ -161,7 +161,7 @@ def _fit_joints(
             return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
 
     numbers = sorted(records_by_joint)
-    results = side_by_side([partial(fit_joint, n) for n in numbers])
+    results = run_parallel([partial(fit_joint, n) for n in numbers])
     run.warnings.extend(result for result, _ in results if isinstance(result, Diagnostic))
     fits = {fit.model.joint: fit for fit, _ in results if isinstance(fit, physical.JointFit)}
     joints = [fit.model for fit in fits.values()]
@@ -211,7 +211,7 @@ def _record_models(
     by_use: dict[str, Iterator[RecordModel]] = {}
     for use in ("frequency", "sweep"):
         jobs = [partial(fit_record, *each) for each in excited if each[0].experiment.use == use]
-        record_fits = side_by_side(jobs)
+        record_fits = run_parallel(jobs)
         for fit in record_fits if use == "frequency" else ():
             if fit.linear is not None:
                 joint = fit.record.signals.joint

@@ -33,7 +33,7 @@ from strainwave.numerics.filters import (
     signal_band,
     unaliased,
 )
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import drive_delay, sensor_delay
 from strainwave.signals.channels import (
     channel_of,
@@ -77,7 +77,7 @@ def both_sides(
     total = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
-        records = side_by_side([partial(link_side, log, arm, options, delays) for log in logs])
+        records = run_parallel([partial(link_side, log, arm, options, delays) for log in logs])
         remaining = late_sensors(records, arm.n_joints)
         total = tuple(
             Delay(removed.value + remainder.value, remainder.std)

@@ -30,7 +30,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.causes import cause_warnings
+from strainwave.identification.whole_arm.causes import warn_likely_cause
 from strainwave.io.study import read_study
 from strainwave.presentation.report.remedies import remedies
 from virtual_arms import ELASTIC_JOINT
@@ -183,15 +183,15 @@ def test_the_warning_contains_experiment_and_remedy(effect: Effect) -> None:
     moved = ParameterShift("motor_inertia", 1, 2e-5, -1e-6, -8.0)
     likeliest = Cause(1, effect.name, fitted, 100.0, 0.4, (moved,))
     other = Cause(2, "stribeck", fitted, 60.0, 0.2, ())
-    (warning,) = cause_warnings([likeliest, other])
+    (warning,) = warn_likely_cause([likeliest, other])
     assert warning.code == effect.warning_code
     assert effect.experiment in warning.message
     assert remedies()[warning.code] == effect.remedy
     assert "would explain 40 % of the residuals" in warning.message
     assert "motor_inertia of joint 1 by -5 %" in warning.message
-    assert "less likely, stribeck of joint 2" in warning.message
-    assert "leaves most of them unexplained" in warning.message
-    assert not list(cause_warnings([]))
+    assert "less likely causes are stribeck of joint 2" in warning.message
+    assert "most of the residuals remain unexplained" in warning.message
+    assert not list(warn_likely_cause([]))
     for words in (effect.description, effect.consequence, effect.experiment, effect.record):
         assert words
         assert not words.endswith(".")

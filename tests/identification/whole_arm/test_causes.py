@@ -13,7 +13,7 @@ from strainwave.domain import ArmModel
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.causes import evidence_of
+from strainwave.identification.whole_arm.causes import schwarz_decrease
 from strainwave.identification.whole_arm.effect_columns import EffectColumns, Hypothesis, Shapes
 from strainwave.identification.whole_arm.effects import NamedEffect
 from strainwave.identification.whole_arm.estimates import Fit
@@ -22,7 +22,7 @@ from tuning_runs import truth
 MENDED = ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping")
 
 
-def taken_up(model: ArmModel) -> list[str]:
+def added_effects(model: ArmModel) -> list[str]:
     return [w.message.split(",")[0] for w in model.warnings if w.code == "effect-taken-up"]
 
 
@@ -50,7 +50,7 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_what_the_records_demand_is_taken_up(name: str) -> None:
     model = tuned((name,), "auto")
-    assert taken_up(model) == [name]
+    assert added_effects(model) == [name]
     assert model.status == "converged"
     for parameter in MENDED:
         assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
@@ -83,7 +83,7 @@ def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float
 
 def test_what_is_of_unusual_shape_is_taken_up() -> None:
     model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
-    assert taken_up(model) == ["flexible-link"]
+    assert added_effects(model) == ["flexible-link"]
     for parameter in MENDED:
         assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
             parameter
@@ -105,7 +105,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
     columns_of, numbers = EffectColumns.of, Counter[NamedEffect]()
 
     def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
-        numbers.update(hypothesis.one for hypothesis in tested)
+        numbers.update(hypothesis.named_effect for hypothesis in tested)
         return columns_of(fit, arm, tested)
 
     monkeypatch.setattr(EffectColumns, "of", counted)
@@ -133,7 +133,7 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
 
 def test_two_effects_are_taken_up_one_after_the_other() -> None:
     model = tuned(("hysteresis", "load-friction"), "auto")
-    assert sorted(taken_up(model)) == ["hysteresis", "load-friction"]
+    assert sorted(added_effects(model)) == ["hysteresis", "load-friction"]
     for parameter in MENDED:
         assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.01), (
             parameter
@@ -142,7 +142,7 @@ def test_two_effects_are_taken_up_one_after_the_other() -> None:
 
 def test_an_arm_without_effects_takes_up_none() -> None:
     model, reference = tuned((), "auto"), tuned((), ())
-    assert taken_up(model) == []
+    assert added_effects(model) == []
     assert model.values == reference.values
     assert model.criticism is not None
     assert model.criticism.causes == ()
@@ -177,10 +177,10 @@ def test_rivals_are_fitted_within_their_budget() -> None:
     [(0.052, 0.044, "one"), (0.30, 0.10, "many"), (0.10, 0.10, "one")],
 )
 def test_many_sizes_must_explain_more_than_one(many: float, one: float, more_likely: str) -> None:
-    evidence = {"many": evidence_of(many, 6, 4000.0), "one": evidence_of(one, 1, 4000.0)}
+    evidence = {"many": schwarz_decrease(many, 6, 4000.0), "one": schwarz_decrease(one, 1, 4000.0)}
     assert max(evidence, key=lambda name: evidence[name]) == more_likely
 
 
 def test_an_effect_that_explains_nothing_has_evidence_against_it() -> None:
-    assert evidence_of(0.0, 1, 4000.0) < 0.0
-    assert np.isfinite(evidence_of(1.0, 1, 4000.0))
+    assert schwarz_decrease(0.0, 1, 4000.0) < 0.0
+    assert np.isfinite(schwarz_decrease(1.0, 1, 4000.0))

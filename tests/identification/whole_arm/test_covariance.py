@@ -318,7 +318,7 @@ def test_intervals_hold_where_few_records_have_errors_of_their_own() -> None:
     is_inside = []
     for _ in range(80):
         errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
-        objective = objective_of(tables, errors, 0.1, noise=1e9).reweighted(TRUTH)
+        objective = objective_of(tables, errors, 0.1, noise=1e9).update_weights(TRUTH)
         z = solved(objective)
         half_width = 1.96 * np.sqrt(np.diag(confidence_of(objective, z).combined))
         is_inside.append(np.abs(z - TRUTH) < half_width)

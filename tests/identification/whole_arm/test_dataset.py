@@ -172,7 +172,7 @@ def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
     true = np.array([s * np.linalg.norm(k) for s, k in zip(sizes.values(), kernels, strict=True)])
     assert np.all(dataset.noise > 3.0 * true)
     np.testing.assert_allclose(
-        dataset.corrected(values, dataset.start()).noise, true, rtol=0.2
+        dataset.correct_step_error(values, dataset.start()).noise, true, rtol=0.2
     )  # about 500 samples
 
 

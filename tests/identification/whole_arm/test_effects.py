@@ -17,11 +17,11 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import as_known, with_known_effects
 from strainwave.identification.whole_arm.effects import (
-    idle,
+    add_effects,
+    insignificant_effects,
     named_effects,
-    records_with,
-    with_effects,
-    without,
+    remove_effects,
+    set_record_effects,
 )
 from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import COULOMB, ParameterSpace, Prior
@@ -87,9 +87,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     study = rig(ALL)
     base = linear_search(2, Prior(np.ones((1, 2)), np.ones(1), np.eye(1)))
     values: Values = {("p0", None): 1.0, ("p1", None): 2.0, (COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, z = with_effects(
-        base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, LOADS
-    )
+    space, z = add_effects(base, named_effects(Arm.of(study.arm)), Arm.of(study.arm), values, LOADS)
     assert space.keys[2:] == list(SIZES)
     np.testing.assert_allclose(
         space.parameters(z), [1.0, 2.0, 0.01, 3.0, 0.6, 1.5e-4, 0.0, 0.0, 2.0]
@@ -98,7 +96,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     units = ["N m", "rad/s", "N m", "rad", "rad", "rad", "1"]
     assert [parameter.unit for parameter in space.unknowns[2:]] == units
     assert named_effects(Arm.of(study.arm)) == [(1, effect) for effect in ALL]
-    reduced = without(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
+    reduced = remove_effects(space, {(1, "stribeck"), (1, "kinematic-error")}, Arm.of(study.arm))
     assert reduced.keys == [*base.keys, ("hysteresis_torque", 1), ("hysteresis_twist", 1)]
     assert reduced.prior.rows.shape == (1, 4)
 
@@ -107,21 +105,24 @@ def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
     arm = Arm.of(rig(ALL).arm)
     values_of_joint: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
-    space, z = with_effects(empty, named_effects(arm), arm, values_of_joint, LOADS)
+    space, z = add_effects(empty, named_effects(arm), arm, values_of_joint, LOADS)
     z[-3:-1] = 2.0  # both coefficients of the kinematic error are 2e-4 rad
     values = space.parameters(z)
     small_covariance = np.diag((values / 5.0) ** 2)
-    assert list(idle(space, z, small_covariance)) == []
+    assert list(insignificant_effects(space, z, small_covariance)) == []
     large_covariance = small_covariance.copy()
     large_covariance[2, 2] *= 4.0  # the hysteresis torque is now 2.5 standard deviations
     # The Stribeck velocity does not decide whether the friction is present.
     large_covariance[1, 1] *= 100.0
-    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis")]
+    assert list(insignificant_effects(space, z, large_covariance)) == [(1, "hysteresis")]
     # one insignificant coefficient does not matter if the other is significant
     large_covariance[4, 4] *= 100.0
-    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis")]
+    assert list(insignificant_effects(space, z, large_covariance)) == [(1, "hysteresis")]
     large_covariance[5, 5] *= 100.0
-    assert list(idle(space, z, large_covariance)) == [(1, "hysteresis"), (1, "kinematic-error")]
+    assert list(insignificant_effects(space, z, large_covariance)) == [
+        (1, "hysteresis"),
+        (1, "kinematic-error"),
+    ]
 
 
 def test_an_arm_is_known_as_far_as_its_values_go() -> None:
@@ -138,8 +139,8 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
     study, _, logs = records(ALL)
     without_effects = with_known_effects(Arm.of(study.arm), ())
     record = dataset_of(logs[0], without_effects, 100.0)
-    assert records_with([record], Arm.of(study.arm), ())[0] == record
-    (record_with_effects,) = records_with([record], Arm.of(study.arm), SIZES)
+    assert set_record_effects([record], Arm.of(study.arm), ())[0] == record
+    (record_with_effects,) = set_record_effects([record], Arm.of(study.arm), SIZES)
     assert [joint.effects for joint in record_with_effects.arm.joints] == [ALL, ()]
     assert record_with_effects.arm.joints[0].encoder_counts is None
 

@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.initial_motion import in_motion
+from strainwave.identification.whole_arm.initial_motion import add_initial_states
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import space_of
 from strainwave.identification.whole_arm.preparation import dataset_of
@@ -39,7 +39,7 @@ def arm(logs: Sequence[Log], wrong: float = 0.0) -> tuple[Objective, FloatArray]
     objective = Objective.of(space, [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs])
     stiff = {key: v * (1.0 + wrong) for key, v in true_values.items() if key[0] == "gear_stiffness"}
     z = space.coordinates(true_values | stiff)
-    return objective.reweighted(z), z
+    return objective.update_weights(z), z
 
 
 @pytest.mark.parametrize(("joint", "first"), TURNS)
@@ -48,11 +48,11 @@ def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> N
     log = logs[joint - 1]
     objective, z = arm([later(log, first)])
     assert not objective.records[0].moving  # the motor angles do not show the motion
-    corrected = in_motion(objective, z)
+    corrected = add_initial_states(objective, z)
     assert corrected.records[0].moving
     true = beginning(study, true_values, log, first)
     # link angles, which determine the gear torques
-    np.testing.assert_allclose(corrected.memory.own[0][2:4], true[2:4], atol=2e-4)
+    np.testing.assert_allclose(corrected.memory.record_parameters[0][2:4], true[2:4], atol=2e-4)
     assert np.max(np.abs(true[2:4])) > 0.01
 
 
@@ -60,7 +60,7 @@ def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> N
 def test_records_from_rest_stay_at_rest(wrong: float) -> None:
     logs = [*shaken()[2], *(log for log in rig_logs()[1] if log.name == "step-j1")]
     objective, z = arm(logs, wrong)
-    assert in_motion(objective, z) is objective
+    assert add_initial_states(objective, z) is objective
 
 
 def test_records_from_turning_points_are_fitted() -> None:

@@ -35,7 +35,7 @@ def late(log: Log, delay: float) -> Log:
     return replace(log, channels=channels)
 
 
-def without(study: Study, *names: str) -> Study:
+def remove_sensor_keys(study: Study, *names: str) -> Study:
     """Study without the given keys of its joints."""
     removed = dict.fromkeys(names)
     joints = tuple(replace(joint, **removed) for joint in study.arm.joints)  # type: ignore[arg-type]
@@ -56,7 +56,7 @@ def found(left_out: tuple[str, ...] = (), delay: float = 0.0) -> tuple[ArmModel,
         replace(log, channels={k: x for k, x in log.channels.items() if not k.startswith("gyro")})
         for log in logs
     ]
-    reduced = without(study, *left_out)
+    reduced = remove_sensor_keys(study, *left_out)
     return from_five_percent(
         reduced, true_values, [late(log, delay) for log in records]
     ), true_values
@@ -128,7 +128,7 @@ def test_a_tilted_accelerometer_on_a_link_whose_axis_moves() -> None:
         replace(log, channels={k: log.channels[k] for k in channels} | {"a2": log.channels["ay2"]})
         for log in logs
     ]
-    first, second = without(written, "imu").arm.joints
+    first, second = remove_sensor_keys(written, "imu").arm.joints
     unknown_position = replace(second, accelerometer_distance=None)
     model = from_five_percent(
         replace(written, arm=replace(written.arm, joints=(first, unknown_position))),
@@ -158,7 +158,7 @@ def glued(
     if gravity is not None:
         study = replace(study, arm=replace(study.arm, gravity=gravity))
         true_values |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): 15.0}
-    base_study = without(study, "accelerometer_distance", "gyro_hz")
+    base_study = remove_sensor_keys(study, "accelerometer_distance", "gyro_hz")
 
     def carrying(imu: Imu) -> Study:
         joints = (

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.objective import BLOCKS, Objective, Weights
+from strainwave.identification.whole_arm.objective import BLOCKS_PER_RECORD, Objective, Weights
 from strainwave.identification.whole_arm.parametrisation import (
     ParameterSpace,
     Prior,
@@ -86,8 +86,10 @@ def near_truth(spring: str) -> tuple[Objective, FloatArray]:
     study, true_values, logs = shaken(spring, settling=SETTLING)
     initial_state = np.concatenate([beginning(study, true_values, logs[1], 900), np.zeros(2)])
     objective = Objective.of(space, records)
-    objective.memory.own[1] = initial_state
-    return objective.reweighted(true), true + 5e-4 * np.random.default_rng(1).normal(size=len(true))
+    objective.memory.record_parameters[1] = initial_state
+    return objective.update_weights(true), true + 5e-4 * np.random.default_rng(1).normal(
+        size=len(true)
+    )
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
@@ -111,13 +113,13 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
     objective, z = near_truth(spring)
     h = 1e-6
     for k, (record, rows) in enumerate(zip(objective.records, objective.rows(z), strict=True)):
-        local = objective.memory.own[k][: len(record.local)]
+        local = objective.memory.record_parameters[k][: len(record.local)]
         for i, parameter in enumerate(objective.space.unknowns):
             step = h * np.eye(len(z))[i]
             up, down = (
                 simulated(record, objective.space.values(z + s), local) for s in (step, -step)
             )
-            expected = (up - down) / (2.0 * h) / objective.weights[k].deviation
+            expected = (up - down) / (2.0 * h) / objective.weights[k].stds
             error = np.max(np.abs(rows.shared[..., i] - expected))
             assert error < 1e-3 * np.max(np.abs(expected)) + 1e-3, parameter
 
@@ -125,7 +127,7 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
 def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
     """The reduced problem has the same decrease and step as the complete problem."""
     weighted, z = near_truth("linear")
-    objective = replace(weighted, guessed=True)
+    objective = replace(weighted, has_initial_weights=True)
     rows = objective.rows(z)
     factor = factor_of(objective, z)
     n = len(z)
@@ -156,7 +158,7 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
 def test_an_added_constant_is_found_and_costs_nothing() -> None:
     space, (record, _), true = rig("linear")
     names = [channel.name for channel in record.channels]
-    reference = Objective.of(space, [record]).reweighted(true)
+    reference = Objective.of(space, [record]).update_weights(true)
     bias = np.zeros(len(names))
     bias[names.index("a1")], bias[names.index("a2")] = 0.7, -1.3
     biased = with_records(reference, replace(record, measured=record.measured + bias))
@@ -171,14 +173,14 @@ def test_an_added_constant_is_found_and_costs_nothing() -> None:
 
 def test_only_where_a_record_begins_in_motion_is_moved() -> None:
     objective, z = near_truth("linear")
-    before = [local.copy() for local in objective.memory.own]
+    before = [local.copy() for local in objective.memory.record_parameters]
     first = objective.records[1].start()
-    objective.memory.own[1] = np.concatenate([first, np.zeros(2)])
-    guessed = objective.evaluate(z)[1].beginning(objective.weights[1]).cost
-    np.testing.assert_array_equal(objective.memory.own[0], before[0])
-    assert np.any(objective.memory.own[1][:6] != first)
+    objective.memory.record_parameters[1] = np.concatenate([first, np.zeros(2)])
+    guessed = objective.evaluate(z)[1].initial_state_problem(objective.weights[1]).cost
+    np.testing.assert_array_equal(objective.memory.record_parameters[0], before[0])
+    assert np.any(objective.memory.record_parameters[1][:6] != first)
     true = replace(objective, memory=type(objective.memory)(before))
-    from_truth = true.evaluate(z)[1].beginning(objective.weights[1]).cost
+    from_truth = true.evaluate(z)[1].initial_state_problem(objective.weights[1]).cost
     assert guessed <= 1.05 * from_truth  # friction events cause several local minima
 
 
@@ -192,7 +194,7 @@ def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
     objective.rows(true)
     initial_state, estimate = (
         beginning(study, true_values, logs[joint - 1], first),
-        objective.memory.own[0][:6],
+        objective.memory.record_parameters[0][:6],
     )
 
     def off(local: FloatArray) -> FloatArray:
@@ -253,21 +255,21 @@ def test_deviations_and_repetitions_are_those_of_the_errors() -> None:
         coloured(rng, (4000, 2)) * np.array([1.0, 10.0]),
         coloured(rng, (4000, 2), 0.8),
     ]
-    objective = linear_residual(errors).reweighted(TRUTH)
-    np.testing.assert_allclose(objective.weights[0].deviation, [WHITE, 10.0 * WHITE], rtol=0.06)
-    np.testing.assert_allclose(objective.weights[1].deviation, WHITE, rtol=0.15)
-    np.testing.assert_allclose(objective.weights[0].repeats, 1.0, atol=0.2)
+    objective = linear_residual(errors).update_weights(TRUTH)
+    np.testing.assert_allclose(objective.weights[0].stds, [WHITE, 10.0 * WHITE], rtol=0.06)
+    np.testing.assert_allclose(objective.weights[1].stds, WHITE, rtol=0.15)
+    np.testing.assert_allclose(objective.weights[0].rows_per_error, 1.0, atol=0.2)
     # (1 + a) / (1 - a); the sum ends at the first negative correlation
-    np.testing.assert_allclose(objective.weights[1].repeats, 9.0, rtol=0.35)
+    np.testing.assert_allclose(objective.weights[1].rows_per_error, 9.0, rtol=0.35)
 
 
 def test_no_model_is_better_than_its_sensors() -> None:
     errors = [1e-9 * np.random.default_rng(3).normal(size=(500, 1))]
     signal_std = float(np.std(linear_residual(errors).records[0].measured))
-    exact = linear_residual(errors, noise=1e-12).reweighted(TRUTH)
-    np.testing.assert_allclose(exact.weights[0].deviation, 1e-3 * signal_std)
-    noisy = linear_residual(errors, noise=0.3).reweighted(TRUTH)
-    np.testing.assert_allclose(noisy.weights[0].deviation, 0.3)
+    exact = linear_residual(errors, noise=1e-12).update_weights(TRUTH)
+    np.testing.assert_allclose(exact.weights[0].stds, 1e-3 * signal_std)
+    noisy = linear_residual(errors, noise=0.3).update_weights(TRUTH)
+    np.testing.assert_allclose(noisy.weights[0].stds, 0.3)
 
 
 def test_repeated_rows_count_once() -> None:
@@ -308,7 +310,7 @@ def test_outliers_have_little_say() -> None:
     objective = linear_residual([with_outliers])
     steps = []
     for z in (TRUTH,) * 2:
-        objective = objective.reweighted(z)
+        objective = objective.update_weights(z)
         R = factor_of(objective, z)
         steps.append(np.linalg.lstsq(R[:, :-1], -R[:, -1])[0])
     # the error of least squares would be about 100 WHITE sqrt(20) / 800
@@ -336,21 +338,23 @@ def test_stretches_are_counted_through_all_records() -> None:
     assert [len(block) for block in blocks] == [100, 57]
     labels = np.concatenate(blocks)
     assert np.all(np.diff(labels) >= 0)
-    assert sorted(set(labels.tolist())) == list(range(2 * BLOCKS))
+    assert sorted(set(labels.tolist())) == list(range(2 * BLOCKS_PER_RECORD))
     counts = np.bincount(labels)
-    assert set(counts[:BLOCKS]) == {10}
-    assert set(counts[BLOCKS:]) == {5, 6}
+    assert set(counts[:BLOCKS_PER_RECORD]) == {10}
+    assert set(counts[BLOCKS_PER_RECORD:]) == {5, 6}
 
 
 def test_other_unknowns_leave_records_and_weights() -> None:
     errors = [coloured(np.random.default_rng(9), (300, 1))]
-    objective = linear_residual(errors).reweighted(TRUTH)
-    with_fixed_parameter = objective.for_unknowns(objective.space.holding({("p2", None): 0.5}))
+    objective = linear_residual(errors).update_weights(TRUTH)
+    with_fixed_parameter = objective.replace_unknowns(objective.space.holding({("p2", None): 0.5}))
     assert with_fixed_parameter.weights == objective.weights
     assert factor_of(with_fixed_parameter, TRUTH[:2]).shape == (3, 3)
     # the copy has its own nuisance parameters
-    assert with_fixed_parameter.memory.own is not objective.memory.own
-    np.testing.assert_array_equal(with_fixed_parameter.memory.own, objective.memory.own)
+    assert with_fixed_parameter.memory.record_parameters is not objective.memory.record_parameters
+    np.testing.assert_array_equal(
+        with_fixed_parameter.memory.record_parameters, objective.memory.record_parameters
+    )
 
 
 def test_known_weights_predict_how_the_cost_bends() -> None:
@@ -359,14 +363,14 @@ def test_known_weights_predict_how_the_cost_bends() -> None:
     table, errors = rng.normal(size=(4000, 1, 2)), rng.normal(size=(4000, 1))
     record = linear_record(table, table @ np.array([1.0, -2.0]) + errors)
     z = np.array([1.0, -2.0])
-    weighted = Objective.of(linear_search(2), [record]).reweighted(z)
-    std, repeats = weighted.weights[0].deviation[0], weighted.weights[0].repeats[0]
+    weighted = Objective.of(linear_search(2), [record]).update_weights(z)
+    std, repeats = weighted.weights[0].stds[0], weighted.weights[0].rows_per_error[0]
     slope = table[:, 0] / std
     curvature = (1.0 + (errors / std) ** 2) ** -1.5 / repeats
     second = slope.T @ (curvature * slope)
     predicted = factor_of(weighted, z)[:, :-1]
     np.testing.assert_allclose(predicted.T @ predicted, second, atol=0.05 * np.max(second))
-    guess = factor_of(replace(weighted, guessed=True), z)[:, :-1]
+    guess = factor_of(replace(weighted, has_initial_weights=True), z)[:, :-1]
     assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
 
 
@@ -381,8 +385,8 @@ def test_the_error_of_the_integrators_step_is_made_good() -> None:
         exact = simulated(short, objective.space.values(at), np.zeros(0)) - record.measured
         return np.asarray(of.evaluate(at)[0].difference - exact)
 
-    once = objective.corrected(z)
-    twice = once.corrected(z)
+    once = objective.correct_step_error(z)
+    twice = once.correct_step_error(z)
     before = np.std(left(objective, z), axis=0)
     for corrected in (once, twice):
         np.testing.assert_allclose(left(corrected, z), 0.0, atol=1e-9 * np.max(record.measured))

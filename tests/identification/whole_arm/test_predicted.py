@@ -16,7 +16,7 @@ FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 MOTOR = ("u1", "u2", "theta_m1", "theta_m2")
 
 
-def seen_by(study: Study, logs: tuple[Log, ...], channels: tuple[str, ...]) -> list[Log]:
+def replace_records(study: Study, logs: tuple[Log, ...], channels: tuple[str, ...]) -> list[Log]:
     return [replace(log, channels={c: log.channels[c] for c in channels}) for log in logs]
 
 
@@ -34,7 +34,7 @@ def relative(parameters: tuple[Parameter, ...]) -> dict[tuple[str, int | None], 
 @pytest.mark.parametrize("channels", [MOTOR, (*MOTOR, "a1", "a2")])
 def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str, ...]) -> None:
     study, true_values, logs = shaken(spring)
-    records = seen_by(study, logs, channels)
+    records = replace_records(study, logs, channels)
     predicted = relative(predicted_parameters(records, Arm.of(study.arm), true_values))
     joints = joint_models(study, true_values, 0.02, FACTORS)
     estimated = relative(
@@ -51,7 +51,9 @@ def test_without_link_sensors_gears_are_known_less_well() -> None:
     study, known_values, logs = shaken()
     motor_only, with_accelerometers = (
         relative(
-            predicted_parameters(seen_by(study, logs, channels), Arm.of(study.arm), known_values)
+            predicted_parameters(
+                replace_records(study, logs, channels), Arm.of(study.arm), known_values
+            )
         )
         for channels in (MOTOR, (*MOTOR, "a1", "a2"))
     )

@@ -20,11 +20,11 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import (
-    idle,
+    add_effects,
+    insignificant_effects,
     named_effects,
+    remove_effects,
     sizes_of,
-    with_effects,
-    without,
 )
 from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
@@ -248,20 +248,20 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
         (name, j): v for j in (1, 2) for name, v in ((COULOMB, 0.05), (STIFFNESS, 2e4))
     }
     loads = Loads(torque=(30.0, 8.0), voltage=(10.0, 10.0))
-    space, z = with_effects(empty, named_effects(arm), arm, values, loads, ["slow", "fast"])
+    space, z = add_effects(empty, named_effects(arm), arm, values, loads, ["slow", "fast"])
     changes = ["friction_change[slow]", "friction_change[fast]"]
     assert space.keys == [(name, j) for j in (1, 2) for name in changes]
     np.testing.assert_array_equal(space.parameters(z), np.zeros(4))
     z[2:] = 1.0
-    slope, residual = space.beforehand(z)
+    slope, residual = space.linearise_prior(z)
     std = effect_named("friction-by-record").prior_std
     assert std is not None
     np.testing.assert_allclose(slope, space.slope(z) / std)
     np.testing.assert_allclose(residual, space.parameters(z) / std)
     small_covariance = 1e-4 * np.eye(4)
-    assert list(idle(space, z, small_covariance)) == [(1, "friction-by-record")]
-    assert without(space, {(1, "friction-by-record")}, arm).keys == space.keys[2:]
-    assert without(space, {(1, "friction-by-record")}, arm).own_prior[0].shape == (2, 2)
+    assert list(insignificant_effects(space, z, small_covariance)) == [(1, "friction-by-record")]
+    assert remove_effects(space, {(1, "friction-by-record")}, arm).keys == space.keys[2:]
+    assert remove_effects(space, {(1, "friction-by-record")}, arm).own_prior[0].shape == (2, 2)
 
 
 def test_friction_in_a_record_that_has_no_size_is_the_joint_s() -> None:

@@ -46,7 +46,7 @@ from strainwave.identification.rigid.repetition import period_of
 from strainwave.identification.rigid.torque_constants import TorqueRatio, torque_ratio
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.distributions import student_quantile
-from strainwave.numerics.parallel import one_blas_thread, side_by_side
+from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 __all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
 
@@ -401,7 +401,7 @@ def _elastic_model_error(arm: Arm, best: _Trial) -> FloatArray:
         return np.zeros(len(best.covariance))
     solution = best.estimate.solution
     rigid_arm = arm.behind_rigid_gears()
-    rigid_trial, other_share_trial = side_by_side(
+    rigid_trial, other_share_trial = run_parallel(
         [
             partial(_trial, rigid_arm, best.stretches, best.estimate),
             partial(_trial, arm, best.stretches, best.estimate, OTHER_SHARE),

@@ -12,7 +12,7 @@ from dataclasses import replace
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, TuningOptions
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
-from strainwave.identification.whole_arm.effects import records_with
+from strainwave.identification.whole_arm.effects import set_record_effects
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.model_selection import COARSE, FINE, selected
 from strainwave.identification.whole_arm.parametrisation import Key
@@ -24,8 +24,8 @@ from strainwave.identification.whole_arm.solver import (
     Progress,
     coarse_search,
     fine_search,
-    polished,
-    reported,
+    polish,
+    report_progress,
 )
 from strainwave.identification.whole_arm.start import Start, start_of
 from strainwave.numerics.parallel import one_blas_thread
@@ -66,7 +66,7 @@ def tune(
     record lacks what its simulation needs.
     """
     chosen = as_published(options or TuningOptions())
-    with one_blas_thread(), reported(progress):  # thousands of small factorisations
+    with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         begin = start_of(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
         return arm_model(_fit(begin, selection), begin, selection)
@@ -94,9 +94,9 @@ def _fit(start: Start, selection: Selection) -> Fit:
     coarse = selected(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
     records = [replace(record, moving=found.moving) for record, found in pairs]
-    with_effects = records_with(records, selection.arm, coarse.objective.space.keys)
-    objective = coarse.objective.seen_by(with_effects).reweighted(coarse.z)
+    with_effects = set_record_effects(records, selection.arm, coarse.objective.space.keys)
+    objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
     if fine.converged:  # what comes beside has evaluations of its own
         selection.renew(fine)
-    return polished(selected(fine, FINE, selection), selection.options)
+    return polish(selected(fine, FINE, selection), selection.options)

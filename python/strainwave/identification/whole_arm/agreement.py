@@ -22,9 +22,9 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.effects import rigid_body, rigid_friction
+from strainwave.identification.whole_arm.effects import body_parameters, friction_parameters
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated
+from strainwave.identification.whole_arm.objective import Evaluation
 from strainwave.identification.whole_arm.parametrisation import COULOMB, OFFSET, Key
 from strainwave.numerics.distributions import chi_square_tail
 
@@ -172,7 +172,7 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
             SuspectConstant(
                 "payload", None, 0.0, experiment="repeat the motion with the load of fast records"
             ),
-            rigid_body(arm),
+            body_parameters(arm),
         )
     ]
     for joint in range(1, arm.n_joints + 1):
@@ -180,7 +180,7 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
         hypotheses.append(
             (
                 SuspectConstant("changed friction", joint, 0.0, experiment=change),
-                rigid_friction(arm, joint),
+                friction_parameters(arm, joint),
             )
         )
     suspects = [
@@ -204,10 +204,10 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
     """Test the link length, on which the acceleration of link 2 depends."""
     values, objective = fit.objective.space.values(fit.z), fit.objective
 
-    def column(k: int, evaluated: Evaluated) -> FloatArray:
+    def column(k: int, evaluated: Evaluation) -> FloatArray:
         """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
         record = objective.records[k]
-        own = evaluated.own[: len(record.local)]
+        own = evaluated.record_parameters[: len(record.local)]
         ends = [
             replace(record, arm=replace(record.arm, link_length=length * factor)).linearised(
                 values, own, ()
@@ -217,7 +217,7 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
         return np.asarray((ends[0] - ends[1])[..., None] / (2.0 * LENGTH_STEP))
 
     try:
-        factor = objective.bordered(fit.z, 1, column)
+        factor = objective.factor_with_columns(fit.z, 1, column)
     except (InvalidInput, NumericalFailure):
         return
     n = len(objective.space.unknowns)
@@ -235,10 +235,10 @@ def _shift_share(fit: Fit, shifted: FloatArray) -> float:
     """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
     n, width = len(fit.objective.space.unknowns), shifted.shape[1]
 
-    def nothing(_: int, evaluated: Evaluated) -> FloatArray:
+    def nothing(_: int, evaluated: Evaluation) -> FloatArray:
         return np.zeros((*evaluated.difference.shape, width))
 
-    factor = fit.objective.bordered(fit.z, width, nothing, shifted)
+    factor = fit.objective.factor_with_columns(fit.z, width, nothing, shifted)
     jacobian, target = factor[n:, n:-1], factor[n:, -1]
     remaining = target - jacobian @ np.linalg.lstsq(jacobian, target)[0]
     return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))

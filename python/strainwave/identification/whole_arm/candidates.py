@@ -1,8 +1,8 @@
 """Choose between several starts of the whole-arm fit by short searches.
 
-Without link sensors the earlier stages may leave several gears possible, or know none. Each set of
-joints gets a few evaluations in long integrator steps, at most those sets whose cost is least at
-the start. The remaining sets continue until one is far ahead or all have converged.
+Without link sensors the earlier stages may return several sets of gears, or none. The sets of
+lowest initial cost get a few evaluations each, in long integrator steps. Sets of much larger cost
+are dropped, and the others continue until all searches have converged or one set remains.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from strainwave.domain.parameters import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.solver import COARSE_GAIN, search_from
+from strainwave.identification.whole_arm.solver import COARSE_TOLERANCE, search_minimum
 
 MAX_SEARCHED_SETS = 4
 EVALUATIONS_PER_ROUND = 8  # of the search from each set
@@ -28,18 +28,18 @@ LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class SelectedCandidate:
     """A set of joints and the result of the search from it."""
 
     joints: Sequence[JointModel]
-    reached: Values | None  # (name, joint) -> value; None where there was no other set
+    end_values: Values | None  # (name, joint) -> value; None if there is only one set
 
 
-def best_candidate(
+def select_candidate(
     candidates: Sequence[Sequence[JointModel]],
     objective_of: Callable[[Sequence[JointModel]], Objective],
     options: TuningOptions,
-) -> Chosen:
+) -> SelectedCandidate:
     """The set of joints from which a short search reaches the lowest cost.
 
     If a search drives a stiffness to the limit of its range, the range is centred there.
@@ -47,37 +47,43 @@ def best_candidate(
     Raises `NotIdentifiable` if no arm near any set can be simulated.
     """
     if len(candidates) == 1:
-        return Chosen(candidates[0], None)
-    known: list[tuple[float, int, Objective]] = []
-    why: NotIdentifiable | None = None
+        return SelectedCandidate(candidates[0], None)
+    starts: list[tuple[float, int, Objective]] = []
+    failure: NotIdentifiable | None = None
     for k, joints in enumerate(candidates):
         try:
             objective = objective_of(joints)
-        except NotIdentifiable as failure:
-            why = failure
+        except NotIdentifiable as error:
+            failure = error
             continue
         at_start = objective.linearise(np.zeros(len(objective.space.unknowns)))
         if at_start is not None:
-            known.append((at_start.cost, k, objective))
-    if not known:
-        raise why or NotIdentifiable("no arm that the steps before leave can be simulated")
-    racing = [
+            starts.append((at_start.cost, k, objective))
+    if not starts:
+        raise failure or NotIdentifiable(
+            "the arm cannot be simulated with any start values of the earlier stages"
+        )
+    searches = [
         _SearchState(
             candidates[k], Fit(objective, np.zeros(len(objective.space.unknowns)), cost, 0, False)
         )
-        for cost, k, objective in sorted(known, key=lambda each: each[:2])[:MAX_SEARCHED_SETS]
+        for cost, k, objective in sorted(starts, key=lambda start: start[:2])[:MAX_SEARCHED_SETS]
     ]
     for _ in range(MAX_ROUNDS):
-        further = [_continue_search(racer, objective_of, options) for racer in racing]
-        racing = [racer for racer in further if racer is not None]
-        if not racing:
-            raise NotIdentifiable("no arm near those that the steps before leave can be simulated")
-        least = min(racer.fit.cost for racer in racing)
-        racing = [racer for racer in racing if racer.fit.cost <= MAX_COST_RATIO * least]
-        if all(racer.done for racer in racing) or (len(racing) == 1 and not racing[0].limited):
+        continued = [_continue_search(search, objective_of, options) for search in searches]
+        searches = [search for search in continued if search is not None]
+        if not searches:
+            raise NotIdentifiable(
+                "the arm cannot be simulated near any start values of the earlier stages"
+            )
+        min_cost = min(search.fit.cost for search in searches)
+        searches = [s for s in searches if s.fit.cost <= MAX_COST_RATIO * min_cost]
+        if all(search.is_finished for search in searches):
             break
-    best = min(racing, key=lambda racer: racer.fit.cost)
-    return Chosen(best.joints, best.fit.objective.space.values(best.fit.z))
+        if len(searches) == 1 and not searches[0].is_limited:
+            break
+    best = min(searches, key=lambda search: search.fit.cost)
+    return SelectedCandidate(best.joints, best.fit.objective.space.values(best.fit.z))
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,64 +94,69 @@ class _SearchState:
     fit: Fit
 
     @property
-    def limited(self) -> bool:
+    def is_limited(self) -> bool:
         """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
         space, z = self.fit.objective.space, self.fit.z
-        near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
+        is_near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
             space.upper - space.lower
         )
-        ended: dict[int | None, list[bool]] = {}
-        for (name, joint), at in zip(space.keys, near, strict=True):
+        slopes_at_limit: dict[int | None, list[bool]] = {}
+        for (name, joint), is_at_limit in zip(space.keys, is_near, strict=True):
             if is_slope(name):
-                ended.setdefault(joint, []).append(bool(at))
-        return any(all(slopes) for slopes in ended.values())
+                slopes_at_limit.setdefault(joint, []).append(bool(is_at_limit))
+        return any(all(slopes) for slopes in slopes_at_limit.values())
 
     @property
-    def done(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the search has converged inside its ranges."""
-        return self.fit.converged and not self.limited
+        return self.fit.converged and not self.is_limited
 
 
 def _continue_search(
-    racer: _SearchState,
+    search: _SearchState,
     objective_of: Callable[[Sequence[JointModel]], Objective],
     options: TuningOptions,
 ) -> _SearchState | None:
     """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
-    if racer.done:
-        return racer
+    if search.is_finished:
+        return search
     try:
-        joints, fit = racer.joints, racer.fit
-        if racer.limited:
-            joints = _recentre(racer)
+        joints, fit = search.joints, search.fit
+        if search.is_limited:
+            joints = _recentre(search)
             objective = objective_of(joints)
             fit = replace(
                 fit,
                 objective=objective,
                 z=objective.space.coordinates(_values_with_start_springs(fit, objective)),
             )
-        found = search_from(
-            fit.objective, fit.z, 0, options, tolerance=COARSE_GAIN, most=EVALUATIONS_PER_ROUND
+        fit = search_minimum(
+            fit.objective,
+            fit.z,
+            0,
+            options,
+            tolerance=COARSE_TOLERANCE,
+            max_evaluations=EVALUATIONS_PER_ROUND,
         )
     except NotIdentifiable:
         return None
-    return _SearchState(joints, replace(found, iterations=0))
+    return _SearchState(joints, replace(fit, iterations=0))
 
 
-def _recentre(racer: _SearchState) -> list[JointModel]:
+def _recentre(search: _SearchState) -> list[JointModel]:
     """The joints with the stiffnesses of the search, so that the ranges are centred there."""
-    found = racer.fit.objective.space.values(racer.fit.z)
-    arm, moved = racer.fit.objective.records[0].arm, []
-    for joint in racer.joints:
-        own = arm.joints[joint.joint - 1].law.linearised_by
-        values = {**joint.values, STIFFNESS: found[own, joint.joint]}
-        moved.append(replace(joint, values=values))
-    return moved
+    estimates = search.fit.objective.space.values(search.fit.z)
+    arm, recentred = search.fit.objective.records[0].arm, []
+    for joint in search.joints:
+        stiffness = arm.joints[joint.joint - 1].law.linearised_by
+        values = {**joint.values, STIFFNESS: estimates[stiffness, joint.joint]}
+        recentred.append(replace(joint, values=values))
+    return recentred
 
 
 def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
     """The values of the search, with the springs at their starts."""
     space = objective.space
-    anew = space.values(np.zeros(len(space.unknowns)))
-    of_gears, found = gear_parameters(), fit.objective.space.values(fit.z)
-    return {**anew, **{key: x for key, x in found.items() if key[0] not in of_gears}}
+    start_values = space.values(np.zeros(len(space.unknowns)))
+    gear_names, estimates = gear_parameters(), fit.objective.space.values(fit.z)
+    return {**start_values, **{key: x for key, x in estimates.items() if key[0] not in gear_names}}

@@ -1,7 +1,7 @@
-"""Find the effect that a model most likely lacks: fit each of the best score tests.
+"""Find the effect that the model most likely lacks by fits of the best score tests.
 
-A score test is one linear step. Effects that resemble one another in that step differ in what they
-explain once they are fitted, with the shapes and limits of their laws.
+A score test is one linear step. Effects with similar score tests can be told apart by fits, which
+use the shapes and limits of their laws.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
+    add_effects,
     effects_in,
     named_effects,
-    records_with,
-    with_effects,
+    set_record_effects,
 )
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of
 from strainwave.identification.whole_arm.gear_load import gear_torques
@@ -29,17 +29,17 @@ from strainwave.identification.whole_arm.loads import Loads, loads_of
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.score_tests import (
-    Tested,
-    in_long_steps,
-    matters,
+    TestedEffect,
+    is_relevant,
+    lengthen_steps,
     score_tests_of,
     shifts,
 )
 from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.solver import fine_search, search_from
+from strainwave.identification.whole_arm.solver import fine_search, search_minimum
 from strainwave.numerics.distributions import chi_square_limit
 
-MAX_RIVAL_EFFECTS = 3  # fitted effects of largest promise
+MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
 MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint are fitted
 MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
@@ -48,7 +48,7 @@ RIVAL_ROWS = 600_000
 """Budget of fits with one additional effect, in evaluated residual rows: 62 evaluations of a study
 of 9,700 rows, about half a minute of one core."""
 REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
-MIN_KEPT_PROMISE = 0.5  # share of the linear gain below which a second start is tried
+MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
 MAX_AUTO_EFFECTS = 4  # effects that a fit adds
 MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
 MIN_UNEXPLAINED_SHARE = 1e-9  # of the cost; keeps the logarithm finite
@@ -59,15 +59,15 @@ MIN_SUFFICIENT_SHARE = 0.5  # of the cost; below, the warning says that more is 
 class Refit:
     """A fit with one additional effect."""
 
-    one: NamedEffect
+    named_effect: NamedEffect
     fit: Fit
-    gain: float  # of the cost, less what so many parameters gain by chance
-    share: float
-    evidence: float
+    gain: float  # cost reduction minus its expectation if the residuals are noise
+    share: float  # of the cost that the effect explains
+    evidence: float  # decrease of Schwarz's criterion
     shifts: tuple[ParameterShift, ...]
 
 
-def evidence_of(share: float, parameters: int, cost: float) -> float:
+def schwarz_decrease(share: float, parameters: int, cost: float) -> float:
     """Decrease of Schwarz's criterion by an effect: n ln(1 / (1 - share)) - p ln n.
 
     `share` is the share of the cost that the effect explains, p the number of its `parameters`, and
@@ -82,23 +82,23 @@ def evidence_of(share: float, parameters: int, cost: float) -> float:
 class Refits:
     """Fits with one additional effect each, and the effects that the budget excluded."""
 
-    fits: tuple[Refit, ...]  # the likeliest first; without those that explain no more than chance
-    not_fitted: tuple[NamedEffect, ...]
+    fits: tuple[Refit, ...]  # the significant ones, the most likely first
+    excluded: tuple[NamedEffect, ...]
     evaluations: int  # budget that was given, in evaluations of the fit's objective
 
 
 @dataclass(frozen=True, slots=True)
-class _Steps:
+class _StepFits:
     """A fit in long integrator steps and in its own steps."""
 
     long: Fit
-    own: Fit
+    short: Fit
 
     @classmethod
-    def of(cls, fit: Fit) -> _Steps:
-        long = in_long_steps(fit)
+    def of(cls, fit: Fit) -> _StepFits:
+        long = lengthen_steps(fit)
         if long is not fit:
-            long = replace(long, objective=long.objective.with_step_errors(fit.z))
+            long = replace(long, objective=long.objective.store_step_errors(fit.z))
         return cls(long, fit)
 
 
@@ -108,41 +108,55 @@ class _Budget:
     def __init__(self, fit: Fit, options: TuningOptions) -> None:
         n_rows = sum(len(record.time) for record in fit.objective.records)
         self.evaluations = int(options.rival_effort * RIVAL_ROWS / n_rows)
-        self.left = self.evaluations
-        self.refused: list[NamedEffect] = []
+        self.remaining = self.evaluations
+        self.excluded: list[NamedEffect] = []
 
     @property
-    def of_next(self) -> int:
+    def next_limit(self) -> int:
         """Maximum evaluations of the next search."""
-        return min(MAX_REFIT_EVALUATIONS, self.left)
+        return min(MAX_REFIT_EVALUATIONS, self.remaining)
 
 
-def refits_of(fit: Fit, tested: Sequence[Tested], arm: Arm, options: TuningOptions) -> Refits:
+def fit_missing_effects(
+    fit: Fit, tested: Sequence[TestedEffect], arm: Arm, options: TuningOptions
+) -> Refits:
     """Fit each of the most significant effects, within a budget of evaluations.
 
     No effect is fitted unless one is promising. `fit` is at its minimum, and `tested` is in order
     of significance.
     """
     named = named_effects(arm)
-    promising = [one for one in tested if one.promising and one.one not in named]
+    promising = [one for one in tested if one.is_promising and one.named_effect not in named]
     if not promising:
         return Refits((), (), 0)
-    least = MIN_RIVAL_GAIN_SHARE * max(map(_promised_gain, promising))
+    min_gain = MIN_RIVAL_GAIN_SHARE * max(map(_predicted_gain, promising))
     rivals = sorted(
-        (one for one in tested if _promised_gain(one) >= least and one.one not in named),
-        key=lambda one: -_promised_gain(one),
+        (
+            one
+            for one in tested
+            if _predicted_gain(one) >= min_gain and one.named_effect not in named
+        ),
+        key=lambda one: -_predicted_gain(one),
     )
     budget = _Budget(fit, options)
-    steps = _Steps.of(fit)
-    found = _fit_rivals(steps, rivals[:MAX_RIVAL_EFFECTS], arm, options, budget)
-    if not found or found[0].share < MIN_EXPLAINED_SHARE or effect_named(found[0].one[1]).by_record:
-        # a linear step may not see them, and what changes by record stands for much else
-        joint = found[0].one[0] if found else promising[0].test.joint
-        others = [one for one in tested if one.test.joint == joint and one.one not in named]
+    fits = _StepFits.of(fit)
+    refits = _fit_rivals(fits, rivals[:MAX_RIVAL_EFFECTS], arm, options, budget)
+    if not refits or not _is_sufficient(refits[0]):
+        # a linear step underrates some effects; an effect by record can replace many others
+        joint = refits[0].named_effect[0] if refits else promising[0].test.joint
+        others = [
+            one for one in tested if one.test.joint == joint and one.named_effect not in named
+        ]
         others = [one for one in others if one not in rivals[:MAX_RIVAL_EFFECTS]]
-        others.sort(key=_promised_gain, reverse=True)
-        found += _fit_rivals(steps, others[:MAX_OTHER_EFFECTS], arm, options, budget)
-    return Refits(tuple(_sort_by_evidence(found)), tuple(budget.refused), budget.evaluations)
+        others.sort(key=_predicted_gain, reverse=True)
+        refits += _fit_rivals(fits, others[:MAX_OTHER_EFFECTS], arm, options, budget)
+    return Refits(tuple(_sort_by_evidence(refits)), tuple(budget.excluded), budget.evaluations)
+
+
+def _is_sufficient(refit: Refit) -> bool:
+    """Whether the effect explains so much that no further effects need a fit."""
+    is_by_record = effect_named(refit.named_effect[1]).by_record
+    return refit.share >= MIN_EXPLAINED_SHARE and not is_by_record
 
 
 def _sort_by_evidence(refits: Iterable[Refit]) -> list[Refit]:
@@ -151,61 +165,67 @@ def _sort_by_evidence(refits: Iterable[Refit]) -> list[Refit]:
 
 
 def _fit_rivals(
-    steps: _Steps, rivals: Sequence[Tested], arm: Arm, options: TuningOptions, budget: _Budget
+    fits: _StepFits,
+    rivals: Sequence[TestedEffect],
+    arm: Arm,
+    options: TuningOptions,
+    budget: _Budget,
 ) -> list[Refit]:
     """Fit each effect; keep those significant beyond chance, the most likely first."""
-    found = []
+    refits = []
     for one in rivals:
-        if not budget.of_next:
-            budget.refused.append(one.one)
+        if not budget.next_limit:
+            budget.excluded.append(one.named_effect)
             continue
-        refit = _refit(steps.long, one, arm, options, budget)
-        if refit is None and steps.own is not steps.long:  # too stiff an effect for long steps
-            refit = _refit(steps.own, one, arm, options, budget)
+        refit = _refit(fits.long, one, arm, options, budget)
+        if refit is None and fits.short is not fits.long:  # too stiff an effect for long steps
+            refit = _refit(fits.short, one, arm, options, budget)
         if refit is not None and _is_significant(refit, one.chance):
-            found.append(refit)
-    return _sort_by_evidence(found)
+            refits.append(refit)
+    return _sort_by_evidence(refits)
 
 
-def _promised_gain(tested: Tested) -> float:
+def _predicted_gain(tested: TestedEffect) -> float:
     """Cost reduction by the linear step, alone or with the more significant effects included."""
-    return max(tested.alone, tested.test.gain if tested.promising else 0.0)
+    return max(tested.alone, tested.test.gain if tested.is_promising else 0.0)
 
 
 def _refit(
-    fit: Fit, tested: Tested, arm: Arm, options: TuningOptions, budget: _Budget
+    fit: Fit, tested: TestedEffect, arm: Arm, options: TuningOptions, budget: _Budget
 ) -> Refit | None:
     """Fit with one additional effect; None if no such arm can be simulated.
 
-    The search starts where the linear step leads. If it gains less than the linear step promised,
-    it also starts from the fit without the effect.
+    The search starts at the result of the linear step. If it gains much less than the linear step
+    predicts, a second search starts from the fit without the effect.
     """
     n = len(fit.objective.space.unknowns)
-    here = fit.objective.space.values(fit.z)
-    sizes = {key: value for key, value in tested.values.items() if key not in here}
-    loads = loads_of(fit.objective.records, here)
-    found: Fit | None = None
-    for start in (tested.values, here | sizes):
-        limited = replace(options, max_iterations=budget.of_next)
-        if not budget.of_next:
+    estimates = fit.objective.space.values(fit.z)
+    sizes = {key: value for key, value in tested.values.items() if key not in estimates}
+    loads = loads_of(fit.objective.records, estimates)
+    best: Fit | None = None
+    for start in (tested.values, estimates | sizes):
+        limited = replace(options, max_iterations=budget.next_limit)
+        if not budget.next_limit:
             break
-        other = _search_with_effect(fit, tested.one, start, loads, arm, limited)
-        budget.left -= budget.of_next if other is None else min(other.iterations, budget.left)
-        if other is not None and (found is None or other.cost < found.cost):
-            found = other
+        other = _search_with_effect(fit, tested.named_effect, start, loads, arm, limited)
+        budget.remaining -= (
+            budget.next_limit if other is None else min(other.iterations, budget.remaining)
+        )
+        if other is not None and (best is None or other.cost < best.cost):
+            best = other
         if (
-            found is not None
-            and fit.cost - tested.rigid - found.cost > MIN_KEPT_PROMISE * tested.alone
+            best is not None
+            and fit.cost - tested.rigid - best.cost > MIN_ACHIEVED_GAIN_SHARE * tested.alone
         ):
             break
-    if found is None:
+    if best is None:
         return None
-    gain = fit.cost - tested.rigid - found.cost
-    moved = tuple(shifts(fit, found.objective.space.values(found.z)))
-    more = len(found.objective.space.unknowns) - n
+    gain = fit.cost - tested.rigid - best.cost
+    parameter_shifts = tuple(shifts(fit, best.objective.space.values(best.z)))
+    n_added = len(best.objective.space.unknowns) - n
     share = gain / max(fit.cost, 1e-300)
-    evidence = evidence_of(share, more, fit.cost)
-    return Refit(tested.one, found, gain - more, share, evidence, moved)
+    evidence = schwarz_decrease(share, n_added, fit.cost)
+    return Refit(tested.named_effect, best, gain - n_added, share, evidence, parameter_shifts)
 
 
 def _search_with_effect(
@@ -218,16 +238,22 @@ def _search_with_effect(
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
     space = fit.objective.space
-    extended, begin = with_effects(space, [one], arm, start, loads, fit.records)
+    extended, begin = add_effects(space, [one], arm, start, loads, fit.records)
     objective = replace(
-        fit.objective.for_unknowns(extended),
-        records=records_with(fit.objective.records, _with_possible_effect(arm, one), extended.keys),
+        fit.objective.replace_unknowns(extended),
+        records=set_record_effects(
+            fit.objective.records, _with_possible_effect(arm, one), extended.keys
+        ),
     )
     try:
-        found = search_from(objective, begin, 0, options, tolerance=REFIT_GAIN_TOLERANCE)
-        objective = found.objective.corrected(found.z)
-        return search_from(
-            objective, found.z, found.iterations, options, tolerance=REFIT_GAIN_TOLERANCE
+        intermediate = search_minimum(objective, begin, 0, options, tolerance=REFIT_GAIN_TOLERANCE)
+        objective = intermediate.objective.correct_step_error(intermediate.z)
+        return search_minimum(
+            objective,
+            intermediate.z,
+            intermediate.iterations,
+            options,
+            tolerance=REFIT_GAIN_TOLERANCE,
         )
     except (InvalidInput, NotIdentifiable, NumericalFailure):
         return None
@@ -236,8 +262,10 @@ def _search_with_effect(
 def _in_short_steps(fit: Fit, refit: Refit, arm: Arm) -> tuple[Objective, FloatArray]:
     """The objective of a refit in the steps of the fit, and the point of the refit."""
     space = refit.fit.objective.space
-    records = records_with(fit.objective.records, _with_possible_effect(arm, refit.one), space.keys)
-    return replace(fit.objective.for_unknowns(space), records=records), refit.fit.z
+    records = set_record_effects(
+        fit.objective.records, _with_possible_effect(arm, refit.named_effect), space.keys
+    )
+    return replace(fit.objective.replace_unknowns(space), records=records), refit.fit.z
 
 
 def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
@@ -252,38 +280,40 @@ def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
 
 
 def _is_significant(refit: Refit, chance: float) -> bool:
-    """Whether a fitted effect is significant and matters."""
-    degrees = len(_own_parameters(refit))
+    """Whether a fitted effect is significant and relevant."""
+    degrees = len(_effect_parameters(refit))
     significant = refit.gain + degrees > chi_square_limit(chance, degrees)
-    return significant and refit.evidence > 0.0 and matters(refit.share, refit.shifts)
+    return significant and refit.evidence > 0.0 and is_relevant(refit.share, refit.shifts)
 
 
-def _own_parameters(refit: Refit) -> set[Key]:
+def _effect_parameters(refit: Refit) -> set[Key]:
     """The parameters of the refit's effect."""
-    joint, effect = refit.one
-    own = effect_named(effect).names
+    joint, effect = refit.named_effect
+    names = effect_named(effect).names
     keys = refit.fit.objective.space.keys
-    return {key for key in keys if key[1] == joint and base_name(key[0]) in own}
+    return {key for key in keys if key[1] == joint and base_name(key[0]) in names}
 
 
-def causes_of(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
+def list_causes(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
     """The published record of each refit."""
     for refit in refits:
-        joint, effect = refit.one
+        joint, effect = refit.named_effect
         values = refit.fit.objective.space.values(refit.fit.z)
         largest = gear_torques(refit.fit.objective.records, values).tolist()
-        parameters, _ = parameters_of(refit.fit, _with_possible_effect(arm, refit.one), largest)
+        parameters, _ = parameters_of(
+            refit.fit, _with_possible_effect(arm, refit.named_effect), largest
+        )
         yield Cause(
             joint,
             effect,
-            tuple(p for p in parameters if (p.name, p.joint) in _own_parameters(refit)),
+            tuple(p for p in parameters if (p.name, p.joint) in _effect_parameters(refit)),
             refit.gain,
             refit.share,
             refit.shifts,
         )
 
 
-def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
+def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
     """Add the significant effects, for joints with effects = "auto".
 
     Effects are added one at a time, the most likely first, until none is significant. If the
@@ -298,7 +328,7 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
             for one in score_tests_of(fit, arm)
             if arm.joints[one.test.joint - 1].selects_effects
         ]
-        refits = refits_of(fit, tested, arm, selection.options)
+        refits = fit_missing_effects(fit, tested, arm, selection.options)
         if not refits.fits:
             break
         selection.renew(fit)
@@ -307,17 +337,19 @@ def with_demanded_effects(fit: Fit, selection: Selection) -> Fit:
     return fit
 
 
-def budget_warnings(refits: Refits) -> Iterator[Diagnostic]:
-    """Warn about effects that were not fitted because the budget was spent."""
-    if refits.not_fitted:
-        names = ", ".join(f"{effect} of joint {joint}" for joint, effect in refits.not_fitted)
-        text = f"{names} might explain the residuals, but the {refits.evaluations} evaluations for"
-        text += " fits with one more effect were spent before: the likely cause may be one of"
-        text += " these. Raise tuning.rival_effort to fit them"
+def warn_unfitted_effects(refits: Refits) -> Iterator[Diagnostic]:
+    """Warn about effects that were excluded because the budget was exhausted."""
+    if refits.excluded:
+        names = ", ".join(f"{effect} of joint {joint}" for joint, effect in refits.excluded)
+        text = f"{names} might explain the residuals but were not fitted: the budget of"
+        text += (
+            f" {refits.evaluations} evaluations for fits with one more effect was exhausted. The"
+        )
+        text += " true cause may be one of them; raise tuning.rival_effort to fit them"
         yield Diagnostic("causes-not-fitted", "tuning", text)
 
 
-def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
+def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
     """Warn about the most likely cause: what it explains, what it changes, how to confirm it.
 
     Only the first cause gets a warning, because the gain of the others is only known with the first
@@ -325,22 +357,22 @@ def cause_warnings(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
     """
     for cause in causes[:1]:
         effect = effect_named(cause.effect)
-        known = [p for p in cause.parameters if p.value is not None and p.std is not None]
+        estimates = [p for p in cause.parameters if p.value is not None and p.std is not None]
         sizes = ", ".join(
             f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip()
-            for p in known[:MAX_NAMED_PARAMETERS]
+            for p in estimates[:MAX_NAMED_PARAMETERS]
         )
         text = f"{cause.effect} would explain {100.0 * cause.share:.2g} % of the residuals"
         text += f" ({sizes})"
         if cause.shifts:
-            text += f", and move {_shift_text(cause.shifts)}"
+            text += f" and change {_shift_text(cause.shifts)}"
         rivals = [f"{other.effect} of joint {other.joint}" for other in causes[1:]]
         if rivals:
-            text += f"; less likely, {' or '.join(rivals)}"
+            text += f"; less likely causes are {' and '.join(rivals)}"
         if cause.share < MIN_SUFFICIENT_SHARE:
-            text += "; it leaves most of them unexplained"
-        text += f'; give the joint effects = ["{cause.effect}"], or "auto", to fit it;'
-        text += f" to be sure, {effect.experiment}"
+            text += "; most of the residuals remain unexplained"
+        text += f'; to fit it, give the joint effects = ["{cause.effect}"] or "auto";'
+        text += f" to confirm it, {effect.experiment}"
         yield Diagnostic(effect.warning_code, f"joint {cause.joint}", text)
 
 
@@ -354,11 +386,11 @@ def _shift_text(moves: Sequence[ParameterShift]) -> str:
     )
 
 
-def taken_up(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
+def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
     """Warn about the effects that the fit added."""
     for number, name in effects_in(fit.objective.space, arm):
         if arm.joints[number - 1].selects_effects:
             effect = effect_named(name)
-            text = f"{name}, {effect.description}, was taken into the model: without it"
-            text += f" {effect.consequence}; to be sure, {effect.experiment}"
+            text = f"{name}, {effect.description}, was added to the model: without it"
+            text += f" {effect.consequence}; to confirm it, {effect.experiment}"
             yield Diagnostic("effect-taken-up", f"joint {number}", text)

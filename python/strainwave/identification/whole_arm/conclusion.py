@@ -21,13 +21,13 @@ from strainwave.identification.whole_arm.agreement import (
 )
 from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.causes import (
-    budget_warnings,
-    cause_warnings,
-    causes_of,
-    refits_of,
-    taken_up,
+    fit_missing_effects,
+    list_causes,
+    warn_added_effects,
+    warn_likely_cause,
+    warn_unfitted_effects,
 )
-from strainwave.identification.whole_arm.effects import left_out
+from strainwave.identification.whole_arm.effects import warn_removed_effects
 from strainwave.identification.whole_arm.estimates import Fit, parameters_of, warnings_of
 from strainwave.identification.whole_arm.gear_load import (
     gear_torque_samples,
@@ -47,7 +47,7 @@ from strainwave.identification.whole_arm.sensors import (
     sensor_warnings,
 )
 from strainwave.identification.whole_arm.start import Start
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
@@ -57,7 +57,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     `start` holds the starting values of the fit, `selection` the arm of the study and the options.
     """
     arm = selection.arm
-    initial_fit_percent = start.coarse.fits(start.initial)
+    initial_fit_percent = start.coarse.fit_percentages(start.initial)
     initial_values = start.coarse.space.values(start.initial)
     instant_settling = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
     values = instant_settling | fit.objective.space.values(fit.z)
@@ -72,11 +72,11 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
     score_tests = score_tests_of(fit, arm)
-    refits = refits_of(fit, score_tests, arm, selection.options)
+    refits = fit_missing_effects(fit, score_tests, arm, selection.options)
     criticism = Criticism(
         residual_tests(fit.objective, fit.z),
         tuple(one.test for one in score_tests),
-        tuple(causes_of(refits.fits, arm)),
+        tuple(list_causes(refits.fits, arm)),
     )
     is_far_above_noise = any(test.is_far_above_noise for test in criticism.residuals)
     suspects = (
@@ -90,7 +90,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
     ]
     value_sets = (values, initial_values)
-    predictions = side_by_side(
+    predictions = run_parallel(
         [
             partial(predict_closed_loop, value_set, log, arm)
             for value_set in value_sets
@@ -102,7 +102,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         parameters=tuple(parameters[k] for k in public),
         values=values,
         covariance=covariance[np.ix_(public, public)],
-        fit_percent=fit.objective.fits(fit.z),
+        fit_percent=fit.objective.fit_percentages(fit.z),
         initial_fit_percent=initial_fit_percent,
         simulated=tuple(predictions[: len(servo_logs)]),
         initial=tuple(predictions[len(servo_logs) :]),
@@ -113,13 +113,13 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, arm, parameters, keys_at_bounds),
             *disagreement(differences, agreement, suspects),
-            *left_out(fit.objective.space, arm),
-            *taken_up(fit, arm),
+            *warn_removed_effects(fit.objective.space, arm),
+            *warn_added_effects(fit, arm),
             *sensor_warnings(parameters),
             *mount_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
-            *cause_warnings(criticism.causes),
-            *budget_warnings(refits),
+            *warn_likely_cause(criticism.causes),
+            *warn_unfitted_effects(refits),
         ),
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),

@@ -41,14 +41,14 @@ from strainwave.domain import FloatArray, IntArray
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.objective import (
-    BLOCKS,
+    BLOCKS_PER_RECORD,
     Objective,
     Rows,
-    lagged,
-    lagged_products,
+    spectrum_and_autocovariance,
+    white_noise_autocovariance,
 )
 from strainwave.numerics.distributions import student_quantile
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 
 LEAST_SHARE = 1e-3
 """Share of the local variance that is added to the steady variance.
@@ -104,11 +104,11 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
     `z`, (n_unknowns,), minimises `objective`.
     """
     noise = [
-        np.minimum(1.0, record.noise / weights.deviation)
+        np.minimum(1.0, record.noise / weights.stds)
         for record, weights in zip(objective.records, objective.weights, strict=True)
     ]
     each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
-    records = side_by_side([partial(_evidence, *one) for one in each])
+    records = run_parallel([partial(_evidence, *one) for one in each])
     space, prior = objective.space, objective.space.prior
     slope = space.slope(z)
     rows, unknown_rows = prior.rows @ slope, space.own_prior[0] @ slope
@@ -200,7 +200,7 @@ def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -
     has the weights (1 + r^2)^(-1/2), its second derivative (1 + r^2)^(-3/2).
     """
     n_own, width = len(rows.step), rows.residual.shape[1]
-    table = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
+    table = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
     flat = table.reshape(-1, table.shape[2])
     local, shared = flat[:, :n_own], flat[:, n_own:]
     n = shared.shape[1]
@@ -217,7 +217,9 @@ def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -
     for k, channel in enumerate(record.channels):
         errors = _autocovariance(rows.residual[:, k], float(noise[k]))
         own_noise = np.zeros_like(errors)
-        filtered = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:rows_in]
+        filtered = white_noise_autocovariance(
+            record.kernels.taps(rate=channel.rate), record.kernels.step
+        )[:rows_in]
         share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
         own_noise[: len(filtered)] = (
             errors[0] * share * _loss_autocorrelation(filtered / filtered[0])
@@ -242,7 +244,7 @@ def gradient_covariances(
     the errors. Returns one (n_unknowns, n_unknowns) for each autocovariance.
     """
     n = len(columns)
-    max_lag = max(1, n // BLOCKS)
+    max_lag = max(1, n // BLOCKS_PER_RECORD)
     n_fft = 2 * ((n + max_lag + 1) // 2)
     taper = 1.0 - np.arange(max_lag) / max_lag
     multiplicity = np.full(n_fft // 2 + 1, 2.0)  # positive and negative frequencies
@@ -267,7 +269,7 @@ def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
     n, variance, noise_variance = len(residual), float(np.var(residual)), noise**2
     if variance == 0.0:
         return np.asarray(noise_variance * np.eye(1, n)[0])
-    _, products = lagged_products(residual / np.sqrt(1.0 + residual**2))
+    _, products = spectrum_and_autocovariance(residual / np.sqrt(1.0 + residual**2))
     return np.asarray(products / n * max(1.0, noise_variance / variance))
 
 

@@ -360,7 +360,7 @@ class Dataset:
         """Time (n_rows,) [s] minus its mean, so that a drift does not change the mean."""
         return np.asarray(self.time - np.mean(self.time))
 
-    def corrected(
+    def correct_step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> Dataset:
         """Correct the integrator step error and the noise estimate at the given parameters.
@@ -373,7 +373,7 @@ class Dataset:
         correction = error if self.step_error is None else self.lacking + error - self.step_error
         return replace(self, lacking=correction, noise=noise, step_error=error)
 
-    def with_step_error(
+    def store_step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
     ) -> Dataset:
         """Store the step error for a record whose `lacking` already contains it."""

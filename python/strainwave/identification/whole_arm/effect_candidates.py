@@ -9,18 +9,18 @@ import numpy as np
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
-    idle,
+    add_effects,
+    insignificant_effects,
     named_effects,
-    records_with,
-    with_effects,
-    without,
+    remove_effects,
+    set_record_effects,
 )
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.loads import loads_of
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior
 from strainwave.identification.whole_arm.selection import Selection, better
-from strainwave.identification.whole_arm.solver import COARSE_GAIN, fine_search, search_from
+from strainwave.identification.whole_arm.solver import COARSE_TOLERANCE, fine_search, search_minimum
 
 MAX_TRIAL_EVALUATIONS = 30  # effects have several parameters each
 
@@ -33,16 +33,16 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
     selection.grant(selection.budget)  # as many as the fit without them
     values = fit.objective.space.values(fit.z)
     loads = loads_of(fit.objective.records, values)
-    space, begin = with_effects(
+    space, begin = add_effects(
         fit.objective.space, named_effects(arm), arm, values, loads, fit.records
     )
-    extended = search_from(
+    extended = search_minimum(
         _with_space(fit.objective, space, arm),
         begin,
         fit.iterations,
         selection.options,
-        tolerance=COARSE_GAIN,
-        most=MAX_TRIAL_EVALUATIONS,
+        tolerance=COARSE_TOLERANCE,
+        max_evaluations=MAX_TRIAL_EVALUATIONS,
     )
     return better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
 
@@ -65,7 +65,7 @@ def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
         return fit
     while gone := _insignificant_effects(fit):
         values = fit.objective.space.values(fit.z)
-        space = without(fit.objective.space, gone, arm)
+        space = remove_effects(fit.objective.space, gone, arm)
         objective = _with_space(fit.objective, space, arm)
         fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
     return fit
@@ -74,10 +74,10 @@ def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
 def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
     """The insignificant effects among the unknowns."""
     covariance = fit.confidence.cautious
-    return set(idle(fit.objective.space, fit.z, covariance))
+    return set(insignificant_effects(fit.objective.space, fit.z, covariance))
 
 
 def _with_space(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
     """The objective for other unknowns, with their effects in the arm."""
-    records = records_with(objective.records, arm, space.keys)
-    return replace(objective.for_unknowns(space), records=records)
+    records = set_record_effects(objective.records, arm, space.keys)
+    return replace(objective.replace_unknowns(space), records=records)

@@ -15,13 +15,13 @@ from strainwave.errors import NumericalFailure
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.effects import (
     NamedEffect,
-    records_with,
-    rigid_body,
-    rigid_friction,
+    body_parameters,
+    friction_parameters,
+    set_record_effects,
     sizes_of,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated
+from strainwave.identification.whole_arm.objective import Evaluation
 from strainwave.identification.whole_arm.parametrisation import Key
 
 COLUMN_ROUNDING = 1e-7  # of a column's norm; a smaller projection is rounding
@@ -39,7 +39,7 @@ class Hypothesis:
     number: int  # of the set of shapes among those that are tested, from 0
 
     @property
-    def one(self) -> NamedEffect:
+    def named_effect(self) -> NamedEffect:
         """The joint and the effect."""
         return self.joint, self.effect
 
@@ -63,8 +63,10 @@ class _Pass:
         }
         values = absent | values
         joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
-        records = records_with(fit.objective.records, arm.with_joints(joints), values)
-        return cls(records, values, {one: sizes_of(one.one, fit.records) for one in tested})
+        records = set_record_effects(fit.objective.records, arm.with_joints(joints), values)
+        return cls(
+            records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
+        )
 
     def columns(self, k: int, begun: FloatArray) -> FloatArray:
         """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
@@ -102,16 +104,20 @@ class EffectColumns:
         ]
         sizes = {one: keys for run in each for one, keys in run.sizes.items()}
         n_sizes = sum(map(len, sizes.values()))
-        frictions = (rigid_friction(arm, joint) for joint in range(1, arm.n_joints + 1))
-        shifts = [objective.space.prior.by_shifts(group) for group in (rigid_body(arm), *frictions)]
-        beforehand = np.concatenate([np.zeros((len(shifts[0]), n_sizes)), *shifts], axis=1)
-        width = beforehand.shape[1]
+        frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
+        shifts = [
+            objective.space.prior.by_shifts(group) for group in (body_parameters(arm), *frictions)
+        ]
+        prior_rows = np.concatenate([np.zeros((len(shifts[0]), n_sizes)), *shifts], axis=1)
+        width = prior_rows.shape[1]
 
-        def tangent(k: int, _: Evaluated) -> FloatArray:
-            found = np.concatenate([run.columns(k, objective.memory.own[k]) for run in each], 2)
+        def tangent(k: int, _: Evaluation) -> FloatArray:
+            found = np.concatenate(
+                [run.columns(k, objective.memory.record_parameters[k]) for run in each], 2
+            )
             return np.concatenate([found, np.zeros((*found.shape[:2], width - n_sizes))], axis=2)
 
-        whole = objective.bordered(fit.z, width, tangent, beforehand)
+        whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
         if not np.isfinite(whole).all():
             raise NumericalFailure("the derivative by an effect's size overflows")
         stds = [effect_named(one.effect).prior_std for one, own in sizes.items() for _ in own]

@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, TorqueHistogram
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 
 HISTOGRAM_BINS = 60
 
@@ -29,7 +29,7 @@ def gear_torque_samples(
     def of_record(record: Dataset) -> FloatArray:
         return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
 
-    return side_by_side([partial(of_record, r) for r in records])
+    return run_parallel([partial(of_record, r) for r in records])
 
 
 def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:

@@ -21,7 +21,9 @@ def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
     values = fit.objective.space.values(fit.z)
     space = fit.objective.space.holding(dict.fromkeys(insignificant, 0.0))
     start = space.coordinates(values)
-    return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
+    return fine_search(
+        fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
+    )
 
 
 def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:

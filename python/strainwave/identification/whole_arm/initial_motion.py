@@ -13,10 +13,10 @@ from functools import partial
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import ROUGH_BEGINNING, Objective
+from strainwave.identification.whole_arm.objective import ROUGH_INITIAL_STATE_TOLERANCE, Objective
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import resumed_coarse_search
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 
 # minimum cost reduction: chi-square of 6 initial states, probability 1e-4
 _MIN_COST_REDUCTION = 28.0
@@ -31,13 +31,13 @@ def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
     """
     if fit.iterations >= selection.most:
         return fit
-    objective = in_motion(fit.objective, fit.z)
+    objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:
         return fit
     return resumed_coarse_search(objective, fit.z, fit.iterations, selection.options)
 
 
-def in_motion(objective: Objective, z: FloatArray) -> Objective:
+def add_initial_states(objective: Objective, z: FloatArray) -> Objective:
     """Add initial states to the records that a simulation from standstill fits much worse.
 
     `z` (n_unknowns,) is near the minimum. Returns the same object if no such record exists.
@@ -45,14 +45,14 @@ def in_motion(objective: Objective, z: FloatArray) -> Objective:
     at_standstill = [k for k, record in enumerate(objective.records) if not record.moving]
     rows = objective.rows(z)
     costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
-    estimates = side_by_side(
+    estimates = run_parallel(
         [
             partial(_estimate_initial_motion, objective, z, *each)
             for each in zip(at_standstill, costs, strict=True)
         ]
     )
     for k, estimate in zip(at_standstill, estimates, strict=True):
-        objective = objective if estimate is None else objective.in_motion(k, estimate)
+        objective = objective if estimate is None else objective.add_initial_states(k, estimate)
     return objective
 
 
@@ -65,15 +65,17 @@ def _estimate_initial_motion(
     enough of it.
     """
     fixed_space = objective.space.holding(objective.space.values(z))
-    free_start = objective.in_motion(k).only(k).for_unknowns(fixed_space)
-    rough_start = replace(free_start, beginning_tolerance=ROUGH_BEGINNING)
+    free_start = objective.add_initial_states(k).select_record(k).replace_unknowns(fixed_space)
+    rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
     try:
         (rows,) = rough_start.rows(z[:0])
-        if (1.0 - ROUGH_BEGINNING) * rows.cost(objective.weights[k]) > _MIN_EXPLAINED_SHARE * rest:
+        if (1.0 - ROUGH_INITIAL_STATE_TOLERANCE) * rows.cost(
+            objective.weights[k]
+        ) > _MIN_EXPLAINED_SHARE * rest:
             return None  # a more precise search cannot reach the required share
         (rows,) = free_start.rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # the arm cannot be simulated from such initial states
     cost = rows.cost(objective.weights[k])
     is_evident = rest - cost > _MIN_COST_REDUCTION and cost < _MIN_EXPLAINED_SHARE * rest
-    return rows.evaluated.own + rows.step if is_evident else None
+    return rows.evaluated.record_parameters + rows.step if is_evident else None

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from strainwave.identification.whole_arm.causes import with_demanded_effects
+from strainwave.identification.whole_arm.causes import add_significant_effects
 from strainwave.identification.whole_arm.effect_candidates import (
     with_named_effects,
     without_idle_effects,
@@ -55,7 +55,7 @@ FINE: tuple[Candidate, ...] = (
     with_evident_tilts,
     without_idle_sensors,
     without_idle_settling,
-    with_demanded_effects,
+    add_significant_effects,
 )
 """Candidates of the fine fit, in the order of their trials."""
 

@@ -149,6 +149,6 @@ def _rounding_share(fit: Fit, joint: int) -> tuple[float, float, float]:
         slope = float(np.linalg.norm(record.kernels.taps(rate=True)))
         noise = record.counts[column] / np.sqrt(12.0) * slope
         motion = float(np.std(record.measured[:, column]))
-        candidates.append((motion, float(weights.deviation[column]), float(noise)))
+        candidates.append((motion, float(weights.stds[column]), float(noise)))
     _, error, noise = max(candidates)
     return min(1.0, (noise / error) ** 2) if error > 0.0 else 0.0, error, noise

@@ -22,10 +22,10 @@ from strainwave.identification.whole_arm.parametrisation import Key, ParameterSp
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensors import with_sensors
 from strainwave.identification.whole_arm.solver import (
-    COARSE_GAIN,
-    refined,
+    COARSE_TOLERANCE,
+    refine,
     resumed_coarse_search,
-    search_from,
+    search_minimum,
 )
 from strainwave.signals.imu_attitude import imu_candidates, in_mirror
 from strainwave.signals.mounting_start import distance_of
@@ -92,8 +92,13 @@ def _choose_mounting(
     trials = []
     for k in (*by_kind[0][:_MAX_STARTS], *by_kind[1][:2]):
         candidate, start = starts[k]
-        trial = search_from(
-            candidate, start, 0, options, tolerance=COARSE_GAIN, most=_MAX_SEARCH_EVALUATIONS
+        trial = search_minimum(
+            candidate,
+            start,
+            0,
+            options,
+            tolerance=COARSE_TOLERANCE,
+            max_evaluations=_MAX_SEARCH_EVALUATIONS,
         )
         trials.append(
             (
@@ -136,12 +141,12 @@ def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
         mountings += [in_mirror(one, joint) for one in mountings]
         starts = [_with_mounting(fit.objective, values, one) for one in mountings]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_MAX_STARTS]:
-            trial = search_from(
+            trial = search_minimum(
                 *starts[k],
                 fit.iterations,
                 options,
-                tolerance=COARSE_GAIN,
-                most=_MAX_SEARCH_EVALUATIONS,
+                tolerance=COARSE_TOLERANCE,
+                max_evaluations=_MAX_SEARCH_EVALUATIONS,
             )
             if trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost:
                 fit = resumed_coarse_search(trial.objective, trial.z, trial.iterations, options)
@@ -172,22 +177,22 @@ def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
         for side in (1.0, -1.0):
             starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
             space = with_sensors(fit.objective.space, tilts, starts)
-            objective = fit.objective.for_unknowns(space)
+            objective = fit.objective.replace_unknowns(space)
             start = space.coordinates({**values, **starts})
             evaluations = fit.iterations
             trials.append(
-                search_from(
+                search_minimum(
                     objective,
                     start,
                     evaluations,
                     options,
-                    tolerance=COARSE_GAIN,
-                    most=_MAX_SEARCH_EVALUATIONS,
+                    tolerance=COARSE_TOLERANCE,
+                    max_evaluations=_MAX_SEARCH_EVALUATIONS,
                 )
             )
         best = min(trials, key=lambda one: one.cost)
         if fit.cost - best.cost > _MIN_TILT_SIGNIFICANCE**2:
-            fit = refined(best, options)
+            fit = refine(best, options)
     return fit
 
 
@@ -197,7 +202,7 @@ def _with_mounting(
     """Objective and point with another mounting."""
     fixed = {key: value for key, value in mounting.items() if key[0] in START}
     space = replace(objective.space, fixed={**objective.space.fixed, **fixed})
-    return objective.for_unknowns(space), space.coordinates({**values, **mounting})
+    return objective.replace_unknowns(space), space.coordinates({**values, **mounting})
 
 
 def _hold(
@@ -205,7 +210,7 @@ def _hold(
 ) -> tuple[Objective, FloatArray]:
     """Objective and point with some unknowns fixed."""
     kept = [k for k, key in enumerate(objective.space.keys) if key not in held]
-    return objective.for_unknowns(objective.space.holding(held)), z[kept]
+    return objective.replace_unknowns(objective.space.holding(held)), z[kept]
 
 
 def _simulated_mountings(

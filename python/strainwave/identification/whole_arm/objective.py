@@ -19,18 +19,18 @@ from strainwave.domain import ComplexArray, FloatArray, IntArray
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace
-from strainwave.identification.whole_arm.preparation import in_long_steps
+from strainwave.identification.whole_arm.preparation import lengthen_steps
 from strainwave.numerics.linalg import triangular_factor
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.trust_region import Flat, Linearised, minimise
 
-LEAST_ERROR = 1e-3
+MIN_ERROR_SHARE = 1e-3
 """Minimum standard deviation of residuals, as a share of a channel's standard deviation.
 
 The error of the best models is about as large.
 """
 
-BLOCKS = 10
+BLOCKS_PER_RECORD = 10
 """Blocks per record whose errors are assumed independent."""
 
 _MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
@@ -43,11 +43,11 @@ _MAX_WEIGHT_UPDATES = 6
 _ROBUST_WEIGHT_TOLERANCE = 1e-3
 # predicted cost reduction at which the search for initial states ends
 _INITIAL_STATE_TOLERANCE = 0.1
-ROUGH_BEGINNING = 0.2
+ROUGH_INITIAL_STATE_TOLERANCE = 0.2
 """Relative cost reduction at which an approximate search for initial states ends."""
 _MAX_INITIAL_STATE_EVALUATIONS = 12  # maximum evaluations of a search for initial states
 
-LEAST_BEND = 0.5
+MIN_CURVATURE_RATIO = 0.5
 """Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
 
 T = TypeVar("T")
@@ -57,22 +57,22 @@ T = TypeVar("T")
 class Weights:
     """Scales of the residuals of a record."""
 
-    deviation: FloatArray  # (n_channels,) standard deviations of the residuals
-    repeats: FloatArray  # (n_channels,) rows per independent residual
+    stds: FloatArray  # (n_channels,) standard deviations of the residuals
+    rows_per_error: FloatArray  # (n_channels,) rows per independent residual
 
 
 @dataclass(frozen=True, slots=True)
-class Evaluated:
+class Evaluation:
     """Unweighted residuals of one record at one point, with derivatives."""
 
     difference: FloatArray  # (n_rows, n_channels) simulated minus measured
     columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns): record parameters, then shared
-    own: FloatArray  # (n_own,) record parameters
+    record_parameters: FloatArray  # (n_own,)
 
     @property
     def n_own(self) -> int:
         """Number of record parameters."""
-        return len(self.own)
+        return len(self.record_parameters)
 
     @property
     def local(self) -> FloatArray:
@@ -84,27 +84,25 @@ class Evaluated:
         """Derivatives with respect to the coordinates: (n_rows, n_channels, n_unknowns)."""
         return self.columns[..., self.n_own :]
 
-    def beginning(self, weights: Weights) -> Linearised:
+    def initial_state_problem(self, weights: Weights) -> Linearised:
         """Cost and least squares problem in the record parameters only."""
-        residual = self.difference / weights.deviation
+        residual = self.difference / weights.stds
         root = np.sqrt(_robust_weight(residual, weights))
-        table = np.concatenate(
-            [self.local / weights.deviation[:, None], residual[..., None]], axis=2
-        )
+        table = np.concatenate([self.local / weights.stds[:, None], residual[..., None]], axis=2)
         table = table * root[..., None]
         factor = triangular_factor(table.reshape(-1, table.shape[2]))
         return Linearised(_loss(residual, weights), factor)
 
-    def weighted(self, weights: Weights) -> Rows:
+    def weigh(self, weights: Weights) -> Rows:
         """Weighted rows, with optimal record parameters."""
-        initial_residual = self.difference / weights.deviation
-        columns = (self.local / weights.deviation[:, None]).reshape(initial_residual.size, -1)
+        initial_residual = self.difference / weights.stds
+        columns = (self.local / weights.stds[:, None]).reshape(initial_residual.size, -1)
         residual, weight = initial_residual, _robust_weight(initial_residual, weights)
         step = np.zeros(self.n_own)
         is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
         for _ in range(_MAX_WEIGHT_UPDATES if self.n_own else 0):
             step = _solve_weighted(
-                columns, -initial_residual.ravel(), weight.ravel(), apart=is_separable
+                columns, -initial_residual.ravel(), weight.ravel(), is_separable=is_separable
             )
             previous, residual = (
                 residual,
@@ -113,7 +111,7 @@ class Evaluated:
             weight = _robust_weight(residual, weights)
             if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
                 break
-        return Rows(residual, np.sqrt(weight), self, weights.deviation, step)
+        return Rows(residual, np.sqrt(weight), self, weights.stds, step)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,33 +120,33 @@ class Rows:
 
     residual: FloatArray  # (n_rows, n_channels) in standard deviations
     root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
-    evaluated: Evaluated
-    deviation: FloatArray  # (n_channels,)
+    evaluated: Evaluation
+    stds: FloatArray  # (n_channels,)
     step: FloatArray  # (n_own,) of the record parameters to their optimum
 
     @property
     def local(self) -> FloatArray:
         """Scaled derivatives by the record parameters: (n_rows, n_channels, n_own)."""
-        return np.asarray(self.evaluated.local / self.deviation[:, None])
+        return np.asarray(self.evaluated.local / self.stds[:, None])
 
     @property
     def shared(self) -> FloatArray:
         """Scaled derivatives by the coordinates: (n_rows, n_channels, n_unknowns)."""
-        return np.asarray(self.evaluated.shared / self.deviation[:, None])
+        return np.asarray(self.evaluated.shared / self.stds[:, None])
 
-    def factor(self, least_bend: float) -> FloatArray:
+    def factor(self, min_curvature_ratio: float) -> FloatArray:
         """R of [shared, residual] after elimination of the record parameters.
 
         R reproduces the gradient of the loss and its mean curvature. The curvature is less than the
         weights (1 + r^2)^(-1/2) of the gradient, with which steps would be a third too short.
-        `least_bend` is its minimum relative to the weights.
+        `min_curvature_ratio` is its minimum relative to the weights.
         """
         square = self.root**2
         curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
-        curvature = np.sqrt(np.maximum(curvature, least_bend))
+        curvature = np.sqrt(np.maximum(curvature, min_curvature_ratio))
         columns, n = self.evaluated.columns, len(self.step)
         table = np.empty((*self.residual.shape, columns.shape[2] + 1))
-        scale = self.root * (curvature / self.deviation)
+        scale = self.root * (curvature / self.stds)
         np.multiply(columns, scale[..., None], out=table[..., :-1])
         np.multiply(self.residual, self.root / curvature, out=table[..., -1])
         return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
@@ -166,14 +164,15 @@ class Rows:
 class _Memory:
     """Record parameters, and cached evaluations at the last point with the last weights."""
 
-    own: list[FloatArray]
-    last: tuple[bytes, list[Evaluated]] | None = None
+    record_parameters: list[FloatArray]
+    last: tuple[bytes, list[Evaluation]] | None = None
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
-    long: tuple[bytes, tuple[Weights, ...], Objective] | None = None  # `in_long_steps`
+    long_steps: tuple[bytes, tuple[Weights, ...], Objective] | None = None
 
-    def shift(self, k: int, n_begin: int, best: FloatArray) -> None:
+    def store_biases(self, k: int, n_begin: int, optimum: FloatArray) -> None:
         """Store the sensor biases of a record as the start of the next search."""
-        self.own[k] = np.concatenate([self.own[k][:n_begin], best[n_begin:]])
+        start = self.record_parameters[k][:n_begin]
+        self.record_parameters[k] = np.concatenate([start, optimum[n_begin:]])
 
 
 @dataclass(frozen=True)
@@ -184,9 +183,9 @@ class Objective:
     records: tuple[Dataset, ...]
     weights: tuple[Weights, ...]
     memory: _Memory = field(repr=False)
-    guessed: bool = False  # True for initial weights, before any residuals are known
+    has_initial_weights: bool = False  # True for initial weights, before any residuals are known
     # relative cost reduction at which the search for initial states ends
-    beginning_tolerance: float = 0.0
+    initial_state_tolerance: float = 0.0
 
     @classmethod
     def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
@@ -196,17 +195,27 @@ class Objective:
             spread = _INITIAL_ERROR_SHARE * np.std(record.measured, axis=0)
             size = np.maximum(spread, record.noise)
             weights.append(Weights(size, np.ones(len(size))))
-        own = [np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records]
-        return cls(space, tuple(records), tuple(weights), _Memory(own), guessed=True)
+        record_parameters = [
+            np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records
+        ]
+        return cls(
+            space,
+            tuple(records),
+            tuple(weights),
+            _Memory(record_parameters),
+            has_initial_weights=True,
+        )
 
     def linearise(self, z: FloatArray) -> Linearised | None:
         """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
-        least_bend = 1.0 if self.guessed else LEAST_BEND
+        min_curvature_ratio = 1.0 if self.has_initial_weights else MIN_CURVATURE_RATIO
 
-        def linearised(k: int, evaluated: Evaluated) -> tuple[Rows, Linearised]:
-            rows = evaluated.weighted(self.weights[k])
-            self.memory.shift(k, len(self.records[k].local), evaluated.own + rows.step)
-            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(least_bend))
+        def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
+            rows = evaluated.weigh(self.weights[k])
+            self.memory.store_biases(
+                k, len(self.records[k].local), evaluated.record_parameters + rows.step
+            )
+            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
 
         try:
             evaluated_records = self._map_evaluated(z, linearised)
@@ -215,7 +224,7 @@ class Objective:
         self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in evaluated_records]
         parts = [part for _, part in evaluated_records]
         cost = sum(part.cost for part in parts)
-        slope, prior = self.space.beforehand(z)
+        slope, prior = self.space.linearise_prior(z)
         stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
         if not np.isfinite(stacked).all():  # the derivatives of very stiff candidates overflow
             return None
@@ -226,73 +235,80 @@ class Objective:
         point, cached = z.tobytes(), self.memory.rows
         if cached is not None and cached[0] == point and cached[1] is self.weights:
             return cached[2]
-        rows = self._map_evaluated(z, lambda k, evaluated: evaluated.weighted(self.weights[k]))
+        rows = self._map_evaluated(z, lambda k, evaluated: evaluated.weigh(self.weights[k]))
         self.memory.rows = point, self.weights, rows
         return rows
 
-    def evaluate(self, z: FloatArray) -> list[Evaluated]:
+    def evaluate(self, z: FloatArray) -> list[Evaluation]:
         """Unweighted residuals and derivatives of every record at z."""
         return self._map_evaluated(z, lambda _, evaluated: evaluated)
 
-    def reweighted(self, z: FloatArray) -> Objective:
+    def update_weights(self, z: FloatArray) -> Objective:
         """Update the weights from the residuals at z."""
         weights = []
         for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
-            errors = rows.residual * old.deviation
-            minimum = np.maximum(record.noise, LEAST_ERROR * np.std(record.measured, axis=0))
+            errors = rows.residual * old.stds
+            minimum = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(record.measured, axis=0))
             stds = np.maximum(_robust_std(errors), minimum)
-            weights.append(Weights(stds, np.array([repeats_of(column) for column in errors.T])))
-        return replace(self, weights=tuple(weights), guessed=False)
+            weights.append(
+                Weights(stds, np.array([estimate_rows_per_error(column) for column in errors.T]))
+            )
+        return replace(self, weights=tuple(weights), has_initial_weights=False)
 
-    def for_unknowns(self, space: ParameterSpace) -> Objective:
+    def replace_unknowns(self, space: ParameterSpace) -> Objective:
         """Replace the shared unknowns."""
-        return replace(self, space=space, memory=_Memory(list(self.memory.own)))
+        return replace(self, space=space, memory=_Memory(list(self.memory.record_parameters)))
 
-    def only(self, k: int) -> Objective:
+    def select_record(self, k: int) -> Objective:
         """Restrict the objective to record k."""
-        memory = _Memory([self.memory.own[k]])
+        memory = _Memory([self.memory.record_parameters[k]])
         return replace(
             self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
         )
 
-    def in_motion(self, k: int, own: FloatArray | None = None) -> Objective:
-        """Add initial states to record k, with record parameters `own` or starting values."""
-        record, record_parameters = replace(self.records[k], moving=True), list(self.memory.own)
+    def add_initial_states(self, k: int, start: FloatArray | None = None) -> Objective:
+        """Add initial states to record k, starting at `start` or at default values."""
+        record, record_parameters = (
+            replace(self.records[k], moving=True),
+            list(self.memory.record_parameters),
+        )
         biases = record_parameters[k][len(self.records[k].local) :]
-        record_parameters[k] = np.concatenate([record.start(), biases]) if own is None else own
+        record_parameters[k] = np.concatenate([record.start(), biases]) if start is None else start
         records = (*self.records[:k], record, *self.records[k + 1 :])
         return replace(self, records=records, memory=_Memory(record_parameters))
 
-    def corrected(self, z: FloatArray) -> Objective:
+    def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
         evaluated, values = self.evaluate(z), self.space.values(z)
 
         def corrected(k: int, record: Dataset) -> Dataset:
-            return record.corrected(values, self.memory.own[k][: len(record.local)])
+            return record.correct_step_error(
+                values, self.memory.record_parameters[k][: len(record.local)]
+            )
 
         records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
-        memory = _Memory(list(self.memory.own), (z.tobytes(), shifted))
+        memory = _Memory(list(self.memory.record_parameters), (z.tobytes(), shifted))
         return replace(self, records=records, memory=memory)
 
-    def in_long_steps(self, z: FloatArray) -> Objective:
+    def lengthen_steps(self, z: FloatArray) -> Objective:
         """Lengthen the integrator steps, with the same rows, weights and residuals at z.
 
         The step error at z is subtracted from each row, so near z only the derivatives have the
         error of the longer steps. Returns the objective itself if the arm cannot be simulated in
         longer steps.
         """
-        cached = self.memory.long
+        cached = self.memory.long_steps
         if cached is not None and cached[0] == z.tobytes() and cached[1] is self.weights:
             return cached[2]
         rows = self.rows(z)
-        record_parameters = [each.evaluated.own + each.step for each in rows]
+        record_parameters = [row.evaluated.record_parameters + row.step for row in rows]
 
-        def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluated]:
-            long = in_long_steps(record)
+        def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluation]:
+            long = lengthen_steps(record)
             n_rows = len(long.time)
-            residual = (rows[k].residual * self.weights[k].deviation)[:n_rows]
+            residual = (rows[k].residual * self.weights[k].stds)[:n_rows]
             counted = None if record.counted is None else record.counted[:n_rows]
             long = replace(long, lacking=np.zeros_like(residual), counted=counted)
             evaluated = self._evaluate_from(long, z, record_parameters[k])
@@ -308,38 +324,42 @@ class Objective:
         records = tuple(record for record, _ in pairs)
         memory = _Memory(record_parameters, (z.tobytes(), [evaluated for _, evaluated in pairs]))
         long = replace(self, records=records, memory=memory)
-        self.memory.long = z.tobytes(), self.weights, long
+        self.memory.long_steps = z.tobytes(), self.weights, long
         return long
 
-    def with_step_errors(self, z: FloatArray) -> Objective:
+    def store_step_errors(self, z: FloatArray) -> Objective:
         """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
         values = self.space.values(z)
 
-        def known(k: int, record: Dataset) -> Dataset:
-            return record.with_step_error(values, self.memory.own[k][: len(record.local)])
+        def stored(k: int, record: Dataset) -> Dataset:
+            return record.store_step_error(
+                values, self.memory.record_parameters[k][: len(record.local)]
+            )
 
-        return replace(self, records=tuple(self._map_records(known)))
+        return replace(self, records=tuple(self._map_records(stored)))
 
-    def seen_by(self, records: Sequence[Dataset]) -> Objective:
+    def replace_records(self, records: Sequence[Dataset]) -> Objective:
         """Replace the rows of the records; weights and record parameters stay."""
-        return replace(self, records=tuple(records), memory=_Memory(list(self.memory.own)))
+        return replace(
+            self, records=tuple(records), memory=_Memory(list(self.memory.record_parameters))
+        )
 
     def blocks(self) -> list[IntArray]:
         """Block number of each row, one array (n_rows,) per record, counted over all records."""
         blocks = []
         for k, record in enumerate(self.records):
             n = len(record.time)
-            blocks.append(k * BLOCKS + np.arange(n) * BLOCKS // n)
+            blocks.append(k * BLOCKS_PER_RECORD + np.arange(n) * BLOCKS_PER_RECORD // n)
         return blocks
 
-    def fits(self, z: FloatArray) -> dict[str, dict[str, float]]:
+    def fit_percentages(self, z: FloatArray) -> dict[str, dict[str, float]]:
         """Fit percentage by record and channel, 100 (1 - |y - yhat| / |y - mean(y)|).
 
         It is NaN for a channel that hardly exceeds its noise.
         """
         percentages = {}
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
-            difference = np.linalg.norm(rows.residual * weights.deviation, axis=0)
+            difference = np.linalg.norm(rows.residual * weights.stds, axis=0)
             spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
             is_at_rest = spread < _MIN_SIGNAL_TO_NOISE * record.noise * np.sqrt(len(record.time))
             fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
@@ -347,61 +367,63 @@ class Objective:
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
 
-    def _map_evaluated(self, z: FloatArray, work: Callable[[int, Evaluated], T]) -> list[T]:
+    def _map_evaluated(self, z: FloatArray, work: Callable[[int, Evaluation], T]) -> list[T]:
         """Apply `work` to the evaluation of every record at z, which is cached."""
         point, last = z.tobytes(), self.memory.last
         cached = last[1] if last is not None and last[0] == point else None
 
-        def both(k: int, record: Dataset) -> tuple[Evaluated, T]:
+        def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
             evaluated = cached[k] if cached is not None else self._evaluate_record(k, record, z)
             return evaluated, work(k, evaluated)
 
-        results = self._map_records(both)
+        results = self._map_records(evaluate_and_apply)
         self.memory.last = point, [evaluated for evaluated, _ in results]
         return [result for _, result in results]
 
-    def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluated:
+    def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluation:
         """Evaluate record k at z, with optimal initial states if it begins in motion."""
         if not record.moving:
-            return self._evaluate_from(record, z, self.memory.own[k])
-        results: dict[bytes, Evaluated] = {}
+            return self._evaluate_from(record, z, self.memory.record_parameters[k])
+        results: dict[bytes, Evaluation] = {}
 
-        def linearise(own: FloatArray) -> Linearised | None:
+        def linearise(x: FloatArray) -> Linearised | None:
             try:
-                results[own.tobytes()] = self._evaluate_from(record, z, own)
+                results[x.tobytes()] = self._evaluate_from(record, z, x)
             except (InvalidInput, NumericalFailure):
                 return None
-            return results[own.tobytes()].beginning(self.weights[k])
+            return results[x.tobytes()].initial_state_problem(self.weights[k])
 
-        own = self.memory.own[k]
         minimum = minimise(
             linearise,
-            own,
+            self.memory.record_parameters[k],
             Flat(),
             tolerance=_INITIAL_STATE_TOLERANCE,
-            relative=self.beginning_tolerance,
+            relative=self.initial_state_tolerance,
             max_evaluations=_MAX_INITIAL_STATE_EVALUATIONS,
         )
         if minimum is None:
-            raise NumericalFailure(f"{record.log.name} cannot be simulated from where it begins")
-        self.memory.own[k] = minimum.x
+            raise NumericalFailure(f"{record.log.name} cannot be simulated from its initial state")
+        self.memory.record_parameters[k] = minimum.x
         return results[minimum.x.tobytes()]
 
-    def _evaluate_from(self, record: Dataset, z: FloatArray, own: FloatArray) -> Evaluated:
+    def _evaluate_from(
+        self, record: Dataset, z: FloatArray, record_parameters: FloatArray
+    ) -> Evaluation:
         """Evaluate a record at z with given record parameters (n_own,)."""
         n_begin, n = len(record.local), len(self.space.unknowns)
+        n_own = len(record_parameters)
         values = self.space.values(z)
-        channels, tangent = record.linearised(values, own[:n_begin], self.space.keys)
+        channels, tangent = record.linearised(values, record_parameters[:n_begin], self.space.keys)
         shifts = _shifts(record)
-        columns = np.empty((*channels.shape, len(own) + n))
+        columns = np.empty((*channels.shape, n_own + n))
         columns[..., :n_begin] = tangent[..., n:]
-        columns[..., n_begin : len(own)] = shifts
-        columns[..., len(own) :] = tangent[..., :n] @ self.space.slope(z)
-        difference = channels + shifts @ own[n_begin:] - record.observed(values)
+        columns[..., n_begin:n_own] = shifts
+        columns[..., n_own:] = tangent[..., :n] @ self.space.slope(z)
+        difference = channels + shifts @ record_parameters[n_begin:] - record.observed(values)
         if record.counted is not None:  # zero rows carry no information
             difference = difference * record.counted
             columns *= record.counted[..., None]
-        return Evaluated(difference, columns, own.copy())
+        return Evaluation(difference, columns, record_parameters.copy())
 
     def simulated(self, z: FloatArray) -> list[FloatArray]:
         """Simulated channels (n_rows, n_channels) of every record at z.
@@ -411,40 +433,40 @@ class Objective:
         values = self.space.values(z)
         simulated = []
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
-            shift = _shifts(record) @ evaluated.own[len(record.local) :]
+            shift = _shifts(record) @ evaluated.record_parameters[len(record.local) :]
             channels = (
                 evaluated.difference - shift + record.observed(values) - record.drifts(values)
             )
             simulated.append(channels / record.sensor_scales(values))
         return simulated
 
-    def bordered(
+    def factor_with_columns(
         self,
         z: FloatArray,
-        n_more: int,
-        more: Callable[[int, Evaluated], FloatArray],
-        beforehand: FloatArray | None = None,
+        n_columns: int,
+        columns_of: Callable[[int, Evaluation], FloatArray],
+        prior_rows: FloatArray | None = None,
     ) -> FloatArray:
         """R of [unknowns, additional columns, residual], with optimal record parameters.
 
-        `z` (n_unknowns,) is the end of a search. `more` returns the additional columns (n_rows,
-        n_channels, n_more) for a record number and its evaluation. `beforehand` (n_prior, n_more)
-        are their rows in the prior of the rigid step, zero by default.
+        `z` (n_unknowns,) is the end of a search. `columns_of` returns the additional columns
+        (n_rows, n_channels, n_columns) for a record number and its evaluation. `prior_rows`
+        (n_prior, n_columns) are the rows of these columns in the prior, zero by default.
 
-        R has n_unknowns + n_more + 1 columns. Its rows from n_unknowns on are the R of [additional
-        columns, residual] after elimination of the unknowns.
+        R has n_unknowns + n_columns + 1 columns. Its rows from n_unknowns on are the R of
+        [additional columns, residual] after elimination of the unknowns.
         """
         evaluated = self.evaluate(z)
 
         def factor(k: int, _: Dataset) -> FloatArray:
-            columns = np.concatenate([evaluated[k].columns, more(k, evaluated[k])], axis=2)
+            columns = np.concatenate([evaluated[k].columns, columns_of(k, evaluated[k])], axis=2)
             extended = replace(evaluated[k], columns=columns)
-            return extended.weighted(self.weights[k]).factor(LEAST_BEND)
+            return extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
 
-        prior_columns, prior_residual = self.space.beforehand(z)
-        border = np.zeros((len(prior_columns), n_more))
-        if beforehand is not None:
-            border[: len(beforehand)] = beforehand
+        prior_columns, prior_residual = self.space.linearise_prior(z)
+        border = np.zeros((len(prior_columns), n_columns))
+        if prior_rows is not None:
+            border[: len(prior_rows)] = prior_rows
         stacked = np.concatenate(
             [*self._map_records(factor), np.column_stack([prior_columns, border, prior_residual])]
         )
@@ -452,37 +474,37 @@ class Objective:
 
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Apply `work` to every record in parallel threads; simulations release the GIL."""
-        return side_by_side([partial(work, k, record) for k, record in enumerate(self.records)])
+        return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
 def _solve_weighted(
-    columns: FloatArray, target: FloatArray, weight: FloatArray, *, apart: bool
+    columns: FloatArray, target: FloatArray, weight: FloatArray, *, is_separable: bool
 ) -> FloatArray:
     """Weighted least squares.
 
-    With `apart`, no row has two nonzero columns, so that each coefficient is a weighted mean.
+    With `is_separable`, no row has two nonzero columns, and each coefficient is a weighted mean.
     """
-    if not apart:
+    if not is_separable:
         root = np.sqrt(weight)
         return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
-    weighed = columns * weight[:, None]
-    return np.asarray((target @ weighed) / np.einsum("ij,ij->j", columns, weighed))
+    weighted = columns * weight[:, None]
+    return np.asarray((target @ weighted) / np.einsum("ij,ij->j", columns, weighted))
 
 
 def _loss(residual: FloatArray, weights: Weights) -> float:
-    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / repetitions."""
+    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / rows per independent error."""
     return float(np.sum(_losses(residual, weights)))
 
 
 def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
     """Soft L1 loss of each channel, (n_channels,)."""
     loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
-    return np.asarray(loss / weights.repeats)
+    return np.asarray(loss / weights.rows_per_error)
 
 
 def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Weights (1 + r^2)^(-1/2) / repetitions of the soft L1 loss."""
-    return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.repeats))
+    """Weights (1 + r^2)^(-1/2) / rows per independent error (soft L1 loss)."""
+    return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.rows_per_error))
 
 
 def _shifts(record: Dataset) -> FloatArray:
@@ -499,12 +521,12 @@ def _robust_std(errors: FloatArray) -> FloatArray:
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
 
 
-def repeats_of(column: FloatArray) -> float:
+def estimate_rows_per_error(column: FloatArray) -> float:
     """Rows per independent error of a series (n_rows,), from its autocorrelation."""
-    return repetitions(lagged_products(column)[1][: len(column) // 2])
+    return rows_per_error(spectrum_and_autocovariance(column)[1][: len(column) // 2])
 
 
-def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
+def spectrum_and_autocovariance(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
     """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
 
     Both are without the mean; the autocovariance starts at lag zero.
@@ -514,7 +536,7 @@ def lagged_products(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
     return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
 
 
-def lagged(taps: FloatArray, step: int) -> FloatArray:
+def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
     """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
 
     `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
@@ -523,13 +545,15 @@ def lagged(taps: FloatArray, step: int) -> FloatArray:
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
 
 
-def repetitions_of(record: Dataset) -> FloatArray:
+def filtered_rows_per_error(record: Dataset) -> FloatArray:
     """Rows per independent error (n_channels,) of filtered white noise."""
     kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
-    return np.array([repetitions(lagged(k, record.kernels.step)) for k in kernels])
+    return np.array(
+        [rows_per_error(white_noise_autocovariance(k, record.kernels.step)) for k in kernels]
+    )
 
 
-def repetitions(covariance: FloatArray) -> float:
+def rows_per_error(covariance: FloatArray) -> float:
     """Variance inflation factor: 1 + 2 sum of autocorrelations before the first negative one.
 
     `covariance` (n_lags,) starts at lag zero.

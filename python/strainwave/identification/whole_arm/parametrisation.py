@@ -179,7 +179,7 @@ class ParameterSpace:
         start = np.array([self.unknowns[k].start for k in places])
         return np.eye(len(self.unknowns))[places] / std[:, None], start / std
 
-    def beforehand(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def linearise_prior(self, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Jacobian (n_rows, n_unknowns) and residual (n_rows,) of all priors at z (n_unknowns,)."""
         rows, target = self.own_prior
         rows = np.concatenate([self.prior.rows, rows])

@@ -20,7 +20,11 @@ from strainwave.identification.whole_arm.covariance import (
     inverse_information,
 )
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.objective import LEAST_ERROR, lagged, repetitions_of
+from strainwave.identification.whole_arm.objective import (
+    MIN_ERROR_SHARE,
+    filtered_rows_per_error,
+    white_noise_autocovariance,
+)
 from strainwave.identification.whole_arm.parametrisation import (
     COULOMB,
     OFFSET,
@@ -30,7 +34,7 @@ from strainwave.identification.whole_arm.parametrisation import (
 )
 from strainwave.identification.whole_arm.preparation import dataset_of, usable
 from strainwave.numerics.linalg import triangular_factor
-from strainwave.numerics.parallel import one_blas_thread, side_by_side
+from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 BAND = 5.0
 """Cut-off of the low-pass over the highest resonance; gear motion is negligible above it."""
@@ -69,7 +73,7 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     values = dict.fromkeys(keys, 0.0) | known
     scale = np.array([_magnitude(key, values) for key in keys])
     records = [dataset_of(log, arm, cutoff) for log in used]
-    evidence = side_by_side(
+    evidence = run_parallel(
         [partial(_information_of, record, values, keys, scale) for record in records]
     )
     prior = np.array(list(_rigid_rows(arm, keys, values))) * scale
@@ -105,8 +109,8 @@ def _information_of(
     columns[..., :n_initial] = tangent[..., n:]
     columns[:, biased, range(n_initial, n_own)] = 1.0
     columns[..., n_own:] = tangent[..., :n] * scale
-    error = np.maximum(record.noise, LEAST_ERROR * np.std(channels, axis=0))
-    repeats = repetitions_of(record)
+    error = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(channels, axis=0))
+    repeats = filtered_rows_per_error(record)
     columns /= (error * np.sqrt(repeats))[:, None]
     flat = columns.reshape(-1, n_own + n)
     if n_own:  # project out the unknowns of the record
@@ -118,7 +122,9 @@ def _information_of(
     covariance = np.zeros((n, n))
     for k, channel in enumerate(record.channels):
         lags = np.zeros(n_rows)
-        noise_lags = lagged(record.kernels.taps(rate=channel.rate), record.kernels.step)[:n_rows]
+        noise_lags = white_noise_autocovariance(
+            record.kernels.taps(rate=channel.rate), record.kernels.step
+        )[:n_rows]
         # the gradient is a product of rows and errors, both divided by sqrt(repetitions)
         lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _MEAN_SQUARE_SLOPE / repeats[k]
         covariance += gradient_covariances(shared[:, k], (lags,))[0]

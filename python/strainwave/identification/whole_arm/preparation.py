@@ -97,7 +97,7 @@ def coarsened(record: Dataset, max_time_step: float) -> Dataset:
     return replace(coarse, max_time_step=max(max_time_step, _STEP))
 
 
-def in_long_steps(record: Dataset) -> Dataset:
+def lengthen_steps(record: Dataset) -> Dataset:
     """Lengthen the integrator step as far as the band allows, with the same rows.
 
     Samples are decimated by a divisor of the samples per row. The low-pass of the simulated

@@ -17,9 +17,14 @@ from strainwave.domain import (
     ResidualTest,
 )
 from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.objective import Objective, Rows, Weights, lagged_products
+from strainwave.identification.whole_arm.objective import (
+    Objective,
+    Rows,
+    Weights,
+    spectrum_and_autocovariance,
+)
 from strainwave.numerics.correlations import correlate_residuals
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.numerics.spectra import cross_spectral_densities
 
 _N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
@@ -38,7 +43,7 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     """
 
     def tested(record: Dataset, rows: Rows, weights: Weights) -> list[ResidualTest]:
-        physical_residual = rows.residual * weights.deviation
+        physical_residual = rows.residual * weights.stds
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
         return [
             _test_channel(record, k, physical_residual[:, k], inputs)
@@ -47,7 +52,7 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
 
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
     return tuple(
-        chain.from_iterable(side_by_side([partial(tested, *arguments) for arguments in each]))
+        chain.from_iterable(run_parallel([partial(tested, *arguments) for arguments in each]))
     )
 
 
@@ -138,10 +143,10 @@ def follows(
     """
     n = len(left)
     delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
-    residual_spectrum, residual_products = lagged_products(left)
+    residual_spectrum, residual_products = spectrum_and_autocovariance(left)
     best = (1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
-        input_spectrum, input_products = lagged_products(inputs[:, j])
+        input_spectrum, input_products = spectrum_and_autocovariance(inputs[:, j])
         if not (residual_products[0] > 0.0 and input_products[0] > 0.0):
             continue
         cross = np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)[:delays]
@@ -175,7 +180,7 @@ def beyond_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
     exceeding = []
     each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
     for record, rows, weights in each:
-        stds = np.std(rows.residual * weights.deviation, axis=0)
+        stds = np.std(rows.residual * weights.stds, axis=0)
         exceeding.append((stds >= _MIN_NOISE_RATIO * record.noise) & (record.noise > 0.0))
     return exceeding
 

@@ -48,7 +48,7 @@ LEAST = 0.01
 
 
 @dataclass(frozen=True, slots=True)
-class Tested:
+class TestedEffect:
     """A score test and the parameter values after its linear step."""
 
     test: ScoreTest
@@ -58,17 +58,17 @@ class Tested:
     values: Values  # of unknowns, sizes and non-default shapes, after the step of this effect alone
 
     @property
-    def one(self) -> NamedEffect:
+    def named_effect(self) -> NamedEffect:
         """The joint and the effect."""
         return self.test.joint, self.test.effect
 
     @property
-    def promising(self) -> bool:
+    def is_promising(self) -> bool:
         """Whether the effect is significant and explains enough to justify a fit."""
         return bool(self.test.shifts)
 
 
-def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
+def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
     """Test the effects that the model lacks, the most significant first.
 
     If residuals exceed the sensor noise, each effect is tested at all its sets of shapes, and the
@@ -80,7 +80,7 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     if not candidates:
         return []
     hypotheses = _hypotheses(fit, arm, candidates)
-    for steps in (in_long_steps(fit), fit):  # some effects are too stiff for long steps
+    for steps in (lengthen_steps(fit), fit):  # some effects are too stiff for long steps
         try:
             return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
         except (InvalidInput, NumericalFailure):
@@ -88,9 +88,9 @@ def score_tests_of(fit: Fit, arm: Arm) -> list[Tested]:
     return []
 
 
-def in_long_steps(fit: Fit) -> Fit:
+def lengthen_steps(fit: Fit) -> Fit:
     """The fit with long integrator steps, which are sufficient for derivatives by effects."""
-    objective = fit.objective.in_long_steps(fit.z)
+    objective = fit.objective.lengthen_steps(fit.z)
     at = objective.linearise(fit.z)
     return fit if at is None else replace(fit, objective=objective, cost=at.cost)
 
@@ -159,7 +159,7 @@ class _Step:
         return self.gain - chi_square_limit(chance, len(self.size))
 
 
-def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
+def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[TestedEffect]:
     """Forward selection: each effect is tested given the significant effects before it."""
     chance = FALSE_ALARMS / len(columns.sizes)
     selected = np.zeros((len(columns.target), 0))
@@ -172,7 +172,7 @@ def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[Tested]:
         hypothesis = best.candidate
         score_test = _score_test(best, fit, _values_after_step(columns, best, fit), chance)
         reached = _fit_start(columns, single_steps[hypothesis], fit)
-        yield Tested(
+        yield TestedEffect(
             score_test,
             chance,
             single_steps[hypothesis].gain,
@@ -193,7 +193,7 @@ def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
     """For each effect, the step at the shapes with the largest cost reduction."""
     best: dict[NamedEffect, _Step] = {}
     for step in steps:
-        one = step.candidate.one
+        one = step.candidate.named_effect
         if one not in best or step.gain > best[one].gain:
             best[one] = step
     return {step.candidate: step for step in best.values()}
@@ -234,13 +234,13 @@ def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTes
         stds=dict(zip(step.names, step.std.tolist(), strict=True)),
         gain=step.gain,
         share=share,
-        evident=significant and matters(share, parameter_shifts),
+        evident=significant and is_relevant(share, parameter_shifts),
         shifts=parameter_shifts,
         limit=chi_square_limit(chance, len(step.size)),
     )
 
 
-def matters(share: float, moves: Sequence[ParameterShift]) -> bool:
+def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:
     """Whether an effect is relevant.
 
     It is if its `share` of the cost exceeds `MATTERS`, or if the share exceeds `LEAST` and another

@@ -9,7 +9,11 @@ from strainwave.domain import FloatArray, TuningOptions
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.solver import COARSE_GAIN, COARSE_SHARE, search_from
+from strainwave.identification.whole_arm.solver import (
+    COARSE_RELATIVE_TOLERANCE,
+    COARSE_TOLERANCE,
+    search_minimum,
+)
 
 EVIDENT = 3.0
 """Standard deviations from which a settling time, an effect or another curve is significant.
@@ -61,14 +65,14 @@ def trial(
     The evaluation count continues from that of `fit`. `most` is the maximum number of evaluations;
     None allows all that are left. Raises `NotIdentifiable` if the arm cannot be simulated at `z`.
     """
-    return search_from(
+    return search_minimum(
         objective,
         z,
         fit.iterations,
         selection.options,
-        tolerance=COARSE_GAIN,
-        relative=COARSE_SHARE,
-        most=most,
+        tolerance=COARSE_TOLERANCE,
+        relative=COARSE_RELATIVE_TOLERANCE,
+        max_evaluations=most,
     )
 
 

@@ -20,10 +20,14 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.covariance import inverse_information
 from strainwave.identification.whole_arm.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import LEAST_ERROR, Rows, repetitions_of
+from strainwave.identification.whole_arm.objective import (
+    MIN_ERROR_SHARE,
+    Rows,
+    filtered_rows_per_error,
+)
 from strainwave.identification.whole_arm.parametrisation import Key, combination
 from strainwave.numerics.linalg import triangular_factor
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 
 _ACCELEROMETER_HZ = 300.0  # [Hz] bandwidth of a typical accelerometer
 _GYRO_HZ = 100.0  # [Hz] bandwidth of a typical gyro
@@ -72,7 +76,7 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
         return []
     space = fit.objective.space
     slope = space.slope(fit.z)
-    prior = space.beforehand(fit.z)[0]
+    prior = space.linearise_prior(fit.z)[0]
     prior_information = prior.T @ prior
     W = np.array([_weights(p, space.keys, arm) for p in reported]) @ slope
     present, *extended = [sum(own, prior_information) for own in zip(*parts, strict=True)]
@@ -163,13 +167,13 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         extended = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.local), len(rows.step)
-        initial_states = (rows.evaluated.own + rows.step)[:n_begin]
+        initial_states = (rows.evaluated.record_parameters + rows.step)[:n_begin]
         readings, tangent = extended.linearised(
             values, initial_states, [keys[k] for k in parameter_places]
         )
-        scale = np.sqrt(_MEAN_ROBUST_WEIGHT / repetitions_of(extended))
-        scale = scale / np.maximum(extended.noise, LEAST_ERROR * np.std(readings, axis=0))
-        columns = rows.evaluated.columns * (rows.root / rows.deviation)[..., None]
+        scale = np.sqrt(_MEAN_ROBUST_WEIGHT / filtered_rows_per_error(extended))
+        scale = scale / np.maximum(extended.noise, MIN_ERROR_SHARE * np.std(readings, axis=0))
+        columns = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
         factor = triangular_factor(columns.reshape(-1, columns.shape[2]))
         information = [_shared_information(factor, n_own)]
         for k, candidate in enumerate(candidates):
@@ -189,7 +193,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
         return information
 
     pairs = zip(objective.records, objective.rows(fit.z), strict=True)
-    return side_by_side([partial(one, *pair) for pair in pairs])
+    return run_parallel([partial(one, *pair) for pair in pairs])
 
 
 def _shared_information(factor: FloatArray, n_own: int) -> FloatArray:

@@ -18,13 +18,13 @@ from strainwave.dynamics.link_sensors import is_of_mount, mount_of
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated
+from strainwave.identification.whole_arm.objective import Evaluation
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.residual_analysis import beyond_noise
 from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensors import with_sensors
-from strainwave.identification.whole_arm.solver import fine_search, search_from
+from strainwave.identification.whole_arm.solver import fine_search, search_minimum
 from strainwave.numerics.distributions import chi_square_limit
 
 # natural frequencies [Hz] of the tested mounts
@@ -77,15 +77,17 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     n = sum(map(len, tested.values()))
     if not n:
         return {}
-    objective = fit.objective.in_long_steps(fit.z)
+    objective = fit.objective.lengthen_steps(fit.z)
     values = objective.space.values(fit.z)
 
-    def columns(k: int, _: Evaluated) -> FloatArray:
+    def columns(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
-        return record.ringing(values, objective.memory.own[k][: len(record.local)], tested)
+        return record.ringing(
+            values, objective.memory.record_parameters[k][: len(record.local)], tested
+        )
 
     n_unknowns = len(objective.space.unknowns)
-    factor = objective.bordered(fit.z, n, columns)[n_unknowns:, n_unknowns:]
+    factor = objective.factor_with_columns(fit.z, n, columns)[n_unknowns:, n_unknowns:]
     projected, target = factor[:, :-1], factor[:, -1]
     square = np.sum(projected**2, axis=0)
     gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
@@ -135,10 +137,10 @@ def _fit_mount(
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = with_sensors(fit.objective.space, list(starts), starts)
-        objective, start = fit.objective.for_unknowns(space), space.coordinates(values | starts)
+        objective, start = fit.objective.replace_unknowns(space), space.coordinates(values | starts)
         options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
         try:
-            trial = search_from(objective, start, 0, options, tolerance=_TRIAL_TOLERANCE)
+            trial = search_minimum(objective, start, 0, options, tolerance=_TRIAL_TOLERANCE)
         except NotIdentifiable:
             continue
         if best is None or trial.cost < best.cost:

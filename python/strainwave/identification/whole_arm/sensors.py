@@ -47,11 +47,15 @@ from strainwave.dynamics.mounting import (
     is_mounting,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.objective import Evaluated, Objective, repeats_of
+from strainwave.identification.whole_arm.objective import (
+    Evaluation,
+    Objective,
+    estimate_rows_per_error,
+)
 from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace, Unknown
 from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.solver import refined, resumed_coarse_search
+from strainwave.identification.whole_arm.solver import refine, resumed_coarse_search
 
 # standard deviations from which a constant joins: no false alarm in 8 candidates
 _MIN_SIGNIFICANCE = 4.0
@@ -137,7 +141,10 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     if not starts or fit.iterations >= options.max_iterations:
         return fit
     extended = with_sensors(space, list(starts), starts)
-    objective, start = fit.objective.for_unknowns(extended), extended.coordinates(values | starts)
+    objective, start = (
+        fit.objective.replace_unknowns(extended),
+        extended.coordinates(values | starts),
+    )
     if coarse:
         return resumed_coarse_search(objective, start, fit.iterations, options)
     return _refined_from(fit, objective, start, options)
@@ -176,7 +183,7 @@ def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit
         values = fit.objective.space.values(fit.z)
         space = with_sensors(fit.objective.space, list(estimates))
         start = space.coordinates(values | estimates)
-        objective = fit.objective.for_unknowns(space)
+        objective = fit.objective.replace_unknowns(space)
         if coarse:
             fit = resumed_coarse_search(objective, start, fit.iterations, options)
         else:
@@ -187,7 +194,7 @@ def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit
 def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
     """Refine from `z` (n_unknowns,) with the changed unknowns of `objective`."""
     start = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
-    return refined(start, options)
+    return refine(start, options)
 
 
 def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
@@ -196,7 +203,7 @@ def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
         values = fit.objective.space.values(fit.z)
         space = fit.objective.space.holding(insignificant)
         fit = _refined_from(
-            fit, fit.objective.for_unknowns(space), space.coordinates(values), selection.options
+            fit, fit.objective.replace_unknowns(space), space.coordinates(values), selection.options
         )
     return fit
 
@@ -298,7 +305,7 @@ def _significant_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
     evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
     for record, weights, rows in evaluated:
         since = record.since_middle
-        residuals = rows.residual * weights.deviation
+        residuals = rows.residual * weights.stds
         for channel, residual in zip(record.channels, residuals.T, strict=True):
             key = drift_of(channel.scaled, channel.joint, record.log.name)
             is_candidate = channel.shifted and key is not None and not is_held(key, options)
@@ -306,7 +313,7 @@ def _significant_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
                 continue
             rate = float(-since @ residual / (since @ since))
             remaining = residual + rate * since
-            std = np.std(remaining) * np.sqrt(repeats_of(remaining) / (since @ since))
+            std = np.std(remaining) * np.sqrt(estimate_rows_per_error(remaining) / (since @ since))
             if abs(rate) > max(
                 _MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * np.std(remaining) / np.max(since)
             ):
@@ -329,13 +336,13 @@ def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
     objective = fit.objective
     values, simulated = objective.space.values(fit.z), objective.simulated(fit.z)
 
-    def tangent(k: int, _: Evaluated) -> FloatArray:
+    def tangent(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
-        local = objective.memory.own[k][: len(record.local)]
+        local = objective.memory.record_parameters[k][: len(record.local)]
         return record.sensor_tangent(simulated[k], values, local, keys)
 
     n = len(objective.space.unknowns)
-    return objective.bordered(fit.z, len(keys), tangent)[n:, n:]
+    return objective.factor_with_columns(fit.z, len(keys), tangent)[n:, n:]
 
 
 def _residual_cost(columns: FloatArray, target: FloatArray) -> float:

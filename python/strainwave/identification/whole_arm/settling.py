@@ -28,7 +28,7 @@ def with_settling_times(fit: Fit, selection: Selection) -> Fit:
     values = fit.objective.space.values(fit.z)
     space = with_settling(fit.objective.space)
     start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
-    objective = fit.objective.for_unknowns(space)
+    objective = fit.objective.replace_unknowns(space)
     most = None if required else TRIAL
     extended = trial(fit, objective, start, selection, most)
     return better(fit, extended) if required is None else extended
@@ -55,4 +55,6 @@ def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
         return fit
     space = fit.objective.space.holding(insignificant)
     start = space.coordinates(values)
-    return fine_search(fit.objective.for_unknowns(space), start, fit.iterations, selection.options)
+    return fine_search(
+        fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
+    )

@@ -18,7 +18,7 @@ from strainwave.identification.closed_loop import (
     velocity_band,
     with_known_effects,
 )
-from strainwave.identification.whole_arm.candidates import best_candidate
+from strainwave.identification.whole_arm.candidates import select_candidate
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.gear_load import (
     gear_torques,
@@ -107,7 +107,7 @@ def start_of(
     def objective_of(joints: Sequence[JointModel]) -> Objective:
         return Objective.of(search_by(joints), long_steps)
 
-    best = best_candidate(candidates, objective_of, chosen)
+    best = select_candidate(candidates, objective_of, chosen)
     joints = best.joints
     if len(candidates) > 1:  # the best candidate determines the band
         records, long_steps = _records(used, joints, arm, chosen)
@@ -117,8 +117,8 @@ def start_of(
     nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
     start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
     initial = start
-    if best.reached is not None:
-        start = space.coordinates(space.values(start) | best.reached | given)
+    if best.end_values is not None:
+        start = space.coordinates(space.values(start) | best.end_values | given)
     keys = space.keys
     space = restricted(space, chosen, start)
     kept = [key in space.keys for key in keys]
@@ -132,7 +132,7 @@ def start_of(
     for name, joint in starts.rejected:
         if name == STIFFNESS:
             start = _scan_stiffness(coarse, start, joint)
-    if best.reached is None or placed:
+    if best.end_values is None or placed:
         initial = start
     return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, arm)))
 

@@ -53,7 +53,7 @@ def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
         selection.options = options
         return fit
     if restarted.cost < fit.cost:
-        objective = restarted.objective.reweighted(restarted.z)
+        objective = restarted.objective.update_weights(restarted.z)
         return fine_search(objective, restarted.z, restarted.iterations, selection.options)
     return replace(restarted, converged=fit.converged)
 

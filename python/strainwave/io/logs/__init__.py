@@ -15,7 +15,7 @@ from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, one_clock
 from strainwave.io.logs.in_memory import Data, is_path, table_of
 from strainwave.io.logs.tables import Table, open_table, release_readers_memory, write_table
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
 
@@ -49,7 +49,7 @@ def read_logs(
                 remedy=f"name one of its experiments: {', '.join(names)}",
             )
     jobs = [partial(read_log, study, each, replacements.get(each.name)) for each in selected]
-    logs = tuple(side_by_side(jobs))
+    logs = tuple(run_parallel(jobs))
     _check_mapped(study, logs, replacements)
     return logs
 

@@ -25,7 +25,7 @@ from strainwave.domain import (
 from strainwave.domain.corrections import corrected_study
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.consistency.clocks import Clocks, clocks_of, excited_inputs
 from strainwave.signals.consistency.counts import count_of
 from strainwave.signals.consistency.input_delay import DelayProfile, delay_profile
@@ -212,7 +212,7 @@ def _remapped(
 def evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
-    records = side_by_side([partial(_slow_record, log, arm) for log in logs]) if logs else []
+    records = run_parallel([partial(_slow_record, log, arm) for log in logs]) if logs else []
     counts = {}
     for joint in range(1, arm.n_joints + 1):
         count = count_of([log.channels[f"theta_m{joint}"] for log in logs])

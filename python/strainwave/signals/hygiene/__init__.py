@@ -12,7 +12,7 @@ from functools import partial
 
 from strainwave.domain import Diagnostic, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.parallel import side_by_side
+from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.hygiene import encoder_steps, flat_tops, frozen, mains_hum, spikes
 from strainwave.signals.hygiene.defects import Defect, Detector, Kind
 from strainwave.signals.hygiene.mending import mended
@@ -35,7 +35,7 @@ def defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
 
     Mains hum is included only if the records together confirm it.
     """
-    detections = side_by_side([partial(_detect_in_record, log, arm) for log in logs])
+    detections = run_parallel([partial(_detect_in_record, log, arm) for log in logs])
     hum = mains_hum.confirmed(logs, detections)
     return [
         [
