@@ -15,6 +15,7 @@ import pytest
 import compared_results
 import studies
 import visited_arms
+from command_line import run_here
 from strainwave.io.study import write_study
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
@@ -22,13 +23,13 @@ from strainwave.virtual import scara
 FINISHED = ["result.json", "report.html"]
 
 
-def run(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run `strainwave` in a process of its own."""
     return subprocess.run(
         [sys.executable, "-m", "strainwave", *arguments],
         capture_output=True,
         text=True,
         check=False,
-        cwd=cwd,
         env={**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"},
     )
 
@@ -73,7 +74,7 @@ def test_identify_reads_the_study_of_the_demonstration(
 ) -> None:
     folder, _ = demo
     out = tmp_path / "a" / "b"
-    process = run("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
+    process = run_here("identify", str(folder / "study.toml"), "--out", str(out), "--quiet")
     assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
     assert sorted(p.name for p in out.iterdir()) == sorted(FINISHED)
     assert json.loads((out / "result.json").read_text())["status"] == "determined"
@@ -84,8 +85,8 @@ def test_identify_reads_the_study_of_the_demonstration(
 
 def test_the_stages_option_takes_the_first_stages(demo: tuple[Path, str], tmp_path: Path) -> None:
     study = str(demo[0] / "study.toml")
-    assert run("identify", study, "--out", str(tmp_path), "--stages", "rigid").returncode == 0
-    process = run("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
+    assert run_here("identify", study, "--out", str(tmp_path), "--stages", "rigid").returncode == 0
+    process = run_here("identify", study, "--out", str(tmp_path / "x"), "--stages", "frobnicate")
     assert process.returncode == 2
     assert "frobnicate" in process.stderr
     assert "rigid" in process.stderr
@@ -105,7 +106,7 @@ def test_wrong_input_exits_with_two_and_one_message(
     study: str, log: str | None, message: str, tmp_path: Path
 ) -> None:
     path = studies.write(tmp_path, study, log)
-    process = run("identify", str(path), "--out", str(tmp_path / "out"))
+    process = run_here("identify", str(path), "--out", str(tmp_path / "out"))
     assert process.returncode == 2
     assert message in process.stderr
     assert "Remedy:" in process.stderr
@@ -119,7 +120,7 @@ def test_wrong_input_keeps_an_earlier_result(tmp_path: Path) -> None:
     path = studies.write(tmp_path, studies.STUDY, "")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "result.json").write_text("earlier")
-    assert run("identify", str(path), "--out", str(tmp_path / "out")).returncode == 2
+    assert run_here("identify", str(path), "--out", str(tmp_path / "out")).returncode == 2
     assert [p.read_text() for p in (tmp_path / "out").iterdir()] == ["earlier"]
 
 
@@ -141,7 +142,9 @@ def test_a_run_without_estimates_is_not_determined(demo: tuple[Path, str], tmp_p
     text = (demo[0] / "study.toml").read_text().replace('use = "motion"', 'use = "check"')
     (tmp_path / "study.toml").write_text(text)
     out = tmp_path / "out"
-    process = run("identify", str(tmp_path / "study.toml"), "--out", str(out), "--stages", "rigid")
+    process = run_here(
+        "identify", str(tmp_path / "study.toml"), "--out", str(out), "--stages", "rigid"
+    )
     assert process.returncode == 3, process.stderr
     assert "verdict: not-determined (exit code 3)" in process.stdout
     document = json.loads((out / "result.json").read_text())
@@ -158,7 +161,7 @@ def test_inconsistent_channels_exit_with_three(demo: tuple[Path, str], tmp_path:
     scales = "".join(f'a{j} = {{ column = "a{j}", scale = {1 / 9.80665:.6f} }}\n' for j in (1, 2))
     assert "[channels]" not in text
     (tmp_path / "study.toml").write_text(f"{text}\n[channels]\n{scales}")
-    process = run("identify", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"))
+    process = run_here("identify", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out"))
     assert process.returncode == 3, process.stderr
     assert "verdict: inconsistent-input (exit code 3)" in process.stdout
     document = json.loads((tmp_path / "out" / "result.json").read_text())
@@ -187,7 +190,7 @@ def test_motion_without_reversal_exits_with_three(tmp_path: Path) -> None:
         '[[experiment]]\nname = "m"\nfile = "motion.csv"\nuse = "motion"\ncontrol = ["servo"]\n'
     )
     path = studies.write(tmp_path, study, studies.csv_text(columns))
-    process = run("identify", str(path), "--out", str(tmp_path / "out"))
+    process = run_here("identify", str(path), "--out", str(tmp_path / "out"))
     assert process.returncode == 3, process.stderr
     document = json.loads((tmp_path / "out" / "result.json").read_text())
     values = {p["name"]: p["value"] for p in document["parameters"]}
@@ -208,9 +211,10 @@ def test_simulate_runs_a_study_on_another_arm(demo: tuple[Path, str], tmp_path: 
     (tmp_path / "p.json").write_text(json.dumps(document))
     study = str(demo[0] / "study.toml")
     parameters = ["--parameters", str(tmp_path / "p.json")]
-    process = run("simulate", study, *parameters, "--out", str(tmp_path / "arm"), "--quiet")
+    process = run_here("simulate", study, *parameters, "--out", str(tmp_path / "arm"), "--quiet")
     assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
-    process = run("identify", str(tmp_path / "arm" / "study.toml"), "--out", str(tmp_path / "r"))
+    simulated = str(tmp_path / "arm" / "study.toml")
+    process = run_here("identify", simulated, "--out", str(tmp_path / "r"), "--stages", "rigid")
     assert process.returncode == 0
     result = json.loads((tmp_path / "r" / "result.json").read_text())
     beta = next(p["value"] for p in result["parameters"] if p["name"] == "beta")
@@ -222,7 +226,7 @@ def test_simulate_does_not_overwrite_its_study(tmp_path: Path) -> None:
     write_study(study, study.path)
     (tmp_path / "p.json").write_text('{"parameters": []}')
     arguments = ["simulate", str(study.path), "--parameters", str(tmp_path / "p.json")]
-    process = run(*arguments, "--out", str(tmp_path))
+    process = run_here(*arguments, "--out", str(tmp_path))
     assert process.returncode == 2
     assert "a directory other than" in process.stderr
 
@@ -244,12 +248,12 @@ def test_excite_needs_assumed_parameters(tmp_path: Path) -> None:
         ([*arguments, *guess, "--out", str(out), "--kind", "noise"], "multisine"),
     ]
     for command, message in faults:
-        process = run(*command)
+        process = run_here(*command)
         assert process.returncode == 2
         assert message in process.stderr
         assert process.stderr.count("\n") == 1
     assert not out.exists()
-    process = run(*arguments, *guess, "--out", str(out))
+    process = run_here(*arguments, *guess, "--out", str(out))
     assert (process.returncode, process.stderr) == (0, "")
     assert "condition number" in process.stdout
     names = ["apply-motion-check.csv", "apply-motion.csv", "excitation.h", "study.toml"]
@@ -260,16 +264,16 @@ def test_version_help_and_wrong_usage() -> None:
     import strainwave
 
     assert run("--version").stdout == f"strainwave {strainwave.__version__}\n"
-    assert "identify" in run("--help").stdout
+    assert "identify" in run_here("--help").stdout
     for command in ([], ["identify"], ["campaign"]):
-        short, long = run(*command, "-h"), run(*command, "--help")
+        short, long = run_here(*command, "-h"), run_here(*command, "--help")
         assert short.returncode == long.returncode == 0
         assert short.stdout == long.stdout
     for command, hint in (
         (["identfy"], "identify"),
         (["export", "r", "--fromat", "c"], "--format"),
     ):
-        wrong = run(*command)
+        wrong = run_here(*command)
         assert wrong.returncode == 2
         assert hint in wrong.stderr
         assert "Traceback" not in wrong.stderr
@@ -284,11 +288,11 @@ def test_the_exit_code_of_compare_is_four_if_results_differ(tmp_path: Path) -> N
     )
     worn = compared_results.drawn(rng, S, {"gear_stiffness 1": 0.98})
     november = str(compared_results.write(worn, tmp_path / "november") / "result.json")
-    process = run("compare", january, june, "--out", str(tmp_path / "same"))
+    process = run_here("compare", january, june, "--out", str(tmp_path / "same"))
     assert (process.returncode, process.stderr) == (0, "")
     assert "no difference at the level of 5 %" in process.stdout
     assert {p.name for p in (tmp_path / "same").iterdir()} == {"comparison.html", "comparison.json"}
-    process = run("compare", january, june, november, "--quiet")
+    process = run_here("compare", january, june, november, "--quiet")
     assert (process.returncode, process.stdout, process.stderr) == (4, "", "")
 
 
@@ -303,7 +307,7 @@ def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
         ((one, str(tmp_path / "missing")), 2, "does not exist"),
         ((one, none), 3, "no comparison is possible"),
     ):
-        process = run("compare", *arguments, "--out", str(tmp_path / "out"))
+        process = run_here("compare", *arguments, "--out", str(tmp_path / "out"))
         assert process.returncode == code
         assert message in process.stderr
         assert process.stderr.count("\n") == 1
@@ -313,11 +317,11 @@ def test_compare_refuses_wrong_arguments(tmp_path: Path) -> None:
 def test_the_exit_code_of_trend_is_four_if_an_arm_changes(tmp_path: Path) -> None:
     factors = {"arm-1": visited_arms.healthy, "arm-2": visited_arms.softening}
     store = str(visited_arms.fleet(tmp_path / "store", factors, seed=3))
-    process = run("trend", store, "--out", str(tmp_path / "out"))
+    process = run_here("trend", store, "--out", str(tmp_path / "out"))
     assert (process.returncode, process.stderr) == (4, "")
     assert "1 of 2 arms changes at the level of 1 % per arm: arm-2" in process.stdout
     assert {p.name for p in (tmp_path / "out").iterdir()} == {"trend.html", "trend.json"}
-    process = run("trend", store, "--arm", "(arm-1)/", "--quiet")
+    process = run_here("trend", store, "--arm", "(arm-1)/", "--quiet")
     assert (process.returncode, process.stdout, process.stderr) == (0, "", "")
 
 
@@ -330,7 +334,7 @@ def test_trend_refuses_wrong_arguments(tmp_path: Path) -> None:
         ((store, "--covariates", str(tmp_path / "none.csv")), 2, "does not exist"),
         ((store,), 3, "enough visits"),
     ):
-        process = run("trend", *arguments, "--out", str(tmp_path / "out"))
+        process = run_here("trend", *arguments, "--out", str(tmp_path / "out"))
         assert process.returncode == code, process.stderr
         assert message in process.stderr
         assert process.stderr.count("\n") == 1

@@ -39,7 +39,7 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return result(tmp_path_factory.mktemp("alone") / "result.json", threads=1, blas=1)
 
 
-@pytest.mark.parametrize(("threads", "blas"), [(1, 1), (3, 1), (2, 4)])
+@pytest.mark.parametrize(("threads", "blas"), [(3, 1), (2, 4)])
 def test_the_same_input_gives_the_same_result(
     alone: dict[str, Any], tmp_path: Path, threads: int, blas: int
 ) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from command_line import run_here
 from strainwave import cli
 from strainwave.domain.effects import all_effects
 from strainwave.io.parameters import read_parameters
@@ -104,7 +105,7 @@ def test_parameter_files_are_read(name: str, text: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(("page", "line"), commands())
 def test_commands_have_the_options_shown(page: str, line: str) -> None:
     words = shlex.split(line, comments=True)
-    help_text = run(["-m", "strainwave", words[1], "--help"], ROOT)
+    help_text = run_here(words[1], "--help").stdout
     assert [word for word in words if word.startswith("--") and word not in help_text] == [], page
 
 

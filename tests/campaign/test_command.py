@@ -9,8 +9,9 @@ import pytest
 from rich.console import Console
 
 import strainwave as sw
-from campaign_commands import campaign, command
+from campaign_commands import campaign
 from campaign_rigs import log, rig, rigs
+from command_line import run_here
 from strainwave.campaign import Settings, _undetermined
 from strainwave.campaign import run as run_campaign
 from strainwave.campaign.progress import MAX_LISTED, Tally, _display, cause
@@ -75,10 +76,7 @@ def test_wrong_arguments_exit_with_two_and_write_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     rig(tmp_path / "rigs")
-    import subprocess
-
-    line = [*command(*arguments), "--out", "store"]
-    done = subprocess.run(line, capture_output=True, text=True, check=False)
+    done = run_here("campaign", *arguments, "--out", "store")
     assert done.returncode == 2
     assert message in done.stderr
     assert "Traceback" not in done.stderr

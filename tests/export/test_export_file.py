@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import exports
+from command_line import Finished, run_here
 from strainwave.errors import InvalidInput
 from strainwave.export import FORMATS, export_file
 
@@ -30,14 +28,8 @@ def result(tmp_path: Path) -> Path:
     return exports.write(study, exports.values_of(study))
 
 
-def run(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "strainwave", "export", *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        env={**os.environ, "COLUMNS": "100", "PYTHONWARNINGS": "error"},
-    )
+def run(*arguments: str) -> Finished:
+    return run_here("export", *arguments)
 
 
 @pytest.mark.parametrize("name", BEGINS)

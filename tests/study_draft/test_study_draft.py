@@ -2,8 +2,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,6 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 import virtual_arms
+from command_line import Finished, run_here
 from strainwave import pipeline
 from strainwave.domain import FloatArray, Log, Prbs
 from strainwave.dynamics import excitation
@@ -438,7 +437,7 @@ def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
     out = tmp_path / "study.toml"
     init = run_init(tmp_path / "drive-a.csv", tmp_path / "drive-b.csv", "--out", out)
     assert "3 value(s) are TODO" in init.stdout
-    process = run_strainwave("identify", out, "--out", tmp_path / "r", "--stages", "rigid")
+    process = run_here("identify", out, "--out", tmp_path / "r", "--stages", "rigid")
     assert process.returncode == 2
     assert "3 value(s) are still TODO: link_length (line " in process.stderr
     identified = pipeline.identify(filled_in(out), stages=("rigid",))
@@ -450,13 +449,8 @@ def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
     assert [p.experiment for p in identified.checks] == ["drive-b"]
 
 
-def run_strainwave(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    arguments = [sys.executable, "-m", "strainwave", *map(str, words)]
-    return subprocess.run(arguments, capture_output=True, text=True, check=False)
-
-
-def run_init(*words: str | Path) -> subprocess.CompletedProcess[str]:
-    process = run_strainwave("init", *words)
+def run_init(*words: str | Path) -> Finished:
+    process = run_here("init", *words)
     assert (process.returncode, process.stderr) == (0, "")
     return process
 
@@ -524,7 +518,7 @@ def test_a_bag_gets_its_topics_mapped(tmp_path: Path) -> None:
 def test_nothing_is_ever_overwritten(tmp_path: Path) -> None:
     write_log(tmp_path / "run.csv", motion())
     (tmp_path / "study.toml").write_text("mine")
-    process = run_strainwave("init", tmp_path / "run.csv", "--out", tmp_path / "study.toml")
+    process = run_here("init", tmp_path / "run.csv", "--out", tmp_path / "study.toml")
     assert process.returncode == 2
     assert "is there already" in process.stderr
     assert (tmp_path / "study.toml").read_text() == "mine"

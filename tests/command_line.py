@@ -1,0 +1,42 @@
+"""The command line in the process of the test, without the second that a new process takes."""
+
+from __future__ import annotations
+
+import io
+import os
+from contextlib import chdir, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from unittest.mock import patch
+
+from strainwave import cli
+
+COLUMNS = "100"
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """Output and exit code of a command."""
+
+    returncode: int
+    stdout: str
+    stderr: str
+
+
+def run_here(*arguments: str | Path, cwd: Path | None = None) -> Finished:
+    """Run `strainwave` with arguments; a warning is an error, as everywhere in the tests."""
+    line = ["strainwave", *map(str, arguments)]
+    out, err, code = io.StringIO(), io.StringIO(), 0
+    with (
+        chdir(cwd or Path.cwd()),
+        patch.dict(os.environ, COLUMNS=COLUMNS),
+        patch("sys.argv", line),
+        patch("strainwave.numerics.parallel.own_process"),  # this process runs other tests too
+        redirect_stdout(out),
+        redirect_stderr(err),
+    ):
+        try:
+            cli.main()
+        except SystemExit as done:
+            code = done.code if isinstance(done.code, int) else int(done.code is not None)
+    return Finished(code, out.getvalue(), err.getvalue())
