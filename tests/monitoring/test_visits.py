@@ -73,7 +73,7 @@ def test_covariates_and_times_by_the_end_of_the_path(store: Path, tmp_path: Path
         (25.0,),
     ]
     assert arm.start == datetime(2025, 1, 1, tzinfo=UTC)
-    assert any("7 visits are left out" in note for note in histories.notes)
+    assert any("7 visits are omitted" in note for note in histories.notes)
 
 
 def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
