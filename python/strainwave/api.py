@@ -27,7 +27,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
-from strainwave.domain.progress import Progress, ProgressEvent, ignored
+from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import Cancelled, InvalidInput, nearest, require
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
@@ -62,7 +62,7 @@ def identify(
     data: Data | None = None,
     stages: str | Sequence[str] = pipeline.STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
-    progress: Progress = ignored,
+    progress: Progress = ignore_progress,
     cancel: threading.Event | Callable[[], bool] | None = None,
     threads: int | None = None,
 ) -> Result:

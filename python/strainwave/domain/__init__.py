@@ -123,7 +123,7 @@ from strainwave.domain.study import (
     channel_parts,
 )
 from strainwave.domain.study_limits import SizeLimit
-from strainwave.domain.verdict import Status, Validated, Verdict
+from strainwave.domain.verdict import Status, Validation, Verdict
 
 __all__ = [
     "CHANNELS",
@@ -223,7 +223,7 @@ __all__ = [
     "TorqueHistogram",
     "TuningOptions",
     "Use",
-    "Validated",
+    "Validation",
     "Verdict",
     "channel_names",
     "channel_parts",

@@ -20,30 +20,32 @@ class Correction:
     value: float | str | None  # None: the key is removed
 
 
-def corrected_study(study: Study, corrections: Sequence[Correction]) -> Study:
-    """The study after all corrections of its keys; those of logs do not change it."""
-    for each in corrections:
-        if each.table == "arm":
-            study = replace(study, arm=replace(study.arm, **{each.key: each.value}))  # type: ignore[arg-type]
-        elif each.table == "joint":
+def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
+    """Return the study with all corrections of its keys. Corrections of logs do not change it."""
+    for correction in corrections:
+        if correction.table == "arm":
+            study = replace(study, arm=replace(study.arm, **{correction.key: correction.value}))  # type: ignore[arg-type]
+        elif correction.table == "joint":
             joints = list(study.arm.joints)
-            number = int(each.entry) - 1
-            joints[number] = replace(joints[number], **{each.key: each.value})  # type: ignore[arg-type]
+            number = int(correction.entry) - 1
+            joints[number] = replace(joints[number], **{correction.key: correction.value})  # type: ignore[arg-type]
             study = replace(study, arm=study.arm.with_joints(joints))
-        elif each.table == "channels":
-            before = study.channels.get(each.entry) or Channel(each.entry)
-            after = replace(before, **{each.key: each.value})  # type: ignore[arg-type]
-            study = replace(study, channels={**study.channels, each.entry: after})
-        elif each.table == "experiment":
+        elif correction.table == "channels":
+            before = study.channels.get(correction.entry) or Channel(correction.entry)
+            after = replace(before, **{correction.key: correction.value})  # type: ignore[arg-type]
+            study = replace(study, channels={**study.channels, correction.entry: after})
+        elif correction.table == "experiment":
             experiments = tuple(
-                _corrected_experiment(own, each) if own.name == each.entry else own
-                for own in study.experiments
+                _correct_experiment(experiment, correction)
+                if experiment.name == correction.entry
+                else experiment
+                for experiment in study.experiments
             )
             study = replace(study, experiments=experiments)
     return study
 
 
-def _corrected_experiment(experiment: Experiment, correction: Correction) -> Experiment:
+def _correct_experiment(experiment: Experiment, correction: Correction) -> Experiment:
     if correction.key == "prbs.amplitude" and experiment.prbs is not None:
         prbs = replace(experiment.prbs, amplitude=float(correction.value or 0.0))
         return replace(experiment, prbs=prbs)
@@ -51,30 +53,38 @@ def _corrected_experiment(experiment: Experiment, correction: Correction) -> Exp
 
 
 def correction_text(study: Study, corrections: Sequence[Correction]) -> str:
-    """The instruction that carries out corrections, with the lines of study.toml as they become."""
-    after = corrected_study(study, corrections)
-    places = groupby(corrections, key=lambda each: (each.table, each.entry))
-    steps = [_step(after, table, entry, tuple(own)) for (table, entry), own in places]
+    """Instruction for the corrections, with the corrected lines of study.toml."""
+    after = apply_corrections(study, corrections)
+    places = groupby(corrections, key=lambda correction: (correction.table, correction.entry))
+    steps = [
+        _describe_changes(after, table, entry, tuple(group)) for (table, entry), group in places
+    ]
     return "; ".join(steps)
 
 
-def _step(after: Study, table: str, entry: str, corrections: Sequence[Correction]) -> str:
+def _describe_changes(
+    after: Study, table: str, entry: str, corrections: Sequence[Correction]
+) -> str:
     if table == "channels":
         return f"set {channel_line(after, entry)}"
     place = {"arm": "[arm]", "joint": f"[[joint]] {entry}"}.get(table, f"[[experiment]] {entry}")
     steps = []
-    for each in corrections:
+    for correction in corrections:
         if table == "log":
-            steps.append(_log_step(entry, each))
-        elif each.value is None:
-            steps.append(f"remove {each.key} from {place}")
+            steps.append(_describe_log_change(entry, correction))
+        elif correction.value is None:
+            steps.append(f"remove {correction.key} from {place}")
         else:
-            value = f"{each.value:.7g}" if isinstance(each.value, float) else each.value
-            steps.append(f"set {each.key} = {value} in {place}")
+            value = (
+                f"{correction.value:.7g}"
+                if isinstance(correction.value, float)
+                else correction.value
+            )
+            steps.append(f"set {correction.key} = {value} in {place}")
     return ", ".join(steps)
 
 
-def _log_step(channel: str, correction: Correction) -> str:
+def _describe_log_change(channel: str, correction: Correction) -> str:
     value = float(correction.value or 0.0)
     if correction.key == "delay_s":
         side = "earlier" if value > 0.0 else "later"
@@ -87,10 +97,10 @@ def _log_step(channel: str, correction: Correction) -> str:
 
 
 def channel_line(study: Study, name: str) -> str:
-    """A channel's line in [channels]."""
-    own = study.channels.get(name) or Channel(name)
-    scale = f", scale = {own.scale:.7g}" if own.scale != 1.0 else ""
-    offset = f", offset = {own.offset:.7g}" if own.offset else ""
+    """Line of a channel in [channels]."""
+    channel = study.channels.get(name) or Channel(name)
+    scale = f", scale = {channel.scale:.7g}" if channel.scale != 1.0 else ""
+    offset = f", offset = {channel.offset:.7g}" if channel.offset else ""
     if not scale and not offset:
-        return f'channels.{name} = "{own.column}"'
-    return f'channels.{name} = {{ column = "{own.column}"{scale}{offset} }}'
+        return f'channels.{name} = "{channel.column}"'
+    return f'channels.{name} = {{ column = "{channel.column}"{scale}{offset} }}'

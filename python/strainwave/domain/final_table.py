@@ -49,9 +49,9 @@ _LINK_KEYS = frozenset(
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
 _MAX_NEGLIGIBLE_SHARE = 0.02
-_FAULT_REASON = "it rests on channels that contradict one another or the study"
+_FAULT_REASON = "it depends on channels that contradict each other or the study"
 _CONTRADICTION_REASON = "the rigid and the whole-arm fit contradict each other"
-_IMPLAUSIBLE_REASON = "the decoupled fit of the joint holds an impossible value"
+_IMPLAUSIBLE_REASON = "the decoupled fit of the joint contains an impossible value"
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 _FIRST_ROWS = (
     "rigid_inertia",
@@ -104,13 +104,19 @@ def decide(
     Returns one decision for each parameter and joint: parameters of the whole arm first, then joint
     by joint.
     """
-    first_affected = min((first_affected_stage(one, study) for one in suspected), default=_NONE)
+    first_affected = min(
+        (first_affected_stage(suspicion, study) for suspicion in suspected), default=_NONE
+    )
     table: _Table = {}
     if rigid is not None:
         table = _stage_table(rigid.parameters, "rigid", spread_to_all=False)
     if first_affected <= _RIGID:
         table = _reject_all(table.values(), _FAULT_REASON)
-    accepted = [one for one in joints if not _discard(table, one, first_affected)]
+    accepted = [
+        joint_model
+        for joint_model in joints
+        if not _enter_if_rejected(table, joint_model, first_affected)
+    ]
     for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
     if tuned is not None:
@@ -119,16 +125,16 @@ def decide(
         _make_consistent(table, study.arm, accepted)
     _remove_equivalent_stiffness(table, study, tuned is not None)
     _reject_gamma(table)
-    levels_by_joint = {one.joint: one for one in activity}
-    rows = [_decision(entry, study, levels_by_joint) for entry in table.values()]
+    levels_by_joint = {level.joint: level for level in activity}
+    rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
     names = dict.fromkeys([*_FIRST_ROWS, *parameter_table()])
-    order = {name: place for place, name in enumerate(names)}
+    order = {name: sort_key for sort_key, name in enumerate(names)}
 
-    def place(row: Decision) -> tuple[int, int]:
+    def sort_key(row: Decision) -> tuple[int, int]:
         """Sort key: parameters of the whole arm first, then joint by joint."""
         return row.parameter.joint or 0, order.get(base_name(row.parameter.name), len(order))
 
-    return tuple(sorted(rows, key=place))
+    return tuple(sorted(rows, key=sort_key))
 
 
 def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
@@ -158,7 +164,7 @@ def _key(parameter: Parameter) -> Key:
     return parameter.name, parameter.joint
 
 
-def _impossible(parameters: Iterable[Parameter]) -> list[Parameter]:
+def _impossible_parameters(parameters: Iterable[Parameter]) -> list[Parameter]:
     """Parameters whose value is significantly negative although it cannot be."""
     return [
         p
@@ -171,12 +177,13 @@ def _impossible(parameters: Iterable[Parameter]) -> list[Parameter]:
 
 def _stage_table(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bool) -> _Table:
     """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
-    impossible = _impossible(parameters)
+    impossible = _impossible_parameters(parameters)
     if not impossible:
         return {_key(p): _Entry(p) for p in parameters}
     first = impossible[0]
     reason = (
-        f"the {stage} fit gives {first.label} = {first.value:.3g} {first.unit}, which no arm has"
+        f"the {stage} fit gives {first.label} = {first.value:.3g} {first.unit}, which is physically"
+        " impossible"
     )
     joints = {p.joint for p in impossible} | {None}
     is_all_rejected = spread_to_all or None in {p.joint for p in impossible}
@@ -186,14 +193,14 @@ def _stage_table(parameters: Sequence[Parameter], stage: str, *, spread_to_all: 
     }
 
 
-def _reject_all(entries: Iterable[_Entry], why: str) -> _Table:
-    return {_key(e.parameter): replace(e, rejected=why) for e in entries}
+def _reject_all(entries: Iterable[_Entry], reason: str) -> _Table:
+    return {_key(e.parameter): replace(e, rejected=reason) for e in entries}
 
 
-def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
+def _enter_if_rejected(table: _Table, joint: JointModel, first_affected: int) -> bool:
     """Return whether the decoupled fit of a joint is rejected, and if so add it to the table."""
     entries = _stage_table(joint.parameters, "decoupled", spread_to_all=True)
-    if faulty <= _DECOUPLED:
+    if first_affected <= _DECOUPLED:
         entries = _reject_all(entries.values(), _FAULT_REASON)
     elif joint.status == "implausible":
         reasons = {e.rejected for e in entries.values()} - {""}
@@ -205,7 +212,7 @@ def _discard(table: _Table, joint: JointModel, faulty: int) -> bool:
     return True
 
 
-def _enter_whole_arm(table: _Table, tuned: ArmModel, faulty: int) -> None:
+def _enter_whole_arm(table: _Table, tuned: ArmModel, first_affected: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
     If the stages contradict each other in inertias or gravity torques, the torque of a joint is
@@ -213,17 +220,17 @@ def _enter_whole_arm(table: _Table, tuned: ArmModel, faulty: int) -> None:
     frictions differ, the probable cause is a different friction law. Only the frictions of that
     joint are then rejected.
     """
-    if faulty <= _TUNED:
+    if first_affected <= _TUNED:
         for p in tuned.parameters:
             table.setdefault(_key(p), _Entry(p, _FAULT_REASON))
         return
     bounded = set(tuned.at_bounds)
     for p in tuned.parameters:
-        at_bound_reason = f"the fit ended at the end of its range, {p.value or 0.0:.3g} {p.unit}"
+        at_bound_reason = f"the fit ended at the bound of its range, {p.value or 0.0:.3g} {p.unit}"
         table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
-    for key, why in _shifted_by_effects(tuned).items():
+    for key, reason in _effect_shift_reasons(tuned).items():
         if key in table and not table[key].rejected:
-            table[key] = replace(table[key], rejected=why)
+            table[key] = replace(table[key], rejected=reason)
     failed_tests = contradictions(tuned.agreement)
     friction_joints = {test.joint for test in failed_tests if test.scope == "friction"}
     is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
@@ -235,13 +242,13 @@ def _enter_whole_arm(table: _Table, tuned: ArmModel, faulty: int) -> None:
             table[key] = replace(entry, rejected=_CONTRADICTION_REASON)
 
 
-def _shifted_by_effects(tuned: ArmModel) -> dict[Key, str]:
+def _effect_shift_reasons(tuned: ArmModel) -> dict[Key, str]:
     """Values that a likely effect would shift significantly, each with the reason for rejection."""
     reasons: dict[Key, str] = {}
     for cause in tuned.criticism.causes if tuned.criticism else ():
         reason = (
             f"{cause.effect} of joint {cause.joint}, which explains part of the residuals, would"
-            f" move it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"
+            f" shift it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"
         )
         for shift in cause.shifts:
             is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
@@ -250,24 +257,33 @@ def _shifted_by_effects(tuned: ArmModel) -> dict[Key, str]:
     return reasons
 
 
-def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[JointModel]) -> None:
+def _make_consistent(
+    table: _Table, arm: ArmDescription, joint_models: Sequence[JointModel]
+) -> None:
     """Compute base parameters and rigid inertias from the inertias of the joint models.
 
     For two links, beta = m_L2, alpha = m_L1 - beta - 2 gamma, and the rigid inertia is alpha +
     m_M1 / n_1^2, see (3) and (16). The correlation between the errors of the stages is unknown.
     Standard deviations are therefore added, which is an upper bound.
     """
-    of_joints: dict[Key, Parameter] = {
-        (p.name, one.joint): p for one in decided for p in one.parameters
+    joint_estimates: dict[Key, Parameter] = {
+        (p.name, model.joint): p for model in joint_models for p in model.parameters
     }
 
     def parts(row: Row) -> list[tuple[float, Parameter | None]]:
-        known = ((w, of_joints.get(k) if k[1] else _published(table, k)) for k, w in row.items())
+        known = (
+            (w, joint_estimates.get(k) if k[1] else _accepted_estimate(table, k))
+            for k, w in row.items()
+        )
         return list(known)
 
     derived_rows: dict[Key, Row] = {}
     for key, row in kind_of(arm).from_link_inertias:
-        parameter = _rename(key, parts(row)) if len(row) == 1 else _sum(*key, parts(row))
+        parameter = (
+            _renamed_parameter(key, parts(row))
+            if len(row) == 1
+            else _weighted_sum(*key, parts(row))
+        )
         if parameter is not None and key not in row:
             table[key], derived_rows[key] = _Entry(parameter), row
     for key, row in lumped_inertias(arm).items():
@@ -278,23 +294,25 @@ def _make_consistent(table: _Table, arm: ArmDescription, decided: Sequence[Joint
             for part, w in row.items()
             for k, v in derived_rows.get(part, {part: 1.0}).items()
         }
-        total = _sum(*key, parts(expanded_row))
+        total = _weighted_sum(*key, parts(expanded_row))
         if total is not None:
             table[key] = _Entry(total)
 
 
-def _rename(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
+def _renamed_parameter(
+    key: Key, parts: Sequence[tuple[float, Parameter | None]]
+) -> Parameter | None:
     """Return a joint parameter under its name in the whole arm."""
     (_, parameter), *_ = parts
     return None if parameter is None else replace(parameter, name=key[0], joint=key[1])
 
 
-def _published(table: _Table, key: Key) -> Parameter | None:
+def _accepted_estimate(table: _Table, key: Key) -> Parameter | None:
     entry = table.get(key)
     return entry.parameter if entry is not None and not entry.rejected else None
 
 
-def _sum(
+def _weighted_sum(
     name: str, joint: int | None, parts: Sequence[tuple[float, Parameter | None]]
 ) -> Parameter | None:
     """Weighted sum with added standard deviations; None if a part is missing."""
@@ -308,12 +326,12 @@ def _sum(
     return Parameter(name, joint, value, std, "kg m^2", "decoupled", interval)
 
 
-def _remove_equivalent_stiffness(table: _Table, study: Study, reached: bool) -> None:
+def _remove_equivalent_stiffness(table: _Table, study: Study, has_whole_arm_fit: bool) -> None:
     """Remove the equivalent stiffness of joints whose stiffness curve was fitted."""
     for number, joint in enumerate(study.arm.joints, start=1):
         law_names = joint.law.names
         if (
-            reached
+            has_whole_arm_fit
             and STIFFNESS not in law_names
             and any((name, number) in table for name in law_names)
         ):
@@ -325,7 +343,7 @@ def _reject_gamma(table: _Table) -> None:
 
     Otherwise the inertia matrix is not positive definite in every posture.
     """
-    parameters = [_published(table, (name, None)) for name in ("alpha", "beta", "gamma")]
+    parameters = [_accepted_estimate(table, (name, None)) for name in ("alpha", "beta", "gamma")]
     if any(p is None or p.value is None for p in parameters):
         return
     alpha, beta, gamma = (p.value for p in parameters if p is not None and p.value is not None)
@@ -336,14 +354,14 @@ def _reject_gamma(table: _Table) -> None:
         )
 
 
-def _decision(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
+def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
     """Decide one row: accept its value, set it to zero, or reject it."""
     p, reason = entry.parameter, entry.rejected
     if p.value is not None and not reason and not is_physical(p.name, p.value):
-        nearest = _set_to_zero(p, study, levels)
-        if nearest is not None:
-            return Decision(nearest, identified=True)
-        reason = f"{p.value:.3g} {p.unit} is no value that an arm has"
+        zeroed = _set_to_zero(p, study, levels)
+        if zeroed is not None:
+            return Decision(zeroed, identified=True)
+        reason = f"{p.value:.3g} {p.unit} is physically impossible"
     if p.value is None or reason:
         without_value = replace(p, value=None, std=None, ci95=None)
         # without a value, there is nothing to reject

@@ -19,7 +19,7 @@ from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity, LinkSummary, Log
 from strainwave.domain.study import Study
-from strainwave.domain.verdict import Status, Validated, Verdict
+from strainwave.domain.verdict import Status, Validation, Verdict
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +217,7 @@ The residual must also be far above the sensor noise.
 """
 
 
-def _validate_models(result: Identification) -> Validated:
+def _validate_models(result: Identification) -> Validation:
     """Check whether validation records excite each model and the model predicts them."""
     elastic = {n for n, joint in enumerate(result.study.arm.joints, start=1) if joint.elastic}
     drive_checks = [check for check in result.checks if check.of_drive]
@@ -232,7 +232,7 @@ def _validate_models(result: Identification) -> Validated:
     has_motion = any(
         math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
     )
-    return Validated(
+    return Validation(
         rigid=has_motion
         and not any(check.unexplained for check in decisive_checks if check.of_drive),
         elastic=bool(elastic)

@@ -139,12 +139,12 @@ class FrequencyResponse(Displayed):
     n_averages: int = 0
     warnings: tuple[Diagnostic, ...] = ()
 
-    def between(self, low_hz: float, high_hz: float, most: int) -> FrequencyResponse:
-        """Lines in a band [Hz], at most `most` of them, evenly spread over log frequency."""
+    def between(self, low_hz: float, high_hz: float, max_lines: int) -> FrequencyResponse:
+        """Lines in a band [Hz], at most `max_lines` of them, evenly spread over log frequency."""
         f = self.frequencies_hz
         lines = np.flatnonzero((f >= low_hz) & (f <= high_hz))
-        if len(lines) > most:
-            targets = np.geomspace(f[lines[0]], f[lines[-1]], most)
+        if len(lines) > max_lines:
+            targets = np.geomspace(f[lines[0]], f[lines[-1]], max_lines)
             lines = np.unique(np.searchsorted(f, targets).clip(lines[0], lines[-1]))
 
         def select(values: FloatArray | None) -> FloatArray | None:

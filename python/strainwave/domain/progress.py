@@ -24,5 +24,5 @@ Progress = Callable[[ProgressEvent], None]
 """Called at the start of each part of a run, and at each evaluation of the whole-arm fit."""
 
 
-def ignored(_event: ProgressEvent) -> None:
+def ignore_progress(_event: ProgressEvent) -> None:
     """Ignore progress events."""

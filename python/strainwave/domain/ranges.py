@@ -1,8 +1,7 @@
-"""Values that an arm can have, and sizes that robot joints do have.
+"""Physically possible values of parameters, and usual sizes of robot joints.
 
-`is_physical` is about signs: no arm has a negative inertia. `implausible_joints` is about sizes:
-gears and motors of robots cover a known range, and a value outside it points at a unit in the
-study.
+`is_physical` checks signs: inertias are not negative. `implausible_joints` checks sizes: gears and
+motors of robots cover a known range, and a value outside it indicates a wrong unit in the study.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ def is_physical(name: str, value: float) -> bool:
     """Whether an arm can have this value [SI]; False if it is not finite."""
     if not abs(value) < math.inf:
         return False
-    least = physical_range(name)
-    return least == "any" or value > 0.0 or (value == 0.0 and least == "non-negative")
+    sign = physical_range(name)
+    return sign == "any" or value > 0.0 or (value == 0.0 and sign == "non-negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +35,14 @@ class PlausibleRange:
     """Sizes of one quantity over all revolute robot joints [SI]."""
 
     quantity: str
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     power: int = 0  # of the gear ratio that the value is divided by, for its size at the link
-    geared: bool = False  # whether it holds only for motors behind a gear
+    geared: bool = False  # whether it applies only to motors with a gear
 
 
 MAX_GEARED_RATIO = 0.1
-"""Largest gear ratio of a motor that is small beside its joint: 10 to 1."""
+"""Largest gear ratio at which the ranges of geared motors apply: 10 to 1."""
 
 PLAUSIBLE_RANGES = (
     # a finger of 1 g; axis 1 of a robot that carries 2 t at 3 m
@@ -63,7 +62,7 @@ PLAUSIBLE_RANGES = (
     # 0.1 mN m to 200 N m of a motor for 10 V
     PlausibleRange("torque per volt", 1e-5, 20.0, geared=True),
 )
-"""Of desktop arms to the largest industrial axes, with a factor of two and more to spare."""
+"""From desktop arms to the largest industrial axes, with a margin of at least a factor of two."""
 
 _TORQUE_UNITS: Mapping[str, float] = {
     "mN m": 1e-3,
@@ -82,41 +81,41 @@ _ANGLE_UNITS: Mapping[str, float] = {"turns": 2.0 * math.pi, "degrees": math.pi 
 
 @dataclass(frozen=True, slots=True)
 class SizedValue:
-    """A value beside the range of robot joints, both at the place where the value is given."""
+    """A value and the range of robot joints, both on the side of the gear where it is given."""
 
     label: str  # "gear_stiffness 1", "torque_per_volt 1"
     value: float
     unit: str
-    least: float
-    most: float
-    per_angle: bool  # whether it is a torque per angle, and so falls as the angle's unit grows
+    minimum: float
+    maximum: float
+    per_angle: bool  # whether it is a torque per angle, which depends on the unit of angle
 
     def is_plausible(self, factor: float = 1.0) -> bool:
-        """Whether the value, times a factor, lies in the range."""
-        return self.least <= self.value * factor <= self.most
+        """Whether the value, times a factor, is in the range."""
+        return self.minimum <= self.value * factor <= self.maximum
 
     @property
     def text(self) -> str:
         """Value and range."""
         return (
             f"{self.label} = {self.value:.4g} {self.unit}"
-            f" (robot joints: {self.least:.2g} to {self.most:.2g})"
+            f" (robot joints: {self.minimum:.2g} to {self.maximum:.2g})"
         )
 
 
 @dataclass(frozen=True, slots=True)
 class ImplausibleJoint:
-    """Values of one joint that no robot joint has."""
+    """Values of one joint outside the ranges of robot joints."""
 
     joint: int  # from 1
     values: tuple[SizedValue, ...]
-    unit: str | None  # the unit that the torque, or the motor angle, was likely given in
-    of_angle: bool = False  # whether that is the angle's
+    unit: str | None  # likely unit of the torque, or of the motor angle
+    of_angle: bool = False  # whether `unit` is that of the angle
     torque_per_volt: float | None = None  # in N m/V, if it was given in that unit
 
     @property
     def remedy(self) -> str:
-        """What to change, a clause."""
+        """Correction of the study, as a clause."""
         if self.unit is None:
             return (
                 f"check the units of joint {self.joint}'s torque_per_volt, gear_ratio and columns"
@@ -132,47 +131,49 @@ class ImplausibleJoint:
 
     @property
     def text(self) -> str:
-        """What was observed, in one clause, with the likely unit."""
-        listed = ", ".join(each.text for each in self.values)
-        return f"{listed}: no robot joint is of this size, so {self.remedy}"
+        """Observation and likely unit, in one clause."""
+        listed = ", ".join(value.text for value in self.values)
+        return f"{listed}: these sizes are outside the range of robot joints, so {self.remedy}"
 
 
 def implausible_joints(
     arm: ArmDescription, parameters: Iterable[Parameter]
 ) -> Iterator[ImplausibleJoint]:
-    """Joints with values outside `PLAUSIBLE_RANGES`, each with the unit that explains them.
+    """Yield joints with values outside `PLAUSIBLE_RANGES`, each with the unit that explains them.
 
-    Prismatic joints are left out: micrometer stages and gantries have nothing in common.
+    Prismatic joints are omitted: micrometer stages and gantries have no common range.
     """
     known = [p for p in parameters if p.value is not None]
     for number, joint in enumerate(arm.joints, start=1):
         if joint.motion == "prismatic":
             continue
-        values = list(_sized(number, joint, [p for p in known if p.joint == number]))
-        outside = tuple(each for each in values if not each.is_plausible())
+        values = list(_pair_with_ranges(number, joint, [p for p in known if p.joint == number]))
+        outside = tuple(value for value in values if not value.is_plausible())
         if outside:
-            yield _explained(number, joint, values, outside)
+            yield _explain_values(number, joint, values, outside)
 
 
-def _sized(number: int, joint: Joint, parameters: Sequence[Parameter]) -> Iterator[SizedValue]:
-    """Each value with its range, of several ranges what they have in common."""
-    rows = [(p.label, p.value or 0.0, p.unit, _quantity(p.name)) for p in parameters]
+def _pair_with_ranges(
+    number: int, joint: Joint, parameters: Sequence[Parameter]
+) -> Iterator[SizedValue]:
+    """Yield each value with the intersection of its ranges."""
+    rows = [(p.label, p.value or 0.0, p.unit, _quantity_of(p.name)) for p in parameters]
     if joint.torque_per_volt is not None:
         constant = f"torque_per_volt {number}"
         rows.insert(0, (constant, joint.torque_per_volt, "N m/V", "torque per volt"))
     for label, value, unit, quantity in rows:
         ranges = [
-            (r.least * joint.gear_ratio**r.power, r.most * joint.gear_ratio**r.power)
+            (r.minimum * joint.gear_ratio**r.power, r.maximum * joint.gear_ratio**r.power)
             for r in PLAUSIBLE_RANGES
             if r.quantity == quantity and (joint.gear_ratio <= MAX_GEARED_RATIO or not r.geared)
         ]
         if ranges:
-            least, most = max(low for low, _ in ranges), min(high for _, high in ranges)
-            yield SizedValue(label, value, unit, least, most, quantity in _PER_ANGLE)
+            minimum, maximum = max(low for low, _ in ranges), min(high for _, high in ranges)
+            yield SizedValue(label, value, unit, minimum, maximum, quantity in _PER_ANGLE)
 
 
-def _quantity(name: str) -> str | None:
-    """The row of `PLAUSIBLE_RANGES` that a parameter falls under."""
+def _quantity_of(name: str) -> str | None:
+    """Quantity of `PLAUSIBLE_RANGES` that a parameter belongs to; None if there is none."""
     if name in ("link_inertia", "rigid_inertia"):
         return "link inertia"
     if name in ("motor_inertia", "inertia"):
@@ -184,16 +185,16 @@ def _quantity(name: str) -> str | None:
     return "stiffness" if is_slope(name) else None
 
 
-def _explained(
+def _explain_values(
     number: int, joint: Joint, values: Sequence[SizedValue], outside: tuple[SizedValue, ...]
 ) -> ImplausibleJoint:
-    """The first unit that brings every value of the joint into its range."""
+    """Find the first unit that brings every value of the joint into its range."""
     constant = joint.torque_per_volt
     for unit, factor in _TORQUE_UNITS.items():
-        if all(each.is_plausible(factor) for each in values):
-            right = None if constant is None else constant * factor
-            return ImplausibleJoint(number, outside, unit, torque_per_volt=right)
+        if all(value.is_plausible(factor) for value in values):
+            corrected = None if constant is None else constant * factor
+            return ImplausibleJoint(number, outside, unit, torque_per_volt=corrected)
     for unit, size in _ANGLE_UNITS.items():
-        if all(each.is_plausible(1.0 / size if each.per_angle else 1.0) for each in values):
+        if all(value.is_plausible(1.0 / size if value.per_angle else 1.0) for value in values):
             return ImplausibleJoint(number, outside, unit, of_angle=True)
     return ImplausibleJoint(number, outside, None)

@@ -13,10 +13,10 @@ class SizeLimit:
     """The range of one key, and the unit in which a value outside it was probably given."""
 
     key: str
-    least: float
-    most: float
+    minimum: float
+    maximum: float
     unit: str
-    other_scale: float | None = None  # from the other unit to the right one
+    other_scale: float | None = None  # from the other unit to `unit`
     other_unit: str = ""
 
 
@@ -45,6 +45,6 @@ PRBS_LIMITS = (
 
 
 def accepted_range(key: str) -> tuple[float, float]:
-    """The least and the largest value of a key of [arm] or [[joint]]."""
-    limit = next(each for each in (*JOINT_LIMITS, *ARM_LIMITS) if each.key == key)
-    return limit.least, limit.most
+    """Smallest and largest value of a key of [arm] or [[joint]]."""
+    limit = next(limit for limit in (*JOINT_LIMITS, *ARM_LIMITS) if limit.key == key)
+    return limit.minimum, limit.maximum

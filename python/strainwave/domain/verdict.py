@@ -11,7 +11,7 @@ Status = Literal["determined", "partly-determined", "not-determined", "inconsist
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Validated:
+class Validation:
     """Whether validation records excite each model and the model predicts them."""
 
     rigid: bool
@@ -30,7 +30,7 @@ class Verdict:
     identified: tuple[str, ...]
     not_identified: tuple[str, ...]  # null, or with too wide an interval
     rejected: tuple[str, ...]  # null because the estimate is invalid
-    validated: Validated
+    validated: Validation
     suspected: tuple[Suspicion, ...] = ()
     reasons: tuple[str, ...] = ()  # why the status is not "determined", most important first
 

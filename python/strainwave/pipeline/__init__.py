@@ -37,7 +37,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.diagnostics import published_warnings
-from strainwave.domain.progress import Progress, ProgressEvent, ignored
+from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import with_sensor_positions
 from strainwave.errors import InvalidInput, NotIdentifiable, nearest
@@ -88,7 +88,7 @@ def identify(
     data: Data | None = None,
     stages: Sequence[str] = STAGES,
     options: Options | Mapping[str, Mapping[str, Any]] | Sequence[str] | None = None,
-    progress: Progress = ignored,
+    progress: Progress = ignore_progress,
     threads: int | None = None,
 ) -> Identification:
     """Identify an arm: run the stages on one study.
@@ -403,7 +403,7 @@ def write(
     folder: Path,
     *,
     figures: bool = False,
-    progress: Progress = ignored,
+    progress: Progress = ignore_progress,
 ) -> None:
     """Write result.json and report.html, and with `figures` every figure as SVG and PNG.
 

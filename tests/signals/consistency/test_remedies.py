@@ -11,7 +11,7 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import Correction, Lag, Log
-from strainwave.domain.corrections import corrected_study, correction_text
+from strainwave.domain.corrections import apply_corrections, correction_text
 from strainwave.io.logs import read_logs
 from strainwave.numerics.filters import lagged
 from strainwave.signals.consistency import check
@@ -91,7 +91,7 @@ def timed(factor: float) -> Fault:
 
 def keyed(*corrections: Correction) -> Fault:
     def fault(given: Input) -> Input:
-        study = corrected_study(given[1], corrections)
+        study = apply_corrections(given[1], corrections)
         by_name = {each.name: each for each in study.experiments}
         return tuple(replace(log, experiment=by_name[log.name]) for log in given[0]), study
 
@@ -164,7 +164,7 @@ def obeyed(given: Input, corrections: Sequence[Correction]) -> Input:
             else:
                 del columns[each.entry]
         data[log.name] = columns
-    after = corrected_study(study, corrections)
+    after = apply_corrections(study, corrections)
     return read_logs(after, data=data), after
 
 

@@ -122,5 +122,5 @@ def determined_law(law: GearLaw, known: Mapping[str, float]) -> GearLaw:
     if law.simpler is None:
         return law
     simpler = gear_law(law.simpler)
-    own = set(law.names) - set(simpler.names)
-    return determined_law(simpler, known) if own.isdisjoint(known) else law
+    specific_names = set(law.names) - set(simpler.names)
+    return determined_law(simpler, known) if specific_names.isdisjoint(known) else law

@@ -249,14 +249,14 @@ def _check_record_sizes(
 ) -> None:
     for limit in limits:
         value = getattr(record, limit.key)
-        if value is None or limit.least <= value <= limit.most:
+        if value is None or limit.minimum <= value <= limit.maximum:
             continue
-        remedy = f"set a value from {limit.least:g} to {limit.most:g}"
-        if limit.key == "gear_ratio" and value > limit.most:
+        remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"
+        if limit.key == "gear_ratio" and value > limit.maximum:
             remedy = f"the value is probably inverted: set {1.0 / value:g} {limit.unit}"
         elif limit.other_scale is not None:
             other = value * limit.other_scale
-            if other <= limit.most and (limit.least <= other or limit.other_scale > 1.0):
+            if other <= limit.maximum and (limit.minimum <= other or limit.other_scale > 1.0):
                 remedy = f"if {value:g} is in {limit.other_unit}, set {other:g}"
         raise InvalidInput(
             f"'{limit.key}' is {value:g} {limit.unit}, which is outside the range of any rig",

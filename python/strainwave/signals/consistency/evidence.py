@@ -22,7 +22,7 @@ from strainwave.domain import (
     Study,
     channel_parts,
 )
-from strainwave.domain.corrections import corrected_study
+from strainwave.domain.corrections import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
@@ -80,7 +80,7 @@ class Evidence:
 
     def corrected(self, corrections: Sequence[Correction]) -> Evidence:
         """Evidence after corrections of the study and the logs."""
-        after = replace(self, study=corrected_study(self.study, corrections))
+        after = replace(self, study=apply_corrections(self.study, corrections))
         experiments = {each.name: each for each in after.study.experiments}
         records = [replace(r, experiment=experiments[r.experiment.name]) for r in self.records]
         after = replace(after, records=tuple(records))
