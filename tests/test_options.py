@@ -166,7 +166,7 @@ BASIS: dict[tuple[str, str], Any] = {
 }
 
 
-def test_every_option_has_a_change_here() -> None:
+def test_every_option_is_tested() -> None:
     for stage in fields(Options):
         stage_options = getattr(Options(), stage.name)
         assert {f.name for f in fields(stage_options)} == set(CHANGES[stage.name]), stage.name
@@ -175,7 +175,7 @@ def test_every_option_has_a_change_here() -> None:
 @pytest.mark.parametrize(
     ("stage", "key"), [(stage, key) for stage in OF_STAGES for key in CHANGES[stage]]
 )
-def test_an_option_changes_what_its_stage_finds(stage: str, key: str) -> None:
+def test_an_option_changes_the_result_of_its_stage(stage: str, key: str) -> None:
     before = BASIS.get((stage, key), getattr(Options(), stage))
     outputs = [
         OF_STAGES[stage](options)
@@ -215,7 +215,9 @@ def test_an_option_changes_the_whole_arm_fit(
     )
 
 
-def test_what_is_held_stays_and_ranges_bind(begun: Callable[[TuningOptions], tuning.Fit]) -> None:
+def test_held_parameters_keep_their_values_and_ranges_bound_estimates(
+    begun: Callable[[TuningOptions], tuning.Fit],
+) -> None:
     free = begun(TuningOptions())
     start = begun(TuningOptions(max_iterations=1)).objective.space
     initial = start.values(np.zeros(len(start.unknowns)))
@@ -276,7 +278,7 @@ def test_the_published_route_runs_to_the_end(small: Path) -> None:
     assert identification.tuned.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
 
 
-def test_a_run_hands_every_stage_its_options(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     received: dict[str, Any] = {}
 
     def spy(module: Any, name: str, kind: type) -> None:

@@ -33,7 +33,7 @@ def lab(shared_data: Path) -> Callable[[str], tuple[Identification, dict[str, An
     return of
 
 
-def test_progress_says_which_part_of_how_many_runs(tmp_path: Path) -> None:
+def test_progress_reports_the_current_part_and_the_number_of_parts(tmp_path: Path) -> None:
     """Parts are reported in order, and evaluations count up to their limit."""
     study = scara.study(tmp_path, "linear")
     short = [replace(e, prbs=Prbs(8, 1e-3, 2, 10.0)) if e.prbs else e for e in study.experiments]

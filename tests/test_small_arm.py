@@ -51,7 +51,7 @@ def estimates() -> list[tuple[Parameter, float]]:
 
 
 @pytest.mark.parametrize("prefix", LIMITS)
-def test_every_value_is_as_near_the_truth_as_is_asked_for(prefix: str) -> None:
+def test_errors_are_within_the_required_accuracy(prefix: str) -> None:
     errors = {
         (p.name, p.joint): np.inf if p.value is None else p.value / true - 1.0
         for p, true in estimates()
@@ -61,7 +61,7 @@ def test_every_value_is_as_near_the_truth_as_is_asked_for(prefix: str) -> None:
     assert max(map(abs, errors.values())) < LIMITS[prefix], errors
 
 
-def test_intervals_hold_the_truth() -> None:
+def test_intervals_contain_the_true_values() -> None:
     """At least 85 % of the 95 % confidence intervals contain the true value.
 
     The errors of one arm are correlated, so the coverage of a single arm varies.
@@ -76,14 +76,14 @@ def test_intervals_hold_the_truth() -> None:
     ]
 
 
-def test_the_run_converges_and_answers_the_whole_question() -> None:
+def test_the_run_converges_and_is_determined() -> None:
     result = identified()
     assert result.tuned is not None
     assert result.tuned.status == "converged"
     assert to_document(result)["status"] == "determined"
 
 
-def test_it_takes_no_more_evaluations_than_it_did() -> None:
+def test_the_number_of_evaluations_does_not_increase() -> None:
     """Iterations of the whole-arm fit including model selection, which dominate the run time."""
     tuned = identified().tuned
     assert tuned is not None
@@ -99,13 +99,13 @@ def test_steps_that_were_not_fitted_are_predicted() -> None:
         assert fits[f"step-check-j{joint}"][f"omega_m{joint}"] > 99.0
 
 
-def test_the_measured_response_is_the_models() -> None:
+def test_the_measured_response_matches_the_model() -> None:
     result = identified()
     assert len(result.responses) == 2
     assert not [w for w in result.warnings if w.code == "response-apart"]
 
 
-def test_the_logs_are_as_small_as_they_say() -> None:
+def test_the_data_are_small_and_share_no_value_with_the_built_in_arm() -> None:
     """The data are below 1 MB and share no parameter with the built-in arm."""
     assert sum(file.stat().st_size for file in FOLDER.iterdir()) < 1_000_000
     from strainwave.virtual import scara

@@ -70,14 +70,14 @@ def test_an_angle_in_degrees_is_named() -> None:
     assert "theta_m1 is likely in degrees" in found.text
 
 
-def test_what_no_unit_explains_asks_for_all_of_them() -> None:
+def test_sizes_that_no_unit_explains_give_a_remedy_for_all_units() -> None:
     wrong = [value("gear_stiffness", 1e30), value("motor_inertia", 1e-30)]
     (found,) = implausible_joints(arm(), wrong)
     assert found.unit is None
     assert "check the units" in found.text
 
 
-def test_linear_axes_are_left_out() -> None:
+def test_prismatic_joints_are_not_checked() -> None:
     assert not list(implausible_joints(arm(35.0, 1.0, "prismatic"), [value("inertia", 1e5, "kg")]))
 
 
@@ -85,6 +85,6 @@ def test_linear_axes_are_left_out() -> None:
     ("name", "size", "possible"),
     [("gear_stiffness", 0.0, False), ("gear_damping", 0.0, True), ("friction_offset", -1.0, True)],
 )
-def test_signs_that_an_arm_can_have(name: str, size: float, *, possible: bool) -> None:
+def test_physically_possible_signs(name: str, size: float, *, possible: bool) -> None:
     assert is_physical(name, size) == possible
     assert not is_physical(name, float("nan"))

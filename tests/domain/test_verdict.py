@@ -177,7 +177,7 @@ def row(found: Identification, name: str, joint: int | None = None) -> Parameter
     return next(p for p in found.parameters if (p.name, p.joint) == (name, joint))
 
 
-def test_a_run_that_found_everything_is_determined() -> None:
+def test_a_run_that_identifies_every_parameter_is_determined() -> None:
     for stages in (("rigid",), ("rigid", "decoupled"), ("rigid", "decoupled", "tuned")):
         verdict = run(stages=stages).verdict
         assert (verdict.status, verdict.exit_code) == ("determined", 0), verdict
@@ -196,7 +196,7 @@ SIZES = st.one_of(st.none(), st.sampled_from((1.0, 0.9, -0.005, -3.0)), st.float
     tuned=st.dictionaries(st.sampled_from(WHOLE), SIZES, max_size=4),
     last=st.integers(1, 3),
 )
-def test_whatever_the_stages_say(
+def test_every_verdict_is_consistent_with_its_decisions(
     rigid: Sizes,
     joints: Sizes,
     tuned: Sizes,
@@ -247,7 +247,7 @@ def test_whatever_the_stages_say(
     assert (verdict.status == "determined") == (not verdict.reasons)
 
 
-def test_a_refusal_of_the_whole_arm_fit_wins_over_an_earlier_value() -> None:
+def test_a_parameter_that_the_whole_arm_fit_does_not_identify_is_not_identified() -> None:
     """Regression: the table had 11.71 +- 0.17 of the decoupled stage despite null of the fit."""
     split: Sizes = {("link_viscous_friction", 1): None, ("motor_viscous_friction", 1): None}
     result = run(joints={("link_viscous_friction", 1): 20.0}, tuned=split)
@@ -262,7 +262,7 @@ def test_a_refusal_of_the_whole_arm_fit_wins_over_an_earlier_value() -> None:
     assert result.reason == "not identified: gear_damping 2"
 
 
-def test_a_fit_with_an_impossible_value_decides_nothing() -> None:
+def test_a_fit_with_an_impossible_value_is_rejected() -> None:
     """The rigid estimates remain; other values of the joint are rejected with a warning."""
     result = run(joints={("gear_damping", 2): -1.0}, stages=("rigid", "decoupled"))
     assert row(result, "motor_inertia", 2).stage == "rigid"
@@ -276,7 +276,7 @@ def test_a_fit_with_an_impossible_value_decides_nothing() -> None:
     assert "gear_damping 2 = -4" in warning.message
 
 
-def test_a_joint_s_decoupled_values_win_and_carry_the_arm_s() -> None:
+def test_decoupled_values_replace_rigid_values_and_determine_base_parameters() -> None:
     result = run(joints={("link_inertia", 2): 1.02}, stages=("rigid", "decoupled"))
     beta, alpha = row(result, "beta"), row(result, "alpha")
     assert beta.value == row(result, "link_inertia", 2).value
@@ -289,7 +289,7 @@ def test_a_joint_s_decoupled_values_win_and_carry_the_arm_s() -> None:
     assert rigid == pytest.approx(alpha.value + motor / N**2)
 
 
-def test_an_uncertain_friction_of_nearly_nothing_counts() -> None:
+def test_a_friction_with_a_negligible_interval_is_identified() -> None:
     """Limit of the half-width, 2 % of the torque: 0.008 N m (Coulomb), 2.7e-4 N m s/rad (viscous)."""
     for name, std, counts in (
         ("motor_coulomb_friction", 0.0040, True),
@@ -312,13 +312,13 @@ def test_an_uncertain_friction_of_nearly_nothing_counts() -> None:
                 assert not counts or p.ci95 == (0.0, value + 1.96 * std)
 
 
-def test_an_inertia_that_no_posture_allows_is_rejected() -> None:
+def test_an_indefinite_inertia_matrix_is_rejected() -> None:
     result = run(tuned={("gamma", None): 1.3})  # gamma^2 > alpha beta
     assert result.verdict.rejected == ("gamma",)
     assert result.verdict.status == "partly-determined"
 
 
-def test_what_ended_at_a_bound_is_rejected() -> None:
+def test_values_at_a_bound_are_rejected() -> None:
     result = run()
     assert result.tuned is not None
     bounded = replace(result.tuned, status="at-bounds", at_bounds=(("gear_damping", 1),))
@@ -328,7 +328,7 @@ def test_what_ended_at_a_bound_is_rejected() -> None:
     assert replace(result, tuned=secondary).verdict.status == "determined"
 
 
-def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
+def test_a_fit_that_did_not_converge_is_partly_determined() -> None:
     result = run()
     assert result.tuned is not None
     result = replace(result, tuned=replace(result.tuned, status="iteration-limit"))
@@ -336,7 +336,7 @@ def test_a_fit_that_did_not_converge_is_no_whole_answer() -> None:
     assert result.reason == "the whole-arm fit did not converge"
 
 
-def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
+def test_contradicting_stages_reject_the_affected_values() -> None:
     result = run()
     assert result.tuned is not None
     inertia_test = AgreementTest("inertias", None, 50.0, 4, 6.3)
@@ -369,7 +369,7 @@ def test_stages_that_contradict_each_other_reject_what_they_touch() -> None:
     ("shift", "deviations", "rejected"),
     [(0.06, 2.5, True), (0.06, 1.5, False), (0.04, 9.0, False), (-0.3, -30.0, True)],
 )
-def test_a_value_that_a_likely_effect_moves_is_rejected(
+def test_a_value_that_a_likely_effect_shifts_is_rejected(
     shift: float, deviations: float, *, rejected: bool
 ) -> None:
     """A value is rejected if the shift exceeds both 5 % and the confidence interval."""
@@ -511,7 +511,7 @@ def test_a_fault_rejects_the_values_of_the_stages_that_it_affects(
     assert verdict.reasons[0] == "m"
 
 
-def test_what_springs_and_stages_call_for() -> None:
+def test_required_parameters_depend_on_springs_and_stages() -> None:
     """A rigid drive has no link parameters; only the whole-arm fit requires three slopes."""
     parameters = tuple(
         Parameter(name, 1, 1.0, 0.01, "-", "rigid", (0.98, 1.02))
@@ -536,7 +536,7 @@ def test_what_springs_and_stages_call_for() -> None:
     }
 
 
-def test_stages_that_were_not_reached_are_named() -> None:
+def test_stages_that_were_not_reached_are_reported() -> None:
     result = replace(run(), tuned=None)
     assert result.verdict.status == "partly-determined"
     assert result.verdict.reasons == ("the whole-arm fit was not reached",)

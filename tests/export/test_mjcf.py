@@ -142,7 +142,7 @@ def frictionless(values: Values) -> Values:
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
 @pytest.mark.parametrize("spring", ["linear", "rigid"])
-def test_without_dry_friction_the_motion_is_ours(
+def test_without_coulomb_friction_the_motion_equals_the_simulation(
     mujoco: ModuleType, spring: Spring, gravity: float | None, tmp_path: Path
 ) -> None:
     """The same equations by Runge-Kutta of order four, at 0.1 ms and 0.125 ms: a few 1e-8."""

@@ -76,7 +76,7 @@ def test_one_difference_is_tested_as_by_welch() -> None:
     assert p == pytest.approx(2.0 * stats.norm.sf(2.0))
 
 
-def test_an_example_of_holm() -> None:
+def test_the_holm_adjustment_of_an_example() -> None:
     assert adjust_p_values([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
     assert adjust_p_values([]) == []
 

@@ -195,7 +195,7 @@ def test_the_union_of_caps_equals_a_monte_carlo_count() -> None:
         )  # 3 % for 1,000 counts, and 3 % for the samples of cap_union_probability
 
 
-def test_one_direction_is_student_s_and_small_p_values_add_up() -> None:
+def test_one_direction_gives_student_s_t_and_small_p_values_add_up() -> None:
     rng = np.random.default_rng(0)
     free, orthogonal = np.eye(9), np.eye(9)[:, :4]
     for t2 in (0.3, 9.0, 400.0):

@@ -76,7 +76,7 @@ def test_covariates_and_times_by_the_end_of_the_path(store: Path, tmp_path: Path
     assert any("7 visits are omitted" in note for note in histories.notes)
 
 
-def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
+def test_failed_and_repeated_runs_are_omitted(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 4, np.random.default_rng(0))
     runs[0]["status"] = "failed"
     runs[2]["study"] = runs[1]["study"]  # a later run of the same study
@@ -87,7 +87,7 @@ def test_failed_and_repeated_runs_are_left_out(tmp_path: Path) -> None:
     assert any("the same study has a later run" in note for note in histories.notes)
 
 
-def test_values_of_another_stage_or_without_std_are_left_out(tmp_path: Path) -> None:
+def test_values_of_another_stage_or_without_std_are_omitted(tmp_path: Path) -> None:
     runs, parameters = visited_arms.rows("a", 5, np.random.default_rng(0))
     stiffness = [p for p in parameters if p["name"] == "gear_stiffness"]
     stiffness[0]["stage"] = "decoupled"

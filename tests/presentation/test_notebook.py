@@ -168,7 +168,7 @@ def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.Monkey
         prediction("check", 91.0).plot()
 
 
-def test_what_has_no_view_says_so() -> None:
+def test_a_record_without_a_view_raises_an_error() -> None:
     class Other(Displayed):
         pass
 
@@ -192,7 +192,7 @@ def test_the_last_registered_displays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sweep().plot(joint=1).get_label() == "Sweep {'joint': 1}"
 
 
-def test_looking_is_what_loads_the_pictures() -> None:
+def test_importing_the_pipeline_does_not_load_the_views() -> None:
     code = (
         "import strainwave.pipeline, sys; print('strainwave.presentation.notebook' in sys.modules)"
     )
