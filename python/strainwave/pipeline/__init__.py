@@ -182,7 +182,7 @@ def _explain_suspicion(
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
     before = run.copied()
     result = _fit_elastic(run, the_study, all_logs, model)
-    if result.tuned is None or not tuning.blames_another(result.tuned, run.arm):
+    if result.tuned is None or not tuning.has_likelier_effect(result.tuned, run.arm):
         run.forget(before)
         return _ElasticResult(), Consistency((suspicion,))
     text = f"{suspicion.message}; but the effect that is named explains all records better"

@@ -14,9 +14,9 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.dataset import INITIAL
+from strainwave.identification.whole_arm.dataset import INITIAL_STATES
 from strainwave.identification.whole_arm.low_pass import low_pass_kernels
-from strainwave.identification.whole_arm.preparation import dataset_of, usable
+from strainwave.identification.whole_arm.preparation import dataset_of, select_usable_records
 from tuning_runs import beginning, later, rig_logs, shaken, simulated, truth
 
 T = 2.5e-4
@@ -245,7 +245,7 @@ def test_a_record_that_begins_in_motion() -> None:
     cut = later(log, 400)
     dataset = dataset_of(cut, Arm.of(study.arm), CUTOFF)
     assert dataset.moving
-    assert dataset.local == tuple((name, i) for name in INITIAL for i in (1, 2))
+    assert dataset.local == tuple((name, i) for name in INITIAL_STATES for i in (1, 2))
     initial_state = beginning(study, values, log, 400)
     error = simulated(dataset, values, initial_state) - dataset.measured
     # the initial motor torque is unknown; it decays with the time constant of the electronics, 0.16
@@ -335,15 +335,20 @@ def test_usable_records() -> None:
         else log
         for log in logs
     ]
-    assert [log.name for log in usable(logs, Arm.of(study.arm))] == ["step-j1", "step-j2"]
-    assert [log.name for log in usable(without_encoder, Arm.of(study.arm))] == ["step-j1"]
+    assert [log.name for log in select_usable_records(logs, Arm.of(study.arm))] == [
+        "step-j1",
+        "step-j2",
+    ]
+    assert [log.name for log in select_usable_records(without_encoder, Arm.of(study.arm))] == [
+        "step-j1"
+    ]
     _, _, shakes = shaken()
-    assert len(usable(shakes, Arm.of(study.arm))) == 2
+    assert len(select_usable_records(shakes, Arm.of(study.arm))) == 2
     sweep_records = [
         replace(log, experiment=replace(log.experiment, use="sweep")) for log in shakes
     ]
-    assert len(usable(sweep_records, Arm.of(study.arm))) == 2
+    assert len(select_usable_records(sweep_records, Arm.of(study.arm))) == 2
     motion_records = [
         replace(log, experiment=replace(log.experiment, use="motion")) for log in shakes
     ]
-    assert usable(motion_records, Arm.of(study.arm)) == []
+    assert select_usable_records(motion_records, Arm.of(study.arm)) == []

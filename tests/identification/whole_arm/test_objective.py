@@ -347,7 +347,9 @@ def test_stretches_are_counted_through_all_records() -> None:
 def test_other_unknowns_leave_records_and_weights() -> None:
     errors = [coloured(np.random.default_rng(9), (300, 1))]
     objective = linear_residual(errors).update_weights(TRUTH)
-    with_fixed_parameter = objective.replace_unknowns(objective.space.holding({("p2", None): 0.5}))
+    with_fixed_parameter = objective.replace_unknowns(
+        objective.space.fix_values({("p2", None): 0.5})
+    )
     assert with_fixed_parameter.weights == objective.weights
     assert factor_of(with_fixed_parameter, TRUTH[:2]).shape == (3, 3)
     # the copy has its own nuisance parameters

@@ -22,7 +22,7 @@ from strainwave.identification.whole_arm.parametrisation import (
     with_curves,
     with_settling,
 )
-from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
+from strainwave.identification.whole_arm.starts import starts_of, warn_rejected_starts
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
 from tuning_runs import joint_model, joint_models, rigid_model, truth
@@ -220,14 +220,14 @@ def test_holding_takes_unknowns_away() -> None:
     values = space.values(z)
     # the prior of the rigid step contains some of them
     keys = [("beta", None), ("motor_coulomb_friction", 2), (SETTLING, 1), (VISCOUS[1], 1)]
-    reduced = space.holding({key: values[key] for key in keys})
+    reduced = space.fix_values({key: values[key] for key in keys})
     assert reduced.keys == [key for key in space.keys if key not in keys]
     coordinates = reduced.coordinates(values)
     assert reduced.values(coordinates) == pytest.approx(values, rel=1e-9)
     before = space.prior.rows @ space.parameters(z) - space.prior.target
     after = reduced.prior.rows @ reduced.parameters(coordinates) - reduced.prior.target
     np.testing.assert_allclose(after, before, atol=1e-8 * np.max(np.abs(before)))
-    twice = reduced.holding({("gamma", None): 0.5})
+    twice = reduced.fix_values({("gamma", None): 0.5})
     assert twice.values(np.zeros(len(twice.unknowns)))["gamma", None] == 0.5
     assert twice.values(np.zeros(len(twice.unknowns)))["beta", None] == values["beta", None]
 
@@ -236,7 +236,7 @@ def test_holding_takes_unknowns_away() -> None:
 def test_one_knee_can_be_held(knee: str) -> None:
     _, _, space = mixed()
     values = space.values(somewhere(space, 3))
-    reduced = space.holding({(knee, 1): values[knee, 1]})
+    reduced = space.fix_values({(knee, 1): values[knee, 1]})
     assert reduced.values(reduced.coordinates(values)) == pytest.approx(values, rel=1e-9)
 
 
@@ -398,7 +398,7 @@ def test_starts_that_are_missing_or_impossible() -> None:
         assert list(starts.rejected) == [(name, 2)]
         # default values are within the range of the space, a factor of three
         assert 1.0 / 3.0 < starts.values[name, 2] / true_values[name, 2] < 3.0
-        (warning,) = rejected_starts(starts, Arm.of(study.arm))
+        (warning,) = warn_rejected_starts(starts, Arm.of(study.arm))
         assert warning.where == f"{name} of joint 2"
     # beta + 2 gamma exceeds the inertia of joint 1
     light = replace(joints[0], values={**joints[0].values, "link_inertia": 1.0})

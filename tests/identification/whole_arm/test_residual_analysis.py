@@ -14,8 +14,8 @@ from strainwave.domain.effects import all_effects
 from strainwave.identification.whole_arm.effects import sizes_of
 from strainwave.identification.whole_arm.low_pass import low_pass_kernels
 from strainwave.identification.whole_arm.residual_analysis import (
-    coloured_alike,
     follows,
+    has_noise_spectrum,
     residual_warnings,
     spectral_density,
 )
@@ -42,7 +42,7 @@ def test_noise_has_the_colour_of_noise() -> None:
     """The p-values of white noise are uniform."""
     rng = np.random.default_rng(1)
     p_values = [
-        coloured_alike(behind(rng.normal(size=3000)), ROW, KERNELS.smooth, T, 48.0)
+        has_noise_spectrum(behind(rng.normal(size=3000)), ROW, KERNELS.smooth, T, 48.0)
         for _ in range(400)
     ]
     for level in (0.05, 0.1):
@@ -55,7 +55,7 @@ def test_a_forgotten_mode_has_another_colour() -> None:
     rng = np.random.default_rng(2)
     ringing = signal.lfilter([1.0], [1.0, -1.95, 0.96], rng.normal(size=3000))
     residual = behind(rng.normal(size=3000) + 0.3 * ringing / np.std(ringing))
-    assert coloured_alike(residual, ROW, KERNELS.smooth, T, 48.0) < 1e-3
+    assert has_noise_spectrum(residual, ROW, KERNELS.smooth, T, 48.0) < 1e-3
 
 
 def test_what_is_independent_of_inputs_follows_none() -> None:
@@ -83,7 +83,7 @@ def test_what_follows_an_input_says_which_and_how_late(delay: int) -> None:
 
 def test_a_still_channel_follows_nothing() -> None:
     assert follows(np.zeros(100), np.ones((100, 2)), ROW) == (1, 0.0, 0.0, 1.0)
-    assert coloured_alike(np.zeros(100), ROW, KERNELS.smooth, T, 48.0) == 1.0
+    assert has_noise_spectrum(np.zeros(100), ROW, KERNELS.smooth, T, 48.0) == 1.0
 
 
 def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:

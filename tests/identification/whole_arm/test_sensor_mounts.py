@@ -68,7 +68,7 @@ def test_a_mount_is_found_named_and_corrected(joint: int, frequency: float, damp
     assert max(errors(true_values, model, "gear_damping")) < 0.005
     mount_warnings = [w for w in model.warnings if w.code == "sensor-mount"]
     assert [w.where for w in mount_warnings] == [f"joint {joint}"]
-    text = f"the accelerometer of link {joint} rings on its mount at {frequency:g}"
+    text = f"the mount of the accelerometer of link {joint} resonates at {frequency:g}"
     assert text in mount_warnings[0].message
 
 
@@ -165,7 +165,7 @@ def test_what_is_tested_is_what_a_mount_adds() -> None:
     study, true_values, logs = shaken(noisy=False, counts=False)
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     mounts = {names(2): [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}
-    added = record.ringing(true_values, np.zeros(0), mounts)
+    added = record.mount_tangent(true_values, np.zeros(0), mounts)
     without_mount = record.linearised(true_values, np.zeros(0), [])[0]
     for k, mount in enumerate(mounts[names(2)]):
         values = true_values | dict(zip(names(2), (mount.frequency, mount.damping), strict=True))

@@ -9,7 +9,7 @@ import pytest
 
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES, ThreeSlope
 from strainwave.domain.parameters import Values
-from strainwave.identification.whole_arm.stiffness_restarts import other_starts
+from strainwave.identification.whole_arm.stiffness_restarts import alternative_curves
 
 LAW, LARGEST = ThreeSlope(), 40.0
 NAMES = (*SLOPES, *KNEES)
@@ -28,7 +28,7 @@ def torque(values: Values, torsion: float) -> float:
 
 
 def test_a_curve_that_bends_twice_is_left_alone() -> None:
-    assert list(other_starts(LAW, curve(1e4, 1.5e4, 2e4, 5.0, 20.0), 1, LARGEST)) == []
+    assert list(alternative_curves(LAW, curve(1e4, 1.5e4, 2e4, 5.0, 20.0), 1, LARGEST)) == []
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_a_curve_that_bends_twice_is_left_alone() -> None:
 )
 def test_one_bend_is_split(lost: Values) -> None:
     """Three starts near the estimated curve, with increasing, reachable knees."""
-    starts = list(other_starts(LAW, lost, 1, LARGEST))
+    starts = list(alternative_curves(LAW, lost, 1, LARGEST))
     assert len(starts) == 3
     for start in starts:
         assert 0.0 < start[KNEES[0], 1] < start[KNEES[1], 1] < LARGEST
@@ -57,6 +57,6 @@ def test_one_bend_is_split(lost: Values) -> None:
 
 
 def test_no_bend_is_sought_low_and_high() -> None:
-    starts = list(other_starts(LAW, curve(1e4, 1e4, 1e4, 5.0, 20.0), 1, LARGEST))
+    starts = list(alternative_curves(LAW, curve(1e4, 1e4, 1e4, 5.0, 20.0), 1, LARGEST))
     assert len(starts) == 2
     assert starts[0][KNEES[1], 1] <= starts[1][KNEES[0], 1]

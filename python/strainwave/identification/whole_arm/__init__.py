@@ -14,11 +14,10 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
 from strainwave.identification.whole_arm.effects import set_record_effects
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.model_selection import COARSE, FINE, selected
+from strainwave.identification.whole_arm.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.predicted import predicted_parameters
-from strainwave.identification.whole_arm.restricted import as_published
-from strainwave.identification.whole_arm.second_opinion import blames_another
+from strainwave.identification.whole_arm.restricted import expand_published_options
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.solver import (
     Progress,
@@ -28,9 +27,10 @@ from strainwave.identification.whole_arm.solver import (
     report_progress,
 )
 from strainwave.identification.whole_arm.start import Start, start_of
+from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
 from strainwave.numerics.parallel import one_blas_thread
 
-__all__ = ["Fit", "TuningOptions", "blames_another", "fitted", "predicted_parameters", "tune"]
+__all__ = ["Fit", "TuningOptions", "fitted", "has_likelier_effect", "predicted_parameters", "tune"]
 
 
 def tune(
@@ -65,7 +65,7 @@ def tune(
     "at-bounds". Raises `NotIdentifiable` without a usable record or start, and `InvalidInput` if a
     record lacks what its simulation needs.
     """
-    chosen = as_published(options or TuningOptions())
+    chosen = expand_published_options(options or TuningOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         begin = start_of(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
@@ -82,7 +82,7 @@ def fitted(
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
     """Fit as `tune` does, and return the fit itself with its residuals."""
-    chosen = as_published(options or TuningOptions())
+    chosen = expand_published_options(options or TuningOptions())
     with one_blas_thread():
         begin = start_of(logs, model, (joints,), arm, chosen, start)
         return _fit(begin, Selection(arm, chosen))
@@ -91,7 +91,7 @@ def fitted(
 def _fit(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, start.start, selection.options)
-    coarse = selected(coarse, COARSE, selection)
+    coarse = select_model(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
     records = [replace(record, moving=found.moving) for record, found in pairs]
     with_effects = set_record_effects(records, selection.arm, coarse.objective.space.keys)
@@ -99,4 +99,4 @@ def _fit(start: Start, selection: Selection) -> Fit:
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
     if fine.converged:  # what comes beside has evaluations of its own
         selection.renew(fine)
-    return polish(selected(fine, FINE, selection), selection.options)
+    return polish(select_model(fine, FINE, selection), selection.options)

@@ -50,7 +50,7 @@ from strainwave.identification.whole_arm.objective import (
 from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import run_parallel
 
-LEAST_SHARE = 1e-3
+MIN_VARIANCE_SHARE = 1e-3
 """Share of the local variance that is added to the steady variance.
 
 Residuals contain no errors of parameters that no record identifies.
@@ -131,7 +131,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
         @ sum((record.steady for record in records), prior_meat)
         @ unscaled_covariance
     )
-    steady = steady + LEAST_SHARE * inverse
+    steady = steady + MIN_VARIANCE_SHARE * inverse
     scatter, pooled = _scatter(bread, prior_information, records)
     local, sandwich, steady, scatter = (
         slope @ part @ slope.T for part in (inverse, sandwich, steady, scatter)

@@ -41,10 +41,10 @@ from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitiviti
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
 
-INITIAL = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
+INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
 
-BEGINNING = 0.02
+INITIAL_INTERVAL = 0.02
 """Time [s] from the start in which initial velocity and standstill are estimated."""
 
 _REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
@@ -110,14 +110,14 @@ class Dataset:
         """Unknown initial states, (name, joint)."""
         if not self.moving:
             return ()
-        return tuple((name, i) for name in INITIAL for i in range(1, self.arm.n_joints + 1))
+        return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
         """Starting values (n_local,) of the initial states, with unloaded gears."""
         if not self.moving:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time
-        n_first = max(2, round(BEGINNING / T))
+        n_first = max(2, round(INITIAL_INTERVAL / T))
         ratios = np.array([joint.gear_ratio for joint in self.arm.joints])
         angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:n_first] for i in range(n)])
         slope, origin = np.polyfit(T * np.arange(n_first), angle, 1)
@@ -411,7 +411,7 @@ class Dataset:
         """Inputs of the simulation with initial states (n_local,)."""
         if not self.moving:
             return self.drive
-        parts = local.reshape(len(INITIAL), -1).tolist()
+        parts = local.reshape(len(INITIAL_STATES), -1).tolist()
         velocity, link, link_velocity = (tuple(part) for part in parts)
         return replace(
             self.drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity
@@ -445,7 +445,7 @@ class Dataset:
         pairs = zip(readings, self.channels, strict=True)
         return np.stack([self.kernels.rows(x, rate=c.rate) for x, c in pairs], axis=1)
 
-    def ringing(
+    def mount_tangent(
         self,
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,

@@ -19,13 +19,13 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.loads import loads_of
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior
-from strainwave.identification.whole_arm.selection import Selection, better
+from strainwave.identification.whole_arm.selection import Selection, select_better
 from strainwave.identification.whole_arm.solver import COARSE_TOLERANCE, fine_search, search_minimum
 
 MAX_TRIAL_EVALUATIONS = 30  # effects have several parameters each
 
 
-def with_named_effects(fit: Fit, selection: Selection) -> Fit:
+def add_named_effects(fit: Fit, selection: Selection) -> Fit:
     """The coarse fit with the effects that the study names, unless they gain too little."""
     arm = selection.arm
     if not named_effects(arm):
@@ -44,7 +44,7 @@ def with_named_effects(fit: Fit, selection: Selection) -> Fit:
         tolerance=COARSE_TOLERANCE,
         max_evaluations=MAX_TRIAL_EVALUATIONS,
     )
-    return better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
+    return select_better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
 
 
 def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
@@ -58,7 +58,7 @@ def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     return cost(fit.objective.space.prior) - cost(space.prior)
 
 
-def without_idle_effects(fit: Fit, selection: Selection) -> Fit:
+def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     """Remove effects that are not significant and refit, until all are significant."""
     arm = selection.arm
     if not named_effects(arm):

@@ -215,20 +215,20 @@ def _curve_reason(place: int, parameters: Sequence[Parameter]) -> tuple[str, str
 
 
 def warnings_of(
-    fit: Fit, bounded: Sequence[bool], parameters: Sequence[Parameter]
+    fit: Fit, is_at_bound: Sequence[bool], parameters: Sequence[Parameter]
 ) -> Iterator[Diagnostic]:
     """Yield the warnings about the parameters of a fit.
 
-    `bounded` states for each unknown whether it is at a bound of its range.
+    `is_at_bound` states for each unknown whether it is at a bound of its range.
     """
     space = fit.objective.space
     values = space.parameters(fit.z)
     stds = np.sqrt(np.diag(fit.confidence.combined))
-    for k, (unknown, at) in enumerate(zip(space.unknowns, bounded, strict=True)):
+    for k, (unknown, at_bound) in enumerate(zip(space.unknowns, is_at_bound, strict=True)):
         place = Place(joint=unknown.joint, parameter=unknown.name)
-        if at and unknown.name != SETTLING:
-            text = f"the fit ended at the end of its range, {values[k]:.3g} {unknown.unit}: the"
-            text += " records do not agree on it"
+        if at_bound and unknown.name != SETTLING:
+            text = f"the estimate is at the limit of its range, {values[k]:.3g} {unknown.unit}:"
+            text += " the data contradict the model or do not determine the value"
             yield Diagnostic.at("at-bounds", place, text)
         if parameters[k].value is not None:
             continue
@@ -236,19 +236,19 @@ def warnings_of(
             code, text = _curve_reason(k, parameters[: len(space.unknowns)])
             yield Diagnostic.at(code, place, text)
             continue
-        message = f"the records identify it only to {values[k]:.3g} +- {stds[k]:.2g} {unknown.unit}"
+        message = f"the data give only {values[k]:.3g} +- {stds[k]:.2g} {unknown.unit}"
         if unknown.name in VISCOUS:
-            message += "; of the viscous frictions only the total is well known"
+            message += "; only the total viscous friction is well determined"
         yield Diagnostic.at("not-identifiable", place, message)
     arm = fit.objective.records[0].arm
     for name, number in _vanished_parameters(fit, arm):
         simpler = arm.joints[number - 1].law.simpler
-        text = f"in every record the gear is as good as {simpler}; use a larger amplitude, or give"
+        text = f"the gear is {simpler} within its errors; use a larger amplitude or set"
         yield Diagnostic("not-reached", f"{name} of joint {number}", f'{text} spring = "{simpler}"')
     for unknown, value in zip(space.unknowns, values, strict=True):
         if unknown.name == SETTLING:
-            text = f"friction takes {1e6 * value:.3g} us to bring the motor to rest, not nothing:"
-            text += " it changes sides that much before the motor does"
+            text = f"Coulomb friction reverses over {1e6 * value:.3g} us instead of instantly; the"
+            text += " model includes this settling time"
             yield Diagnostic("friction-settles", str(unknown), text)
     combinable = [
         k
@@ -259,9 +259,10 @@ def warnings_of(
     names = [str(space.unknowns[k]) for k in combinable]
     covariance = fit.confidence.combined[np.ix_(combinable, combinable)]
     for group, spread in only_together(names, values[combinable], covariance):
-        text = "only the combination is identified: the values trade off by"
-        text += f" {100.0 * spread:.2g} %; trust it, not each value"
+        text = "only a combination of these parameters is identified: they can change together by"
+        text += f" {100.0 * spread:.2g} %; use the combination, not the single values"
         yield Diagnostic("only-together", " and ".join(group), text)
     if not fit.converged:
-        text = f"still moving after {fit.iterations} iterations; allow more, or record longer"
+        text = f"the fit did not converge within {fit.iterations} iterations; raise"
+        text += " tuning.max_iterations or use longer records"
         yield Diagnostic("iteration-limit", "tuning", text)

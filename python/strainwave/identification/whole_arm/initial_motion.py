@@ -24,12 +24,12 @@ _MIN_COST_REDUCTION = 28.0
 _MIN_EXPLAINED_SHARE = 0.5
 
 
-def with_evident_initial_motion(fit: Fit, selection: Selection) -> Fit:
+def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
     """Continue a coarse fit with initial states for the records that begin in motion.
 
     Returns the fit itself if no such record exists or no evaluations are left.
     """
-    if fit.iterations >= selection.most:
+    if fit.iterations >= selection.max_evaluations:
         return fit
     objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:
@@ -64,7 +64,7 @@ def _estimate_initial_motion(
     `rest` is the cost of the record from standstill. Returns None if initial states do not explain
     enough of it.
     """
-    fixed_space = objective.space.holding(objective.space.values(z))
+    fixed_space = objective.space.fix_values(objective.space.values(z))
     free_start = objective.add_initial_states(k).select_record(k).replace_unknowns(fixed_space)
     rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
     try:

@@ -11,56 +11,56 @@ from functools import partial
 
 from strainwave.identification.whole_arm.causes import add_significant_effects
 from strainwave.identification.whole_arm.effect_candidates import (
-    with_named_effects,
-    without_idle_effects,
+    add_named_effects,
+    remove_insignificant_effects,
 )
 from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.idle_curves import without_idle_curves
-from strainwave.identification.whole_arm.initial_motion import with_evident_initial_motion
-from strainwave.identification.whole_arm.mountings import with_better_mountings, with_evident_tilts
+from strainwave.identification.whole_arm.initial_motion import add_significant_initial_motion
+from strainwave.identification.whole_arm.mountings import add_significant_tilts, improve_mountings
 from strainwave.identification.whole_arm.selection import Candidate, Selection
-from strainwave.identification.whole_arm.sensor_mounts import with_ringing_mounts
+from strainwave.identification.whole_arm.sensor_mounts import add_mount_resonances
 from strainwave.identification.whole_arm.sensors import (
-    with_bandwidths_apart,
-    with_evident_sensors,
-    without_idle_sensors,
+    add_sensor_bandwidths,
+    add_significant_sensor_constants,
+    remove_insignificant_sensor_constants,
 )
-from strainwave.identification.whole_arm.settling import (
-    with_settling_times,
-    without_idle_settling,
+from strainwave.identification.whole_arm.settling_times import (
+    add_settling_times,
+    remove_insignificant_settling_times,
 )
 from strainwave.identification.whole_arm.stiffness_restarts import (
-    with_fine_stiffness_restarts,
-    with_stiffness_restarts,
+    restart_coarse_fit,
+    restart_fine_fit,
 )
+from strainwave.identification.whole_arm.stiffness_terms import remove_insignificant_stiffness_terms
 
 COARSE: tuple[Candidate, ...] = (
-    with_evident_initial_motion,
-    with_better_mountings,
-    with_stiffness_restarts,
-    partial(with_evident_sensors, coarse=True),
-    partial(with_bandwidths_apart, coarse=True),
-    with_settling_times,
-    with_named_effects,
+    add_significant_initial_motion,
+    improve_mountings,
+    restart_coarse_fit,
+    partial(add_significant_sensor_constants, coarse=True),
+    partial(add_sensor_bandwidths, coarse=True),
+    add_settling_times,
+    add_named_effects,
 )
 """Candidates of a coarse fit, in the order of their trials."""
 
 FINE: tuple[Candidate, ...] = (
-    with_fine_stiffness_restarts,
-    without_idle_curves,
-    without_idle_effects,
-    partial(with_evident_sensors, coarse=False),
-    partial(with_bandwidths_apart, coarse=False),
-    with_ringing_mounts,
-    with_evident_tilts,
-    without_idle_sensors,
-    without_idle_settling,
+    restart_fine_fit,
+    remove_insignificant_stiffness_terms,
+    remove_insignificant_effects,
+    partial(add_significant_sensor_constants, coarse=False),
+    partial(add_sensor_bandwidths, coarse=False),
+    add_mount_resonances,
+    add_significant_tilts,
+    remove_insignificant_sensor_constants,
+    remove_insignificant_settling_times,
     add_significant_effects,
 )
 """Candidates of the fine fit, in the order of their trials."""
 
 
-def selected(fit: Fit, candidates: Sequence[Candidate], selection: Selection) -> Fit:
+def select_model(fit: Fit, candidates: Sequence[Candidate], selection: Selection) -> Fit:
     """Select the model that the data support.
 
     Each of the `candidates` starts from the result of the candidate before it.

@@ -38,7 +38,7 @@ _MIN_COST_REDUCTION = 0.02  # minimum cost reduction of another mounting, relati
 _MIN_TILT_COST_SHARE = 0.1  # minimum cost reduction of a tilt out of the plane of motion, relative
 
 
-def best_placed(
+def select_mountings(
     objective: Objective, z: FloatArray, arm: Arm, options: TuningOptions
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of each sensor by short searches.
@@ -124,7 +124,7 @@ def _is_in_plane(space: ParameterSpace, joint: int) -> bool:
     return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
 
 
-def with_better_mountings(fit: Fit, selection: Selection) -> Fit:
+def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     """Continue a coarse fit from better IMU mountings, computed from the fitted arm.
 
     A mounting is kept as it is if no short search from another one ends at a lower cost.
@@ -160,7 +160,7 @@ def _axes_on(objective: Objective, joint: int) -> list[Axis]:
     return list(dict.fromkeys(a for a in all_axes if a and a.joint == joint))
 
 
-def with_evident_tilts(fit: Fit, selection: Selection) -> Fit:
+def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
     """Add significant tilts of IMUs that were assumed to lie in the plane of motion.
 
     The derivative of the readings with respect to a tilt is zero at zero tilt, so the searches
@@ -210,7 +210,7 @@ def _hold(
 ) -> tuple[Objective, FloatArray]:
     """Objective and point with some unknowns fixed."""
     kept = [k for k, key in enumerate(objective.space.keys) if key not in held]
-    return objective.replace_unknowns(objective.space.holding(held)), z[kept]
+    return objective.replace_unknowns(objective.space.fix_values(held)), z[kept]
 
 
 def _simulated_mountings(

@@ -270,7 +270,7 @@ class ParameterSpace:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
         return np.asarray(np.clip(np.array(z), self.lower, self.upper))
 
-    def holding(self, values: Mapping[Key, float]) -> ParameterSpace:
+    def fix_values(self, values: Mapping[Key, float]) -> ParameterSpace:
         """Fix some of the unknowns at given values."""
         kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
         dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]

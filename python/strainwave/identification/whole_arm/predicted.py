@@ -15,7 +15,7 @@ from strainwave.domain.parameters import Values, completed, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.covariance import (
-    LEAST_SHARE,
+    MIN_VARIANCE_SHARE,
     gradient_covariances,
     inverse_information,
 )
@@ -32,13 +32,13 @@ from strainwave.identification.whole_arm.parametrisation import (
     Key,
     combination,
 )
-from strainwave.identification.whole_arm.preparation import dataset_of, usable
+from strainwave.identification.whole_arm.preparation import dataset_of, select_usable_records
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-BAND = 5.0
+CUTOFF_TO_RESONANCE = 5.0
 """Cut-off of the low-pass over the highest resonance; gear motion is negligible above it."""
-LEAST_BAND = 0.1
+MAX_CUTOFF_TO_SAMPLING_RATE = 0.1
 """Maximum cut-off of the low-pass, as a share of the sampling rate."""
 
 _RIGID_RELATIVE_STD = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
@@ -57,7 +57,7 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
     count. `values` maps (name, joint) to the assumed value, which is also the returned value.
     Returns an empty tuple if no record excites a gear.
     """
-    used = usable(logs, arm)
+    used = select_usable_records(logs, arm)
     if not used:
         return ()
     with one_blas_thread():
@@ -66,9 +66,9 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
 
 def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:
     signal_hz = min(velocity_band(log, arm) for log in used)
-    sampling_limit = LEAST_BAND / max(log.sample_time for log in used)
+    sampling_limit = MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in used)
     fastest = arm.fastest_resonance(known)
-    cutoff = min([signal_hz, sampling_limit] + ([BAND * fastest] if fastest else []))
+    cutoff = min([signal_hz, sampling_limit] + ([CUTOFF_TO_RESONANCE * fastest] if fastest else []))
     keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
     scale = np.array([_magnitude(key, values) for key in keys])
@@ -81,7 +81,7 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     information = sum((own for own, _ in evidence), from_prior)
     inverse = inverse_information(information)
     gradient_covariance = sum((own for _, own in evidence), from_prior)
-    covariance = inverse @ gradient_covariance @ inverse + LEAST_SHARE * inverse
+    covariance = inverse @ gradient_covariance @ inverse + MIN_VARIANCE_SHARE * inverse
     return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
 
 

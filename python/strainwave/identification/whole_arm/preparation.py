@@ -13,7 +13,12 @@ from strainwave.dynamics.mounting import Axis, axes_of
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.identification.closed_loop import has_accelerometer
-from strainwave.identification.whole_arm.dataset import BEGINNING, Channel, Dataset, noise_behind
+from strainwave.identification.whole_arm.dataset import (
+    INITIAL_INTERVAL,
+    Channel,
+    Dataset,
+    noise_behind,
+)
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_deviation
 from strainwave.signals.channels import unmeasured
@@ -33,7 +38,7 @@ _STEP_TOLERANCE_FACTOR = 1.0 + 1e-9  # tolerance of step comparisons, for roundi
 _ACCELERATION_SPACING = 0.002  # [s] spacing of the second differences that estimate accelerations
 
 
-def usable(logs: Sequence[Log], arm: Arm) -> list[Log]:
+def select_usable_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     """Select the records of the whole-arm fit: those that excite gears and can be simulated."""
     uses = ("frequency", "sweep", "tuning")
     return [
@@ -87,7 +92,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     )
 
 
-def coarsened(record: Dataset, max_time_step: float) -> Dataset:
+def coarsen_steps(record: Dataset, max_time_step: float) -> Dataset:
     """Lengthen the integrator step of a record for a coarse search.
 
     `max_time_step` [s] also limits the sampling rate: closer samples are decimated, and voltages
@@ -192,7 +197,7 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     """
     T = log.sample_time
     span = max(1, round(_ACCELERATION_SPACING / T))
-    n_first = min(max(2, round(BEGINNING / T)), len(log) // 4)
+    n_first = min(max(2, round(INITIAL_INTERVAL / T)), len(log) // 4)
     t = T * np.arange(n_first)
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]

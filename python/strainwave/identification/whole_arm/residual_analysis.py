@@ -77,7 +77,7 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
         density=density,
         noise_density=noise_density,
         worst_hz=float(frequency[band][np.argmax(ratio)]),
-        whiteness=coloured_alike(
+        whiteness=has_noise_spectrum(
             left, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
         ),
         input_joint=joint,
@@ -99,7 +99,7 @@ def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
     return frequency, density[:, 0, 0].real
 
 
-def coloured_alike(
+def has_noise_spectrum(
     left: FloatArray, row_time: float, taps: FloatArray, sample_time: float, below_hz: float
 ) -> float:
     """Test whether a residual has the spectrum of low-pass filtered white noise.
@@ -163,16 +163,16 @@ def follows(
     return best
 
 
-def exceed_noise(objective: Objective, z: FloatArray) -> bool:
+def has_excess_residuals(objective: Objective, z: FloatArray) -> bool:
     """Whether more than half of the residual power of any channel is not sensor noise.
 
     The limit is lower than that of `residual_warnings`, because an effect can be significant below
     the latter. `z`, (n_unknowns,), is the final iterate of the fit.
     """
-    return any(bool(np.any(beyond)) for beyond in beyond_noise(objective, z))
+    return any(bool(np.any(beyond)) for beyond in channels_above_noise(objective, z))
 
 
-def beyond_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
+def channels_above_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
     """Channels whose residual exceeds the sensor noise: one (n_channels,) for each record.
 
     `z`, (n_unknowns,), is the final iterate of the fit.

@@ -25,7 +25,7 @@ from strainwave.identification.whole_arm.parametrisation import (
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
-def as_published(options: TuningOptions) -> TuningOptions:
+def expand_published_options(options: TuningOptions) -> TuningOptions:
     """Expand the option `as_published` into the options that it implies."""
     if not options.as_published:
         return options
@@ -54,12 +54,12 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
             raise InvalidInput(
                 f"tuning as published simulates in closed loop, but {missing}",
                 where=log.name,
-                remedy="give what is missing, or leave tuning.as_published out",
+                remedy="add the missing data, or remove tuning.as_published",
             )
     return selected
 
 
-def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
+def restrict_space(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
     """Hold parameters and limit the ranges of the others, as the options require.
 
     `z` (n_unknowns,) is the start of the fit: it fixes the held values and the centres of the
@@ -74,13 +74,13 @@ def restricted(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> 
         raise InvalidInput(
             "every parameter is held",
             where="[options] tuning.hold",
-            remedy="leave something to be fitted",
+            remedy="remove at least one parameter from the list",
         )
     limited = tuple(
         _limit(unknown, _factors_of(options, unknown.key), at)
         for unknown, at in zip(space.unknowns, z.tolist(), strict=True)
     )
-    return replace(space, unknowns=limited).holding(held)
+    return replace(space, unknowns=limited).fix_values(held)
 
 
 def is_held(key: Key, options: TuningOptions) -> bool:

@@ -34,16 +34,16 @@ from strainwave.identification.whole_arm.parametrisation import (
     VISCOUS,
     Key,
 )
-from strainwave.identification.whole_arm.residual_analysis import exceed_noise
+from strainwave.identification.whole_arm.residual_analysis import has_excess_residuals
 from strainwave.numerics.distributions import chi_square_limit
 
 FALSE_ALARMS = 1e-4
 """Probability that any effect is significant if the residuals are noise."""
 
-MATTERS = 0.04
+RELEVANT_COST_SHARE = 0.04
 """Cost reduction, relative, from which an effect is relevant in any case."""
 
-LEAST = 0.01
+MIN_COST_SHARE = 0.01
 """Cost reduction, relative, below which no effect is relevant: other errors explain as much."""
 
 
@@ -121,7 +121,7 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
     records, values = fit.objective.records, fit.objective.space.values(fit.z)
     band_hz = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
-    single_set = bool(effects_in(fit.objective.space, arm)) or not exceed_noise(
+    single_set = bool(effects_in(fit.objective.space, arm)) or not has_excess_residuals(
         fit.objective, fit.z
     )
     hypotheses: dict[Hypothesis, Shapes] = {}
@@ -226,7 +226,7 @@ def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTes
     """Score test by the parameters of the effect."""
     share = step.gain / max(fit.cost, 1e-300)
     significant = step.beyond(chance) > 0.0
-    parameter_shifts = tuple(shifts(fit, moved)) if significant and share > LEAST else ()
+    parameter_shifts = tuple(shifts(fit, moved)) if significant and share > MIN_COST_SHARE else ()
     return ScoreTest(
         joint=step.candidate.joint,
         effect=step.candidate.effect,
@@ -243,11 +243,11 @@ def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTes
 def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:
     """Whether an effect is relevant.
 
-    It is if its `share` of the cost exceeds `MATTERS`, or if the share exceeds `LEAST` and another
-    parameter leaves its 95 % confidence interval.
+    An effect is relevant if its `share` of the cost exceeds `RELEVANT_COST_SHARE`, or if the share
+    exceeds `MIN_COST_SHARE` and another parameter leaves its 95 % confidence interval.
     """
-    moved = any(abs(move.deviations) > CI95_STDS for move in moves)
-    return share > MATTERS or (share > LEAST and moved)
+    has_shift = any(abs(move.deviations) > CI95_STDS for move in moves)
+    return share > RELEVANT_COST_SHARE or (share > MIN_COST_SHARE and has_shift)
 
 
 def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
@@ -277,14 +277,14 @@ def _is_primary(key: Key) -> bool:
     return not (name in excluded or name in of_effects or is_sensor_constant(key))
 
 
-def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
-    """Optimal sizes of one effect in addition to the columns `taken`.
+def _step(columns: EffectColumns, one: Hypothesis, selected: FloatArray) -> _Step:
+    """Optimal sizes of one effect in addition to the columns `selected`.
 
     Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing
     effect are free.
     """
     parts = (columns.shifts(one), columns.seen(one), columns.target)
-    shifts, columns_of_effect, target = _project_out(taken, *parts)
+    shifts, columns_of_effect, target = _project_out(selected, *parts)
     projected, remaining = _project_out(shifts, columns_of_effect, target)
     names = tuple(name for name, _ in columns.sizes[one])
     effect = effect_named(one.effect)
@@ -296,9 +296,9 @@ def _step(columns: EffectColumns, one: Hypothesis, taken: FloatArray) -> _Step:
     return _Step(one, names, gain, rigid, size, std, shift)
 
 
-def _project_out(taken: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
-    """Project columns on the orthogonal complement of the columns `taken`."""
-    basis = np.linalg.qr(taken)[0]
+def _project_out(selected: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
+    """Project columns on the orthogonal complement of the columns `selected`."""
+    basis = np.linalg.qr(selected)[0]
     for columns in others:
         yield columns - basis @ (basis.T @ columns)
 

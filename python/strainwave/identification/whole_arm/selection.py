@@ -15,12 +15,12 @@ from strainwave.identification.whole_arm.solver import (
     search_minimum,
 )
 
-EVIDENT = 3.0
+MIN_SIGNIFICANCE_STDS = 3.0
 """Standard deviations from which a settling time, an effect or another curve is significant.
 
 The minimum cost reduction is its square.
 """
-TRIAL = 10
+MAX_CANDIDATE_EVALUATIONS = 10
 """Maximum evaluations of the trial fit of a candidate."""
 
 
@@ -36,18 +36,18 @@ class Selection:
         self.budget = self.options.max_iterations
 
     @property
-    def most(self) -> int:
+    def max_evaluations(self) -> int:
         """Maximum total number of evaluations."""
         return self.options.max_iterations
 
     def grant(self, evaluations: int) -> None:
         """Increase the maximum number of evaluations."""
-        self.options = replace(self.options, max_iterations=self.most + evaluations)
+        self.options = replace(self.options, max_iterations=self.max_evaluations + evaluations)
 
     def renew(self, fit: Fit) -> None:
         """Allow the full budget again, counted from the evaluations of `fit`."""
-        most = max(self.most, fit.iterations + self.budget)
-        self.options = replace(self.options, max_iterations=most)
+        max_iterations = max(self.max_evaluations, fit.iterations + self.budget)
+        self.options = replace(self.options, max_iterations=max_iterations)
 
 
 class Candidate(Protocol):
@@ -57,13 +57,14 @@ class Candidate(Protocol):
         """Return the fit of the changed model if the data support it, otherwise `fit`."""
 
 
-def trial(
-    fit: Fit, objective: Objective, z: FloatArray, selection: Selection, most: int | None
+def run_trial(
+    fit: Fit, objective: Objective, z: FloatArray, selection: Selection, max_evaluations: int | None
 ) -> Fit:
     """Run a coarse search of another model from `z` (n_unknowns,).
 
-    The evaluation count continues from that of `fit`. `most` is the maximum number of evaluations;
-    None allows all that are left. Raises `NotIdentifiable` if the arm cannot be simulated at `z`.
+    The evaluation count continues from that of `fit`. `max_evaluations` limits the evaluations of
+    the trial; None allows all remaining ones. Raises `NotIdentifiable` if the arm cannot be
+    simulated at `z`.
     """
     return search_minimum(
         objective,
@@ -72,11 +73,11 @@ def trial(
         selection.options,
         tolerance=COARSE_TOLERANCE,
         relative=COARSE_RELATIVE_TOLERANCE,
-        max_evaluations=most,
+        max_evaluations=max_evaluations,
     )
 
 
-def better(fit: Fit, other: Fit) -> Fit:
+def select_better(fit: Fit, other: Fit) -> Fit:
     """Return `other` if it reduces the cost significantly, otherwise `fit` with its evaluations."""
-    evident = fit.cost - other.cost > EVIDENT**2
-    return other if evident else replace(fit, iterations=other.iterations)
+    is_significant = fit.cost - other.cost > MIN_SIGNIFICANCE_STDS**2
+    return other if is_significant else replace(fit, iterations=other.iterations)

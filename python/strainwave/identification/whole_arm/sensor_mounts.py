@@ -20,7 +20,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Evaluation
 from strainwave.identification.whole_arm.parametrisation import Key
-from strainwave.identification.whole_arm.residual_analysis import beyond_noise
+from strainwave.identification.whole_arm.residual_analysis import channels_above_noise
 from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
 from strainwave.identification.whole_arm.sensors import with_sensors
@@ -46,7 +46,7 @@ Names = tuple[Key, Key]
 Mounts = dict[Names, list[MountResonance]]
 
 
-def with_ringing_mounts(fit: Fit, selection: Selection) -> Fit:
+def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
     """Add mount resonances one by one, the most significant first.
 
     Returns the fit itself if no sensor has residuals above its noise.
@@ -82,7 +82,7 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
 
     def columns(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
-        return record.ringing(
+        return record.mount_tangent(
             values, objective.memory.record_parameters[k][: len(record.local)], tested
         )
 
@@ -114,7 +114,9 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
         if f < limit_hz
         for d in _TESTED_DAMPING_RATIOS
     ]
-    for record, beyond in zip(objective.records, beyond_noise(objective, fit.z), strict=True):
+    for record, beyond in zip(
+        objective.records, channels_above_noise(objective, fit.z), strict=True
+    ):
         for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
             names = mount_of(channel.sensor, channel.joint)
             if (
@@ -182,8 +184,8 @@ def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
             continue
         sensor = parameter.name.removesuffix("_mount_frequency").replace("_", " ")
         text = (
-            f"the {sensor} of link {parameter.joint} rings on its mount at {parameter.value:.3g} ±"
+            f"the mount of the {sensor} of link {parameter.joint} resonates at"
+            f" {parameter.value:.3g} ± {CI95_STDS * (parameter.std or 0.0):.2g} Hz. The fit"
+            " corrects it. Glue or screw the sensor to the link"
         )
-        text += f" {CI95_STDS * (parameter.std or 0.0):.2g} Hz; estimated and corrected: glue or"
-        text += " screw it down"
         yield Diagnostic("sensor-mount", f"joint {parameter.joint}", text)

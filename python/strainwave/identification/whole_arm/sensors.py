@@ -120,7 +120,7 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
 
-def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
+def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """Add the bandwidths of delayed sensors whose bandwidth the study does not give.
 
     The starting values attribute half of each delay to the low-pass. `coarse` selects the search
@@ -147,7 +147,7 @@ def with_bandwidths_apart(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     )
     if coarse:
         return resumed_coarse_search(objective, start, fit.iterations, options)
-    return _refined_from(fit, objective, start, options)
+    return _refine_from(fit, objective, start, options)
 
 
 def _delayed_sensors(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
@@ -167,7 +167,7 @@ def _delayed_sensors(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
             yield delay, bandwidth
 
 
-def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
+def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
     """Add significant sensor constants until none is left.
 
     `coarse` selects the search that follows and raises the required cost reduction.
@@ -187,22 +187,22 @@ def with_evident_sensors(fit: Fit, selection: Selection, *, coarse: bool) -> Fit
         if coarse:
             fit = resumed_coarse_search(objective, start, fit.iterations, options)
         else:
-            fit = _refined_from(fit, objective, start, options)
+            fit = _refine_from(fit, objective, start, options)
     return fit
 
 
-def _refined_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
+def _refine_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
     """Refine from `z` (n_unknowns,) with the changed unknowns of `objective`."""
     start = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
     return refine(start, options)
 
 
-def without_idle_sensors(fit: Fit, selection: Selection) -> Fit:
+def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
     while insignificant := _least_significant(fit):
         values = fit.objective.space.values(fit.z)
-        space = fit.objective.space.holding(insignificant)
-        fit = _refined_from(
+        space = fit.objective.space.fix_values(insignificant)
+        fit = _refine_from(
             fit, fit.objective.replace_unknowns(space), space.coordinates(values), selection.options
         )
     return fit
@@ -247,8 +247,8 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
 def _counterpart(key: Key) -> Key:
     """Bandwidth key for a delay key and vice versa; other keys are unchanged."""
     name, joint = key
-    sensor, _, what = name.rpartition("_")
-    other = {"delay": "bandwidth", "bandwidth": "delay"}.get(what, what)
+    sensor, _, quantity = name.rpartition("_")
+    other = {"delay": "bandwidth", "bandwidth": "delay"}.get(quantity, quantity)
     return f"{sensor}_{other}", joint
 
 
@@ -258,11 +258,11 @@ def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
     return is_bandwidth(key) and bool(fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k])
 
 
-def _significant_constants(fit: Fit, options: TuningOptions, least: float) -> dict[Key, float]:
+def _significant_constants(fit: Fit, options: TuningOptions, min_gain: float) -> dict[Key, float]:
     """Significant sensor constants and their values after one linear step.
 
-    Forward selection: each constant must reduce the cost by `least` and significantly, given those
-    before it.
+    Forward selection: each constant must reduce the cost by `min_gain` and significantly, given the
+    constants before it.
     """
     included = set(fit.objective.space.keys)
     candidates = [
@@ -282,7 +282,7 @@ def _significant_constants(fit: Fit, options: TuningOptions, least: float) -> di
             k: _residual_cost(columns[:, [*selected, k]], target) for k in range(len(candidates))
         }
         best = min((k for k in costs if k not in selected), key=lambda k: costs[k])
-        if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, least):
+        if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, min_gain):
             break
         selected.append(best)
         cost = costs[best]
@@ -304,18 +304,18 @@ def _significant_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
     objective, rates = fit.objective, {}
     evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
     for record, weights, rows in evaluated:
-        since = record.since_middle
+        time = record.since_middle
         residuals = rows.residual * weights.stds
         for channel, residual in zip(record.channels, residuals.T, strict=True):
             key = drift_of(channel.scaled, channel.joint, record.log.name)
             is_candidate = channel.shifted and key is not None and not is_held(key, options)
             if key is None or not is_candidate or key in objective.space.keys:
                 continue
-            rate = float(-since @ residual / (since @ since))
-            remaining = residual + rate * since
-            std = np.std(remaining) * np.sqrt(estimate_rows_per_error(remaining) / (since @ since))
+            rate = float(-time @ residual / (time @ time))
+            remaining = residual + rate * time
+            std = np.std(remaining) * np.sqrt(estimate_rows_per_error(remaining) / (time @ time))
             if abs(rate) > max(
-                _MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * np.std(remaining) / np.max(since)
+                _MIN_SIGNIFICANCE * std, _MIN_DRIFT_RATIO * np.std(remaining) / np.max(time)
             ):
                 rates[key] = rate
     return rates
@@ -374,25 +374,30 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
                 f"the {sensor} is {1e3 * abs(parameter.value):.3g} ± {1e3 * half:.2g} ms {side} the"
             )
             text += (
-                " motor encoder; estimated and corrected. Likely causes: its bandwidth is missing"
+                " motor encoder. The fit corrects the delay. Likely causes are a bandwidth that is"
             )
-            text += " from the study, latency of its converter or bus, time stamps"
+            text += " missing from the study, latency of the converter or bus, and time stamps"
             yield Diagnostic.at("sensor-delay", Place(joint=parameter.joint), text)
         else:
             text = (
-                f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion; estimated"
+                f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion. The fit"
             )
             text += (
-                " and corrected. Likely causes: its calibration, its distance from the axis in the"
+                " corrects the scale. Likely causes are the calibration, the distance from the axis"
             )
-            text += " study, its direction"
+            text += " in the study and the direction of the sensor"
             yield Diagnostic("sensor-scale", f"joint {parameter.joint}", text)
 
 
-def _drift_warning(found: Parameter, rate: float) -> Diagnostic:
-    name = base_name(found.name)
-    sensor, record = name.removesuffix("_drift").replace("_", " "), found.name[len(name) + 1 : -1]
-    half = CI95_STDS * (found.std or 0.0)
-    text = f"in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {found.unit}; estimated and"
-    text += " corrected. Likely causes: it warms up, its supply, an amplifier that recovers"
-    return Diagnostic("sensor-drift", f"joint {found.joint}", text)
+def _drift_warning(estimate: Parameter, rate: float) -> Diagnostic:
+    """Warn about the drift of a sensor."""
+    name = base_name(estimate.name)
+    sensor, record = (
+        name.removesuffix("_drift").replace("_", " "),
+        estimate.name[len(name) + 1 : -1],
+    )
+    half = CI95_STDS * (estimate.std or 0.0)
+    text = f"in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {estimate.unit}. The fit"
+    text += " corrects the drift. Likely causes are warm-up, the supply, and the recovery of an"
+    text += " amplifier"
+    return Diagnostic("sensor-drift", f"joint {estimate.joint}", text)

@@ -24,7 +24,7 @@ from strainwave.identification.whole_arm.gear_load import (
     gear_torques,
 )
 from strainwave.identification.whole_arm.mountings import (
-    best_placed,
+    select_mountings,
 )
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
@@ -33,27 +33,30 @@ from strainwave.identification.whole_arm.parametrisation import (
     space_of,
     with_curves,
 )
-from strainwave.identification.whole_arm.predicted import BAND, LEAST_BAND
+from strainwave.identification.whole_arm.predicted import (
+    CUTOFF_TO_RESONANCE,
+    MAX_CUTOFF_TO_SAMPLING_RATE,
+)
 from strainwave.identification.whole_arm.preparation import (
     STEPS_PER_PERIOD,
-    coarsened,
+    coarsen_steps,
     dataset_of,
-    usable,
+    select_usable_records,
 )
 from strainwave.identification.whole_arm.restricted import (
     published_records,
-    restricted,
+    restrict_space,
 )
 from strainwave.identification.whole_arm.sensors import (
     with_sensors,
 )
-from strainwave.identification.whole_arm.starts import rejected_starts, starts_of
+from strainwave.identification.whole_arm.starts import starts_of, warn_rejected_starts
 from strainwave.signals.mounting_start import mounting_starts
 
 _STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine
 _INFEASIBLE_START = (
-    "the arm that the steps before found cannot be simulated. Check the signs, units and assignment"
-    " of the channels, gear_ratio and torque_per_volt"
+    "the arm cannot be simulated with the estimates of the earlier stages. Check the signs, units"
+    " and assignment of the channels, gear_ratio and torque_per_volt"
 )
 
 
@@ -66,7 +69,7 @@ class Start:
     coarse: Objective  # of the same records in long integrator steps
     initial: FloatArray  # (n_unknowns,) from the preceding stages
     start: FloatArray  # (n_unknowns,) `initial`, or its improvement by the comparison of starts
-    rejected: tuple[Diagnostic, ...]  # for starting values that no arm can have
+    rejected: tuple[Diagnostic, ...]  # warnings about physically impossible starting values
 
 
 def start_of(
@@ -74,20 +77,20 @@ def start_of(
     model: RigidModel | None,
     candidates: Sequence[Sequence[JointModel]],
     arm: Arm,
-    chosen: TuningOptions,
+    options: TuningOptions,
     given: Mapping[Key, float] | None,
 ) -> Start:
     """Prepare the records and choose the starting values of a fit.
 
     `logs` that the whole-arm fit does not use are ignored. `candidates` are alternative sets of
-    joint models; the records decide which one starts the fit. `given` maps (name, joint) to values
+    joint models; the one of lowest cost starts the fit. `given` maps (name, joint) to values
     that replace those of the preceding stages.
 
     Raises `NotIdentifiable` if there is no record to fit or no feasible start, and `InvalidInput`
     if a record lacks data for its simulation.
     """
-    used = usable(logs, arm)
-    if chosen.as_published:
+    used = select_usable_records(logs, arm)
+    if options.as_published:
         used = published_records(used, arm)
     if not used:
         raise NotIdentifiable(
@@ -95,23 +98,23 @@ def start_of(
             " angle and the voltage of every motor"
         )
     all_joints = [joint for joints in candidates for joint in joints]
-    records, long_steps = _records(used, all_joints, arm, chosen)
+    records, long_steps = _records(used, all_joints, arm, options)
 
     placed = mounting_starts(logs, arm, used)
     given = placed | ({} if given is None else dict(given))
 
-    def search_by(joints: Sequence[JointModel]) -> ParameterSpace:
-        extended = _space(records, model, joints, arm, chosen)
+    def extended_space(joints: Sequence[JointModel]) -> ParameterSpace:
+        extended = _space(records, model, joints, arm, options)
         return with_sensors(extended, [key for key in placed if key[0] not in START], given)
 
     def objective_of(joints: Sequence[JointModel]) -> Objective:
-        return Objective.of(search_by(joints), long_steps)
+        return Objective.of(extended_space(joints), long_steps)
 
-    best = select_candidate(candidates, objective_of, chosen)
+    best = select_candidate(candidates, objective_of, options)
     joints = best.joints
     if len(candidates) > 1:  # the best candidate determines the band
-        records, long_steps = _records(used, joints, arm, chosen)
-    space = search_by(joints)
+        records, long_steps = _records(used, joints, arm, options)
+    space = extended_space(joints)
     measured_keys = {key for record in records for key in record.sensor_constants()}
     space = with_sensors(space, [key for key in given if key in measured_keys])
     nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
@@ -120,33 +123,33 @@ def start_of(
     if best.end_values is not None:
         start = space.coordinates(space.values(start) | best.end_values | given)
     keys = space.keys
-    space = restricted(space, chosen, start)
+    space = restrict_space(space, options, start)
     kept = [key in space.keys for key in keys]
     start, initial = start[kept], initial[kept]
     coarse = Objective.of(space, long_steps)
     if coarse.linearise(start) is None:
         raise NotIdentifiable(_INFEASIBLE_START)
     if placed:
-        coarse, start = best_placed(coarse, start, arm, chosen)
+        coarse, start = select_mountings(coarse, start, arm, options)
     starts = starts_of(model, joints, arm)
     for name, joint in starts.rejected:
         if name == STIFFNESS:
             start = _scan_stiffness(coarse, start, joint)
     if best.end_values is None or placed:
         initial = start
-    return Start(used, records, coarse, initial, start, tuple(rejected_starts(starts, arm)))
+    return Start(used, records, coarse, initial, start, tuple(warn_rejected_starts(starts, arm)))
 
 
 def _records(
-    used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, chosen: TuningOptions
+    used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: TuningOptions
 ) -> tuple[tuple[Dataset, ...], list[Dataset]]:
     """Prepare the records in the band of the joints' resonances, in short and in long steps."""
-    cutoff = chosen.cutoff_hz or _cutoff(used, joints, arm)
+    cutoff = options.cutoff_hz or _cutoff(used, joints, arm)
     plain = with_known_effects(arm, ())
-    records = tuple(dataset_of(log, plain, cutoff, closed_loop=chosen.closed_loop) for log in used)
+    records = tuple(dataset_of(log, plain, cutoff, closed_loop=options.closed_loop) for log in used)
     for record in records:
         _check_link_encoders(record, arm)
-    return records, [coarsened(r, 1.0 / (STEPS_PER_PERIOD * cutoff)) for r in records]
+    return records, [coarsen_steps(r, 1.0 / (STEPS_PER_PERIOD * cutoff)) for r in records]
 
 
 def _scan_stiffness(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
@@ -172,10 +175,10 @@ def _check_link_encoders(record: Dataset, arm: Arm) -> None:
         for effect in arm.joints[channel.joint - 1].named_effects:
             if channel.quantity == "link_angle" and effect_named(effect).moves_link_encoder:
                 raise InvalidInput(
-                    f"{channel.name} is no link angle in space where there is a "
-                    f"{effect.replace('-', ' ')}",
+                    f"{channel.name} does not measure the angle in space: the joint has"
+                    f" a {effect.replace('-', ' ')}",
                     where=record.log.name,
-                    remedy=f"log an accelerometer on that link, or leave '{effect}' out",
+                    remedy=f"log an accelerometer on that link, or remove the effect '{effect}'",
                 )
 
 
@@ -183,8 +186,11 @@ def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], arm: Arm) -> floa
     """Cut-off [Hz] above the highest resonance, within the signal band of the motor velocities."""
     signal_hz = min(velocity_band(log, arm) for log in used)
     resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
-    sampling_limit = LEAST_BAND / max(log.sample_time for log in used)
-    return min([signal_hz, sampling_limit] + ([BAND * max(resonances)] if resonances else []))
+    sampling_limit = MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in used)
+    return min(
+        [signal_hz, sampling_limit]
+        + ([CUTOFF_TO_RESONANCE * max(resonances)] if resonances else [])
+    )
 
 
 def _space(

@@ -1,6 +1,6 @@
 """Starting values of the whole-arm fit, from the preceding stages or typical of such arms.
 
-An estimate that no arm can have, such as negative gear damping, indicates an error in the data or
+A physically impossible estimate, such as negative gear damping, indicates an error in the data or
 the study. A typical value replaces it, with a warning, so that the fit can locate the error.
 """
 
@@ -35,7 +35,7 @@ _DAMPING_RATIO_RANGE = (0.01, 0.5)
 
 @dataclass(frozen=True, slots=True)
 class Starts:
-    """Starting values, and the estimates of preceding stages that no arm can have."""
+    """Starting values, and the physically impossible estimates of preceding stages."""
 
     values: Values
     rejected: Mapping[Key, float]
@@ -79,13 +79,15 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
     return Starts(start, rejected)
 
 
-def rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
+def warn_rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
     """Warn of each estimate that a typical value replaces."""
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
         unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
-        text = f"the steps before found {value:.3g} {unit}, which is impossible; the whole-arm fit"
-        text += f" started from {starts.values[name, joint]:.3g}, which is usual for such arms"
+        text = (
+            f"the estimate of the earlier stages, {value:.3g} {unit}, is physically impossible; the"
+        )
+        text += f" whole-arm fit starts from the typical value {starts.values[name, joint]:.3g}"
         yield Diagnostic("start-rejected", place, text)
 
 

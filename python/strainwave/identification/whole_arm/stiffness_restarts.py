@@ -10,11 +10,16 @@ from strainwave.domain.parameters import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.gear_load import gear_torques
-from strainwave.identification.whole_arm.selection import TRIAL, Selection, better, trial
+from strainwave.identification.whole_arm.selection import (
+    MAX_CANDIDATE_EVALUATIONS,
+    Selection,
+    run_trial,
+    select_better,
+)
 from strainwave.identification.whole_arm.solver import fine_search
 
 
-def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
+def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
     """Restart the search from other curves for each gear whose curve lost a knee.
 
     Returns the fit of least cost.
@@ -25,22 +30,24 @@ def with_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
             continue
         values = fit.objective.space.values(fit.z)
         largest = gear_torques(fit.objective.records, values)[number - 1]
-        for start in other_starts(law, values, number, largest):
-            if fit.iterations >= selection.most:
+        for start in alternative_curves(law, values, number, largest):
+            if fit.iterations >= selection.max_evaluations:
                 return replace(fit, converged=False)
             z = fit.objective.space.coordinates(start)
             try:
-                restarted = trial(fit, fit.objective, z, selection, TRIAL)
+                restarted = run_trial(fit, fit.objective, z, selection, MAX_CANDIDATE_EVALUATIONS)
             except NotIdentifiable:
                 continue  # the arm cannot be simulated with this curve
-            fit = better(fit, restarted)
+            fit = select_better(fit, restarted)
             new_values = fit.objective.space.values(fit.z)
-            if new_values != values and not any(other_starts(law, new_values, number, largest)):
+            if new_values != values and not any(
+                alternative_curves(law, new_values, number, largest)
+            ):
                 break  # the curve has all its knees
     return fit
 
 
-def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
+def restart_fine_fit(fit: Fit, selection: Selection) -> Fit:
     """Restart a fine fit from other curves if a curve lost a knee.
 
     Long integrator steps may hide the loss in the coarse fit. The restarts have their own budget of
@@ -48,7 +55,7 @@ def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
     """
     options = selection.options
     selection.renew(fit)
-    restarted = with_stiffness_restarts(fit, selection)
+    restarted = restart_coarse_fit(fit, selection)
     if restarted.iterations == fit.iterations:
         selection.options = options
         return fit
@@ -58,7 +65,7 @@ def with_fine_stiffness_restarts(fit: Fit, selection: Selection) -> Fit:
     return replace(restarted, converged=fit.converged)
 
 
-def other_starts(
+def alternative_curves(
     law: GearLaw, values: Values, joint: int, largest_torque: float
 ) -> Iterator[Values]:
     """Values of the arm with alternative curves of one gear.

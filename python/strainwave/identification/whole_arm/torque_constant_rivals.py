@@ -10,7 +10,7 @@ _DRIVE_GAIN = "drive-gain"  # effect that a wrong torque constant resembles
 _MIN_GAIN_RATIO = 1.2  # minimum ratio of cost reductions, other effect over wrong torque constant
 
 
-def blames_another(model: ArmModel, arm: Arm) -> bool:
+def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
     """Whether an effect explains the records clearly better than a wrong torque constant.
 
     `model` is the whole-arm model of a study whose rigid step suspects a torque constant. Returns

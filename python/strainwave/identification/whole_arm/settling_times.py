@@ -10,31 +10,37 @@ from strainwave.identification.whole_arm.parametrisation import (
     SETTLING_START,
     with_settling,
 )
-from strainwave.identification.whole_arm.selection import EVIDENT, TRIAL, Selection, better, trial
+from strainwave.identification.whole_arm.selection import (
+    MAX_CANDIDATE_EVALUATIONS,
+    MIN_SIGNIFICANCE_STDS,
+    Selection,
+    run_trial,
+    select_better,
+)
 from strainwave.identification.whole_arm.solver import fine_search
 
 # share of the lower bound of its logarithm from which a settling time is zero
 _ZERO_BOUND_SHARE = 0.99
 
 
-def with_settling_times(fit: Fit, selection: Selection) -> Fit:
+def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     """Add a friction settling time to each joint of a coarse fit.
 
     Keeps them if the options require them or the cost decreases significantly.
     """
     required = selection.options.settling
-    if required is False or fit.iterations >= selection.most:
+    if required is False or fit.iterations >= selection.max_evaluations:
         return fit
     values = fit.objective.space.values(fit.z)
     space = with_settling(fit.objective.space)
     start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
     objective = fit.objective.replace_unknowns(space)
-    most = None if required else TRIAL
-    extended = trial(fit, objective, start, selection, most)
-    return better(fit, extended) if required is None else extended
+    max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS
+    extended = run_trial(fit, objective, start, selection, max_evaluations)
+    return select_better(fit, extended) if required is None else extended
 
 
-def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
+def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
     """Repeat the fit without settling times that are not significant.
 
     The friction of those joints acts instantly.
@@ -49,11 +55,11 @@ def without_idle_settling(fit: Fit, selection: Selection) -> Fit:
         for key, std, is_at_bound in zip(
             fit.objective.space.keys, stds, at_lower_bound, strict=True
         )
-        if key[0] == SETTLING and (is_at_bound or values[key] < EVIDENT * std)
+        if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
     }
     if not insignificant:
         return fit
-    space = fit.objective.space.holding(insignificant)
+    space = fit.objective.space.fix_values(insignificant)
     start = space.coordinates(values)
     return fine_search(
         fit.objective.replace_unknowns(space), start, fit.iterations, selection.options

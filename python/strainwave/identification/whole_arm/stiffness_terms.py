@@ -6,11 +6,11 @@ import numpy as np
 
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import Key
-from strainwave.identification.whole_arm.selection import EVIDENT, Selection
+from strainwave.identification.whole_arm.selection import MIN_SIGNIFICANCE_STDS, Selection
 from strainwave.identification.whole_arm.solver import fine_search
 
 
-def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
+def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
     """Repeat the fit without the optional terms of gear laws that are not significant.
 
     Returns the fit itself if all terms are significant.
@@ -19,7 +19,7 @@ def without_idle_curves(fit: Fit, selection: Selection) -> Fit:
     if not insignificant:
         return fit
     values = fit.objective.space.values(fit.z)
-    space = fit.objective.space.holding(dict.fromkeys(insignificant, 0.0))
+    space = fit.objective.space.fix_values(dict.fromkeys(insignificant, 0.0))
     start = space.coordinates(values)
     return fine_search(
         fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
@@ -38,6 +38,6 @@ def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:
         if places:
             estimate = fit.objective.space.parameters(fit.z)[places]
             covariance = fit.confidence.cautious[np.ix_(places, places)]
-            if estimate @ np.linalg.solve(covariance, estimate) < EVIDENT**2:
+            if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant += [keys[k] for k in places]
     return insignificant
