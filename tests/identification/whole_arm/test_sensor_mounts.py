@@ -97,7 +97,7 @@ def test_a_clean_rig_pays_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def refused(*_: object) -> None:
         raise AssertionError("a mount was tested")
 
-    monkeypatch.setattr(Dataset, "ringing", refused)
+    monkeypatch.setattr(Dataset, "mount_tangent", refused)
     study, true_values, logs = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
     model = tune(logs, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
