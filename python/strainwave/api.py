@@ -138,22 +138,24 @@ def compare(
 ) -> comparison.ResultComparison:
     """Test whether results of one arm differ significantly.
 
-    The first result is compared with each of the others. `level` is the probability of a
-    difference being reported where there is none. Raises `InvalidInput` for fewer than two results
-    and `NotIdentifiable` if they have no parameter in common.
+    The first result is compared with each of the others. `level` is the probability of
+    reporting a difference between results of an unchanged arm. Raises `InvalidInput` for fewer than
+    two results and `NotIdentifiable` if they have no parameter in common.
     """
-    loaded = [each if isinstance(each, Result) else read_result(each) for each in results]
-    listed = [estimates.estimates_of(each.document, each.source) for each in loaded]
-    labels = [each.label for each in listed]
+    loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
+    all_estimates = [estimates.estimates_of(result.document, result.source) for result in loaded]
+    labels = [estimate.label for estimate in all_estimates]
     unique = [
-        each if labels.count(each.label) == 1 else replace(each, label=f"{each.label} ({k})")
-        for k, each in enumerate(listed, start=1)
+        estimate
+        if labels.count(estimate.label) == 1
+        else replace(estimate, label=f"{estimate.label} ({k})")
+        for k, estimate in enumerate(all_estimates, start=1)
     ]
     return comparison.compare(unique, level)
 
 
 class Parameters(Sequence[Parameter]):
-    """The final table: each parameter once, from the last stage that decides it.
+    """Final table: one entry per parameter, from the last stage that estimates it.
 
     `parameters["beta"]` is a parameter of the arm, `parameters["gear_stiffness", 1]` one of a
     joint, `parameters[0]` the first of the table.
@@ -174,10 +176,10 @@ class Parameters(Sequence[Parameter]):
             return Parameters(self._parameters[index])
         if isinstance(index, int):
             return self._parameters[index]
-        found = self._find(index)
-        if found is None:
-            raise KeyError(self._unknown(index))
-        return found
+        parameter = self._find(index)
+        if parameter is None:
+            raise KeyError(self._describe_unknown(index))
+        return parameter
 
     def __contains__(self, item: object) -> bool:
         if isinstance(item, Parameter):
@@ -235,7 +237,7 @@ class Parameters(Sequence[Parameter]):
         label = key if isinstance(key, str) else _label(*key)
         return next((p for p in self._parameters if p.label == label), None)
 
-    def _unknown(self, key: Key) -> str:
+    def _describe_unknown(self, key: Key) -> str:
         """Message that names the nearest keys."""
         import difflib
 
@@ -422,7 +424,7 @@ class Result:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        known = sum(one.value is not None for one in self._parameters)
+        known = sum(p.value is not None for p in self._parameters)
         return f"<Result: {self.status}, {known} of {len(self._parameters)} parameters>"
 
     def __str__(self) -> str:
@@ -433,7 +435,7 @@ class Result:
                 for channel, fit in fits.items()
             )
             lines.append(f"fit (check) {experiment}: {listed}")
-        lines += [f"warning [{each.code}] {each.where}" for each in self.warnings]
+        lines += [f"warning [{w.code}] {w.where}" for w in self.warnings]
         reason = "" if self.reason is None else f": {self.reason}"
         return "\n".join([*lines, f"verdict: {self.status}{reason}"])
 
@@ -489,22 +491,22 @@ class Result:
         """
         run = self._needs_run("residuals")
         tuned = () if run.tuned is None else run.tuned.simulated
-        every = (*run.checks, *tuned, *run.fitted)
-        chosen = [each for each in every if each.experiment == experiment]
-        if not chosen:
-            names = list(dict.fromkeys(each.experiment for each in every))
+        predictions = (*run.checks, *tuned, *run.fitted)
+        selected = [prediction for prediction in predictions if prediction.experiment == experiment]
+        if not selected:
+            names = list(dict.fromkeys(prediction.experiment for prediction in predictions))
             raise InvalidInput(
                 f"no prediction of the experiment {experiment!r}",
                 remedy=f"choose from: {', '.join(names)}{nearest(experiment, names)}",
             )
-        time = np.unique(np.concatenate([each.time for each in chosen]))
+        time = np.unique(np.concatenate([prediction.time for prediction in selected]))
         columns: dict[str, FloatArray] = {}
-        for each in chosen:
-            rows = np.searchsorted(time, each.time)
-            for k, channel in enumerate(each.channels):
+        for prediction in selected:
+            rows = np.searchsorted(time, prediction.time)
+            for k, channel in enumerate(prediction.channels):
                 if channel not in columns:
                     columns[channel] = np.full(len(time), np.nan)
-                    columns[channel][rows] = each.measured[:, k] - each.predicted[:, k]
+                    columns[channel][rows] = prediction.measured[:, k] - prediction.predicted[:, k]
         return Residuals(experiment, time, tuple(columns), np.column_stack(list(columns.values())))
 
     def compare(
@@ -514,7 +516,7 @@ class Result:
         return compare([self, other], level)
 
     def export(self, path: Path | str, format: str | None = None) -> tuple[str, ...]:
-        """Write the arm for another program; returns notes on what the format leaves out.
+        """Write the arm for another program; returns notes on the parts that the format omits.
 
         The ending of `path` determines the format: .xml (MuJoCo), .urdf, .m and .mat (MATLAB), .h
         (C), .json; or `format` does, see docs/export.md.

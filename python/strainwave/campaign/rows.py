@@ -46,13 +46,13 @@ def record_of(
         "rejected": list(verdict.rejected),
         "validated_rigid": verdict.validated.rigid,
         "validated_elastic": verdict.validated.elastic,
-        "suspected": [each.code for each in verdict.suspected],
-        "warnings": [each.code for each in identification.warnings],
+        "suspected": [entry.code for entry in verdict.suspected],
+        "warnings": [entry.code for entry in identification.warnings],
         "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
     }
     row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED}
     keys = {"run": task_row["run"], "study": task_row["study"]}
-    parameters = [keys | _parameter(each, opened.truth) for each in identification.parameters]
+    parameters = [keys | _parameter_row(entry, opened.truth) for entry in identification.parameters]
     return Record(row, parameters, to_json(to_document(identification)))
 
 
@@ -82,21 +82,21 @@ def failure_of(
     )
 
 
-def _parameter(one: Parameter, truth: Mapping[tuple[str, int | None], float]) -> dict[str, Any]:
-    low, high = one.ci95 or (None, None)
-    true = truth.get((one.name, one.joint))
+def _parameter_row(p: Parameter, truth: Mapping[tuple[str, int | None], float]) -> dict[str, Any]:
+    low, high = p.ci95 or (None, None)
+    true = truth.get((p.name, p.joint))
     error = None
-    if true and one.value is not None:
-        error = 100.0 * (one.value - true) / abs(true)
+    if true and p.value is not None:
+        error = 100.0 * (p.value - true) / abs(true)
     return {
-        "name": one.name,
-        "joint": one.joint,
-        "value": one.value,
-        "std": one.std,
+        "name": p.name,
+        "joint": p.joint,
+        "value": p.value,
+        "std": p.std,
         "ci95_low": low,
         "ci95_high": high,
-        "unit": one.unit,
-        "stage": one.stage,
+        "unit": p.unit,
+        "stage": p.stage,
         "true_value": true,
         "error_percent": error,
     }

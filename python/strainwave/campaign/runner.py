@@ -34,11 +34,11 @@ class Stopping(Exception):  # noqa: N818
     """The campaign ends; the present run is not recorded."""
 
 
-class _Died(Exception):  # noqa: N818
+class _ProcessEnded(Exception):  # noqa: N818
     """The process ended without an answer."""
 
 
-class _Late(Exception):  # noqa: N818
+class _TimeLimitExceeded(Exception):  # noqa: N818
     """The process exceeded the time limit."""
 
 
@@ -69,11 +69,11 @@ class Runner:
             child = self._start_task(task, until)
             name = worker_name(child.pid)
             answer = self._line(child, until)
-        except _Late:
+        except _TimeLimitExceeded:
             self._end()
             message = f"took longer than {self._limits.time_s:g} s"
             code = HUNG
-        except _Died:
+        except _ProcessEnded:
             code, message = self._death()
         else:
             self._done += 1
@@ -111,7 +111,7 @@ class Runner:
                 child.stdin.flush()
             try:
                 self._line(child, until)
-            except _Died:
+            except _ProcessEnded:
                 if self._stopped:
                     raise
                 _, message = self._death()
@@ -155,10 +155,10 @@ class Runner:
                 [child.stdout], [], [], max(0.0, until - time.perf_counter())
             )
             if not ready:
-                raise _Late
+                raise _TimeLimitExceeded
             block = os.read(child.stdout.fileno(), 2**16)
             if not block:
-                raise _Died
+                raise _ProcessEnded
             self._buffer += block
         line, self._buffer = self._buffer.split(b"\n", 1)
         answer: dict[str, Any] = json.loads(line)
@@ -257,4 +257,4 @@ def _kill(child: subprocess.Popen[bytes]) -> None:
 
 def _path() -> str:
     """PYTHONPATH with which the worker imports the same modules as this process."""
-    return os.pathsep.join(each for each in sys.path if each)
+    return os.pathsep.join(folder for folder in sys.path if folder)

@@ -83,9 +83,9 @@ class Store:
         OSError if that fails; no part of it can be read then.
         """
         run = record.run
-        files = {f"runs/{run}.parquet": _file([record.row], RUNS)}
+        files = {f"runs/{run}.parquet": _table_bytes([record.row], RUNS)}
         if record.result is not None:
-            parameters = _file(record.parameters, PARAMETERS)
+            parameters = _table_bytes(record.parameters, PARAMETERS)
             files = {
                 f"results/{run}/result.json": record.result,
                 f"parameters/{run}.parquet": parameters,
@@ -102,14 +102,14 @@ class Store:
 
     def recorded(self, run: str) -> Recorded | None:
         """Status and start of a recorded run; None if it is not recorded."""
-        small = self._of_file(f"runs/{run}.parquet").get(run)
+        unmerged = self._of_file(f"runs/{run}.parquet").get(run)
         with self._mutex:
             rows = self._in_parts(run)
-            if small is None and not rows:
+            if unmerged is None and not rows:
                 self._read_parts()
                 rows = self._in_parts(run)
-        rows += [small] if small else []
-        return max(rows, key=lambda each: each.started, default=None)
+        rows += [unmerged] if unmerged else []
+        return max(rows, key=lambda row: row.started, default=None)
 
     def _in_parts(self, run: str) -> list[Recorded]:
         return [part[run] for part in self._parts.values() if run in part]
@@ -135,13 +135,13 @@ class Store:
 
         `columns` selects columns. Raises `InvalidInput` if a file is not a table of a store.
         """
-        wanted = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
+        read_columns = None if columns is None else list(dict.fromkeys([*columns, *_ORDER[kind]]))
         for _ in range(_MAX_TRIES):
             names = self.place.names(kind, ".parquet")
             if _parts_of(names) != _parts_of(self.place.names(kind, ".parquet")):
                 continue  # merged while the files were listed
             try:
-                table = self._all(names, kind, wanted)
+                table = self._all(names, kind, read_columns)
             except FileNotFoundError:  # merged after the files were listed
                 continue
             return table if columns is None else table.select(list(columns))
@@ -162,9 +162,9 @@ class Store:
         schema = _SCHEMAS[kind]
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
-        tables = [_as_schema(each, schema) for each in tables]
+        tables = [_cast_to_schema(each, schema) for each in tables]
         joined = pa.concat_tables([schema.empty_table(), *tables])
-        return _once(joined, kind)
+        return _drop_duplicates(joined, kind)
 
     def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         try:
@@ -218,8 +218,8 @@ class Store:
         if len(tables) < 2:
             return 0
         schema = _SCHEMAS[kind]
-        ordered = [_as_schema(tables[name], schema) for name in sorted(tables, key=_is_part)]
-        data = _bytes_of(_once(pa.concat_tables(ordered), kind))
+        ordered = [_cast_to_schema(tables[name], schema) for name in sorted(tables, key=_is_part)]
+        data = _to_parquet(_drop_duplicates(pa.concat_tables(ordered), kind))
         part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
         self.place.put(part, data)
         self.place.delete(name for name in tables if name != part)
@@ -237,7 +237,7 @@ def read_runs(store: Path | str) -> pa.Table:
 
     `store` is a folder or a URL. Raises `InvalidInput` if there is no store.
     """
-    return _existing(store).table("runs")
+    return _open_existing(store).table("runs")
 
 
 def read_parameters(store: Path | str) -> pa.Table:
@@ -245,13 +245,13 @@ def read_parameters(store: Path | str) -> pa.Table:
 
     `store` is a folder or a URL. Raises `InvalidInput` if there is no store.
     """
-    existing = _existing(store)
+    existing = _open_existing(store)
     parameters = existing.table("parameters")  # first: rows of runs are written after them
     runs = existing.table("runs", ["run"])["run"]
     return parameters.filter(pc.is_in(parameters["run"], value_set=runs.combine_chunks()))
 
 
-def _existing(where: Path | str) -> Store:
+def _open_existing(where: Path | str) -> Store:
     store = Store.at(where)
     if not store.place.names("runs", ".parquet"):
         raise InvalidInput(
@@ -270,11 +270,11 @@ def _parts_of(names: Sequence[str]) -> set[str]:
     return {name for name in names if _is_part(name)}
 
 
-def _file(rows: Sequence[Row], schema: pa.Schema) -> bytes:
-    return _bytes_of(pa.Table.from_pylist(list(rows), schema=schema))
+def _table_bytes(rows: Sequence[Row], schema: pa.Schema) -> bytes:
+    return _to_parquet(pa.Table.from_pylist(list(rows), schema=schema))
 
 
-def _bytes_of(table: pa.Table) -> bytes:
+def _to_parquet(table: pa.Table) -> bytes:
     out = io.BytesIO()
     large = table.num_rows > MERGE_AFTER
     pq.write_table(
@@ -287,7 +287,7 @@ def _bytes_of(table: pa.Table) -> bytes:
     return out.getvalue()
 
 
-def _as_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
+def _cast_to_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
     """The columns of the present schema; columns that earlier versions lack are null."""
     if table.schema.equals(schema):
         return table
@@ -300,7 +300,7 @@ def _as_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
     return pa.table(columns, schema=schema)
 
 
-def _once(table: pa.Table, kind: str) -> pa.Table:
+def _drop_duplicates(table: pa.Table, kind: str) -> pa.Table:
     """Each run once, the last one started; of parameters, the first in the table."""
     if table.num_rows == 0:
         return table

@@ -48,12 +48,14 @@ def find(arguments: Sequence[str]) -> Selection:
                 where=str(documents[0]),
                 remedy="give it alone, or list its studies with the others",
             )
-        return _of_document(documents[0])
-    return Selection(_studies(arguments))
+        return _read_campaign(documents[0])
+    return Selection(_collect_studies(arguments))
 
 
-def _studies(arguments: Sequence[str]) -> list[Case]:
-    cases = [StudyFile(name, _absolute(name)) for each in arguments for name in _named(each)]
+def _collect_studies(arguments: Sequence[str]) -> list[Case]:
+    cases = [
+        StudyFile(name, _absolute(name)) for each in arguments for name in _expand_argument(each)
+    ]
     return list({case.location: case for case in cases}.values())
 
 
@@ -61,14 +63,14 @@ def _absolute(name: str) -> str:
     return name if is_url(name) else str(Path(name).absolute())
 
 
-def _named(argument: str) -> list[str]:
+def _expand_argument(argument: str) -> list[str]:
     """Paths or URLs of the study files of one argument."""
     where = _Url(argument) if is_url(argument) else _Local(argument)
     if _GLOB & set(argument) and not where.exists():
         matches = where.matches()
         if not matches:
             raise InvalidInput("matches nothing", where=argument, remedy="check the pattern")
-        return [name for match in matches for name in _named(match)]
+        return [name for match in matches for name in _expand_argument(match)]
     if where.is_folder():
         names = where.search()
         if not names:
@@ -79,13 +81,13 @@ def _named(argument: str) -> list[str]:
             )
         return names
     if argument.endswith((".txt", ".csv")):
-        return _of_table(argument, where.read())
+        return _read_table(argument, where.read())
     if not where.exists():
         raise InvalidInput("does not exist", where=argument, remedy=where.hint())
     return [argument]
 
 
-def _of_table(table: str, data: bytes) -> list[str]:
+def _read_table(table: str, data: bytes) -> list[str]:
     """Paths in a table; relative ones refer to its folder."""
     text = decode(data, Path(table))
     if table.endswith(".csv"):
@@ -100,13 +102,13 @@ def _of_table(table: str, data: bytes) -> list[str]:
     else:
         paths = [line.strip() for line in text.splitlines()]
     folder = table.rsplit("/", 1)[0] if is_url(table) else str(Path(table).parent)
-    named = [path for path in paths if path and not path.startswith("#")]
-    if not named:
+    paths_in_table = [path for path in paths if path and not path.startswith("#")]
+    if not paths_in_table:
         raise InvalidInput("lists no studies", where=table, remedy="write one path per line")
-    return [_relative_to(folder, path) for path in named]
+    return [_resolve_path(folder, path) for path in paths_in_table]
 
 
-def _relative_to(folder: str, path: str) -> str:
+def _resolve_path(folder: str, path: str) -> str:
     if is_url(path) or Path(path).is_absolute():
         return path
     return f"{folder}/{path}" if is_url(folder) else str(Path(folder) / path)
@@ -189,26 +191,26 @@ def _is_campaign(path: Path) -> bool:
     return "arm" not in document and bool({"studies", "family"} & set(document))
 
 
-def _of_document(path: Path) -> Selection:
+def _read_campaign(path: Path) -> Selection:
     text = decode(read_bytes(path, "the campaign"), path)
     document = parsed_toml(text, path)
     check_keys(document, _KEYS, path)
     stages, options = document.get("stages"), document.get("options", {})
     if stages is not None and not _is_list_of_text(stages):
-        raise _wrong(path, "stages", 'a list of names, for example ["rigid"]')
+        raise _invalid_key(path, "stages", 'a list of names, for example ["rigid"]')
     if not isinstance(options, dict) or not all(isinstance(o, dict) for o in options.values()):
-        raise _wrong(path, "options", "one table per stage, as in a study file")
+        raise _invalid_key(path, "options", "one table per stage, as in a study file")
     return Selection(
-        _cases(document, path, text),
+        _collect_cases(document, path, text),
         stages=None if stages is None else tuple(stages),
         options=options,
     )
 
 
-def _cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
+def _collect_cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]:
     """Cases of `[studies]`, or the arms of `[family]`."""
     if "family" not in document:
-        return _listed(document.get("studies"), path)
+        return _list_studies(document.get("studies"), path)
     if "studies" in document or not isinstance(document["family"], dict):
         raise InvalidInput(
             "has both [family] and [studies], or [family] is not a table",
@@ -218,18 +220,18 @@ def _cases(document: Mapping[str, Any], path: Path, text: str) -> Sequence[Case]
     return arms_of(family_of(document["family"], path, text), path)
 
 
-def _listed(table: Any, path: Path) -> list[Case]:
+def _list_studies(table: Any, path: Path) -> list[Case]:
     """The cases of `[studies]`; relative paths refer to the folder of the campaign.toml."""
     if not isinstance(table, dict) or set(table) != {"paths"} or not table["paths"]:
-        raise _wrong(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
+        raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
     if not _is_list_of_text(table["paths"]):
-        raise _wrong(path, "studies.paths", "a list of paths, folders, globs or URLs")
-    return _studies([_relative_to(str(path.parent), each) for each in table["paths"]])
+        raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
+    return _collect_studies([_resolve_path(str(path.parent), each) for each in table["paths"]])
 
 
 def _is_list_of_text(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(each, str) for each in value)
 
 
-def _wrong(path: Path, key: str, wanted: str) -> InvalidInput:
+def _invalid_key(path: Path, key: str, wanted: str) -> InvalidInput:
     return InvalidInput(f"'{key}' is missing or invalid", where=str(path), remedy=f"give {wanted}")

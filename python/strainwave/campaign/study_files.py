@@ -45,8 +45,10 @@ class StudyFile:
         except OSError:
             return Hashes(None, hashlib.sha256().hexdigest())
         inputs = hashlib.sha256()
-        for name in _inputs(text):
-            inputs.update(f"{name}\0{_stamp(_relative(self.location, name))}\0".encode())
+        for name in _list_inputs(text):
+            inputs.update(
+                f"{name}\0{_fingerprint(_resolve_location(self.location, name))}\0".encode()
+            )
         return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
 
     @contextmanager
@@ -59,25 +61,25 @@ class StudyFile:
             yield Opened(Path(self.location))
             return
         with tempfile.TemporaryDirectory(prefix="strainwave-") as folder:
-            yield Opened(_fetched(self.location, Path(folder)))
+            yield Opened(_copy_study(self.location, Path(folder)))
 
 
-def _inputs(text: bytes) -> list[str]:
+def _list_inputs(text: bytes) -> list[str]:
     """Files that a study names, each once; none if it is not valid TOML."""
     try:
         document = tomllib.loads(text.decode("utf-8-sig"))
     except (ValueError, RecursionError):
         return []
     experiments = document.get("experiment")
-    named = [
+    files = [
         each.get("file")
         for each in (experiments if isinstance(experiments, list) else [])
         if isinstance(each, dict)
     ]
-    return list(dict.fromkeys(name for name in named if isinstance(name, str) and name))
+    return list(dict.fromkeys(name for name in files if isinstance(name, str) and name))
 
 
-def _relative(location: str, name: str) -> str:
+def _resolve_location(location: str, name: str) -> str:
     if is_url(location):
         return f"{location.rsplit('/', 1)[0]}/{name}"
     return str(Path(location).parent / name)
@@ -90,7 +92,7 @@ def _read(location: str) -> bytes:
     return bytes(system.cat_file(path))
 
 
-def _stamp(location: str) -> str:
+def _fingerprint(location: str) -> str:
     """A text that changes with the contents of an input; empty if it does not exist."""
     try:
         if is_url(location):
@@ -127,7 +129,7 @@ def _sha256(path: Path) -> str:
     return digest.hexdigest()
 
 
-def _fetched(url: str, folder: Path) -> Path:
+def _copy_study(url: str, folder: Path) -> Path:
     """Copy a study and its existing logs; the reader of the study reports missing ones."""
     try:
         text = _read(url)
@@ -137,14 +139,14 @@ def _fetched(url: str, folder: Path) -> Path:
         ) from error
     path = folder / url.rsplit("/", 1)[-1]
     path.write_bytes(text)
-    for name in _inputs(text):
+    for name in _list_inputs(text):
         if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
             raise InvalidInput(
                 f"the log {name!r} is not in the folder of the study",
                 where=url,
                 remedy="give a name relative to the folder of the study file",
             )
-        system, source = file_system(_relative(url, name))
+        system, source = file_system(_resolve_location(url, name))
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         if system.exists(source):

@@ -83,8 +83,8 @@ def excite_study_file(
     study = read_study(study_path, logs_exist=False, experiments_exist=False)
     values = read_parameters(parameters_path)
     limits = limits_of(study.arm, limit_angle, limit_velocity, limit_voltage, limit_torque)
-    chosen: Kind = "prbs" if kind == "prbs" else "multisine"
-    planned = design(study, values, limits, kind=chosen, seed=seed, progress=progress)
+    excitation_kind: Kind = "prbs" if kind == "prbs" else "multisine"
+    planned = design(study, values, limits, kind=excitation_kind, seed=seed, progress=progress)
     write(planned, folder)
     return planned
 
@@ -110,7 +110,7 @@ def design(
     arm = Arm.of(study.arm)
     arm.parameter_vector(values)  # raises InvalidInput if a parameter is missing
     bands = {j: band_of(arm, values, j) for j in range(1, arm.n_joints + 1)}
-    warnings = _without_servo(study, bands)
+    warnings = _check_servo(study, bands)
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
     failures: list[LimitBroken] = []
@@ -145,9 +145,9 @@ def design(
         _omission(error.where or "", f"{error.problem}; {error.remedy}") for error in failures
     )
     known = completed(values, arm)
-    warnings += tuple(c for record in records for c in _warnings(arm, known, record))
-    warnings += _slow_clocks(bands, records)
-    warnings += _torques_without_limit(arm, limits, records)
+    warnings += tuple(c for record in records for c in _record_warnings(arm, known, record))
+    warnings += _warn_slow_clocks(bands, records)
+    warnings += _warn_unlimited_torques(arm, limits, records)
     experiments = tuple(record.experiment for record in records)
     progress("predicting the intervals")
     precision = predicted_precision(study, values, records, seed=seed)
@@ -158,7 +158,7 @@ def _omission(where: str, reason: str) -> Diagnostic:
     return Diagnostic("limit-broken", where, f"not planned: {reason}")
 
 
-def _slow_clocks(
+def _warn_slow_clocks(
     bands: Mapping[int, Band | None], records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
     """Warnings of joints whose excitation the clock limits to less than the wanted band."""
@@ -172,7 +172,7 @@ def _slow_clocks(
     return tuple(warnings)
 
 
-def _torques_without_limit(
+def _warn_unlimited_torques(
     arm: Arm, limits: Limits, records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
     """Warnings of the largest gear torques for which no limit is given."""
@@ -190,7 +190,7 @@ def _torques_without_limit(
     return tuple(warnings)
 
 
-def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
+def _check_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
     """Warning that an arm without servo gets open-loop voltages only.
 
     Raises InvalidInput under gravity or if all gears are rigid.
@@ -216,7 +216,7 @@ def _without_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diag
     return (Diagnostic("no-servo", study.path.name, text),)
 
 
-def _warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
+def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """Warnings about one planned record."""
     name, motion = record.experiment.name, record.predicted
     warnings = []

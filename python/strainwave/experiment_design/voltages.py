@@ -100,7 +100,7 @@ def voltage_record(
     `seed` is that of a multisine's phases. Raises InvalidInput if a multisine would need a servo,
     and LimitBroken if no amplitude satisfies the limits.
     """
-    signal = _signal(arm, values, band, joint, kind, seed)
+    signal = _design_signal(arm, values, band, joint, kind, seed)
     free: tuple[Control, ...] = (FREE,) * arm.n_joints
     held: tuple[Control, ...] = (HELD,) * arm.n_joints
     controls: tuple[tuple[Control, ...], ...] = (free, held)
@@ -117,12 +117,12 @@ def voltage_record(
         )
     periods, reason = _SETTLING_PERIODS + _MIN_PERIODS, ""
     for _ in range(2):  # a free joint drifts further in more periods
-        results = [_largest(signal, periods, limits, control) for control in controls]
+        results = [_largest_amplitude(signal, periods, limits, control) for control in controls]
         feasible = [(a, c, m) for (a, m), c in zip(results, controls, strict=True) if m]
         if not feasible:
-            raise _too_strong(signal, periods, limits, controls[0])
+            raise _limit_error(signal, periods, limits, controls[0])
         amplitude, control, motion = max(feasible, key=lambda f: f[2].gear_torque[joint - 1])
-        needed, reason = _periods(signal, signal.drive(amplitude, periods, control), band)
+        needed, reason = _required_periods(signal, signal.drive(amplitude, periods, control), band)
         if needed + _SETTLING_PERIODS <= periods:
             break
         periods = needed + _SETTLING_PERIODS
@@ -134,7 +134,7 @@ def voltage_record(
         motor_angle=None,
         band_hz=_excited_band(signal),
         predicted=motion,
-        reasons=(_description(signal, band, amplitude, control), reason),
+        reasons=(_describe_excitation(signal, band, amplitude, control), reason),
     )
 
 
@@ -155,7 +155,7 @@ def sweep_records(
     original = full.experiment
     if original.prbs is None or original.joint is None:
         return (), ()
-    signal = _signal(arm, values, band, original.joint, "prbs", seed)
+    signal = _design_signal(arm, values, band, original.joint, "prbs", seed)
     planned, omissions = [], []
     for share in _SWEEP_SHARES:
         amplitude = float(f"{share * original.prbs.amplitude:.2g}")
@@ -164,7 +164,7 @@ def sweep_records(
         if motion.use_of(limits) > 1.0 + _ROUNDING:  # a free arm drifts even at low amplitudes
             omissions.append(f"at {amplitude:g} V {motion.broken(limits)}")
             continue
-        if not _moves(motion, original.joint):
+        if not _is_moving(motion, original.joint):
             omissions.append(f"at {amplitude:g} V the motor of joint {original.joint} sticks")
             continue
         name = f"sweep-j{original.joint}-{amplitude:g}V"
@@ -184,7 +184,7 @@ def sweep_records(
     return tuple(planned), tuple(omissions)
 
 
-def _too_strong(
+def _limit_error(
     signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
 ) -> LimitBroken:
     """Error with the limits that the smallest useful amplitude violates."""
@@ -193,7 +193,7 @@ def _too_strong(
     while True:
         drive = signal.drive(amplitude, periods, control)
         motion = predicted_motion(run(signal.arm, signal.values, drive, clock_of(signal.arm)))
-        if (_moves(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
+        if (_is_moving(motion, signal.joint) and motion.broken(limits)) or amplitude >= top:
             break
         amplitude = min(1.5 * amplitude, top)
     violation = motion.broken(limits) or "a servo would saturate"
@@ -205,7 +205,9 @@ def _too_strong(
     )
 
 
-def _signal(arm: Arm, values: Values, band: Band, joint: int, kind: Kind, seed: int) -> Signal:
+def _design_signal(
+    arm: Arm, values: Values, band: Band, joint: int, kind: Kind, seed: int
+) -> Signal:
     """PRBS with clock and order, or multisine with lines, for a band."""
     tick = clock_of(arm)
     divider = max(1, int(_HALF_POWER_RATIO / band.high_hz / tick)) if kind == "prbs" else 1
@@ -236,14 +238,14 @@ def _excited_band(signal: Signal) -> tuple[float, float]:
     return signal.lines[0] / signal.period, signal.lines[-1] / signal.period
 
 
-def _largest(
+def _largest_amplitude(
     signal: Signal, periods: int, limits: Limits, control: tuple[Control, ...]
 ) -> tuple[float, PredictedMotion | None]:
     """Largest amplitude within the limits, rounded down, and its predicted motion."""
     top = limits.voltage[signal.joint - 1]
     sample_time = clock_of(signal.arm)
 
-    def within(amplitude: float, count: int) -> PredictedMotion | None:
+    def predict_within_limits(amplitude: float, count: int) -> PredictedMotion | None:
         drive = signal.drive(amplitude, count, control)
         motion = predicted_motion(run(signal.arm, signal.values, drive, sample_time))
         is_free = "servo" not in control
@@ -254,7 +256,11 @@ def _largest(
 
     def motion_at(amplitude: float) -> PredictedMotion | None:
         # the first period alone often violates a limit
-        return within(amplitude, periods) if within(amplitude, _SETTLING_PERIODS) else None
+        return (
+            predict_within_limits(amplitude, periods)
+            if predict_within_limits(amplitude, _SETTLING_PERIODS)
+            else None
+        )
 
     motion = motion_at(top)
     if motion:
@@ -268,17 +274,17 @@ def _largest(
     while amplitude >= _MIN_AMPLITUDE_SHARE * top:
         motion = motion_at(amplitude)
         if motion:
-            return (amplitude, motion) if _moves(motion, signal.joint) else (0.0, None)
+            return (amplitude, motion) if _is_moving(motion, signal.joint) else (0.0, None)
         amplitude = float(f"{0.95 * amplitude:.2g}")
     return 0.0, None
 
 
-def _moves(motion: PredictedMotion, joint: int) -> bool:
+def _is_moving(motion: PredictedMotion, joint: int) -> bool:
     """Whether a joint overcomes its friction in a part of the record."""
     return float(motion.rest_share[joint - 1]) < _MAX_STICTION_SHARE
 
 
-def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
+def _required_periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     """Number of periods after settling that the sensor noise requires, and its reason.
 
     The amplitude of a line has the standard deviation sqrt(2 S/T) for a period T and noise of
@@ -291,18 +297,18 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     ratios = {}
     if description.encoder_counts:
         q = 2.0 * np.pi / description.encoder_counts
-        lines, size = _lines(signal, trajectory, "motor_velocity", tick, band)
+        lines, size = _spectral_lines(signal, trajectory, "motor_velocity", tick, band)
         density = 2.0 * tick * q * q / 12.0 * (2.0 * np.pi * lines) ** 2
         ratios["encoder rounding"] = np.sqrt(2.0 * density / signal.period) / size
     if description.accelerometer_distance:
-        lines, size = _lines(signal, trajectory, "accelerometer", tick, band)
+        lines, size = _spectral_lines(signal, trajectory, "accelerometer", tick, band)
         density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
         ratios["accelerometer noise"] = np.sqrt(2.0 * density / signal.period) / size
-    usual = (
+    default_reason = (
         f"{_SETTLING_PERIODS} period to settle and {_MIN_PERIODS} to separate noise from distortion"
     )
     if not ratios:
-        return _MIN_PERIODS, f"{usual}; the sensor noise is unknown"
+        return _MIN_PERIODS, f"{default_reason}; the sensor noise is unknown"
     sensor, worst = max(
         ((sensor, float(ratio.max())) for sensor, ratio in ratios.items()), key=lambda r: r[1]
     )
@@ -310,7 +316,7 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     periods = min(max(needed, _MIN_PERIODS), _MAX_PERIODS)
     level = f"{100.0 * worst / periods**0.5:.2g} % of the weakest line near the resonances"
     if needed <= _MIN_PERIODS:
-        return periods, f"{usual}; the {sensor} is then {level}"
+        return periods, f"{default_reason}; the {sensor} is then {level}"
     count = f"{periods}" if needed == periods else f"the maximum of {periods}"
     return (
         periods,
@@ -318,7 +324,7 @@ def _periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
     )
 
 
-def _lines(
+def _spectral_lines(
     signal: Signal, trajectory: Trajectory, name: Quantity, tick: float, band: Band
 ) -> tuple[FloatArray, FloatArray]:
     """Frequencies [Hz] around the resonances and the smoothed magnitudes of a signal there."""
@@ -334,7 +340,9 @@ def _lines(
     return frequency[in_band], np.maximum(smooth[in_band], 1e-300)
 
 
-def _description(signal: Signal, band: Band, amplitude: float, control: tuple[Control, ...]) -> str:
+def _describe_excitation(
+    signal: Signal, band: Band, amplitude: float, control: tuple[Control, ...]
+) -> str:
     """Text of the excitation and its reason."""
     low, high = _excited_band(signal)
     kind = f"order {signal.order}, clock {1e3 * signal.clock:g} ms"

@@ -100,7 +100,7 @@ def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
     if arm.study.arm.servo is not None:
         add(Part.SERVO, "servo", None)
     add(Part.UNCERTAINTY, "standard deviations and correlations", None)
-    return {part: _listed(names[part], joints[part]) for part in names}
+    return {part: _list_with_joints(names[part], joints[part]) for part in names}
 
 
 def _part_of(name: str, joint: Joint | None) -> Part | None:
@@ -114,7 +114,7 @@ def _part_of(name: str, joint: Joint | None) -> Part | None:
     return Part.SENSORS if is_sensor or name.startswith("accelerometer") else Part.EFFECTS
 
 
-def _listed(names: Iterable[str], joints: Iterable[int]) -> str:
+def _list_with_joints(names: Iterable[str], joints: Iterable[int]) -> str:
     numbers = sorted(set(joints))
     of = f" (joint {', '.join(map(str, numbers))})" if numbers else ""
     return ", ".join(dict.fromkeys(names)) + of

@@ -151,15 +151,15 @@ def arm_of(
     if study is None:
         study, warnings = _study_from_file(document, path, study_path)
     _check_joints(parameters, study, path)
-    kept, rejected = _without_rejected(parameters, document, path)
-    return IdentifiedArm(study, kept, str(path), warnings, rejected)
+    accepted, rejected = _drop_rejected(parameters, document, path)
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected)
 
 
 def _study_from_file(
     document: Mapping[str, Any], path: Path, study_path: Path | str | None
 ) -> tuple[Study, tuple[Diagnostic, ...]]:
     """The study file of a result, and a warning if the file has changed since."""
-    named, sha256 = _named_study(document, path)
+    named, sha256 = _study_reference(document, path)
     study_file = _find_study(path, named, sha256, study_path)
     study = read_study(study_file, logs_exist=False)
     if study.sha256 == sha256:
@@ -171,7 +171,7 @@ def _study_from_file(
     return study, (Diagnostic("study-changed", str(study_file), message),)
 
 
-def _without_rejected(
+def _drop_rejected(
     parameters: Sequence[Parameter], document: Mapping[str, Any], path: Path
 ) -> tuple[tuple[Parameter, ...], tuple[str, ...]]:
     """Parameters with rejected and impossible values set to None, and the labels of these."""
@@ -183,11 +183,11 @@ def _without_rejected(
         )
     impossible = [p.label for p in parameters if p.value and not is_physical(p.name, p.value)]
     rejected = tuple(dict.fromkeys([*labels, *impossible]))
-    kept = tuple(
+    accepted = tuple(
         replace(p, value=None, std=None, ci95=None) if p.label in rejected else p
         for p in parameters
     )
-    return kept, rejected
+    return accepted, rejected
 
 
 def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
@@ -206,7 +206,7 @@ def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
         labels.add(parameter.label)
 
 
-def _named_study(document: Mapping[str, Any], path: Path) -> tuple[str, str]:
+def _study_reference(document: Mapping[str, Any], path: Path) -> tuple[str, str]:
     entry = document.get("study")
     texts = [entry.get(key) for key in ("path", "sha256")] if isinstance(entry, dict) else []
     if not texts or not all(isinstance(text, str) for text in texts):

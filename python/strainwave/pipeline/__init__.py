@@ -104,7 +104,7 @@ def identify(
     """
     with one_blas_thread(), limited(threads):  # set once: the limit is shared by all threads
         run = Run(check_stages(stages), progress)
-        with run.timed("read", "reading the logs"):
+        with run.time_part("read", "reading the logs"):
             the_study = study if isinstance(study, Study) else read_study(study)
             if options is not None:
                 the_study = with_options(the_study, options)
@@ -180,12 +180,12 @@ def _explain_suspicion(
     suspicion: Suspicion,
 ) -> tuple[_ElasticResult, Consistency]:
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
-    before = run.copied()
+    before = run.copy_state()
     result = _fit_elastic(run, the_study, all_logs, model)
     if result.tuned is None or not tuning.has_likelier_effect(result.tuned, run.arm):
-        run.forget(before)
+        run.restore(before)
         return _ElasticResult(), Consistency((suspicion,))
-    text = f"{suspicion.message}; but the effect that is named explains all records better"
+    text = f"{suspicion.message}; the effect named in the warnings explains all records better"
     run.warnings.append(Diagnostic("torques-contradict", suspicion.where, text))
     if result.tuned.criticism is not None and result.tuned.criticism.causes:
         run.failures.append(text)  # until that effect is in the model
@@ -212,7 +212,7 @@ def _fit_elastic(
         return _fit_whole_arm(run, the_study, all_logs, model, starts)
 
     def record_models() -> tuple[RecordModel, ...]:
-        with run.clocked("decoupled"):
+        with run.measure_time("decoupled"):
             return stage.record_models()
 
     tuned, records = both(whole_arm, record_models)
@@ -223,7 +223,7 @@ def _check_logs(
     run: Run, the_study: Study, all_logs: Sequence[Log]
 ) -> tuple[tuple[Log, ...], Consistency]:
     """Mask defects of sensors and loggers, and check the consistency of the channels."""
-    with run.timed("consistency", "detecting defects, checking consistency"):
+    with run.time_part("consistency", "detecting defects, checking consistency"):
         usable, warnings = hygiene.without_defects(all_logs, run.arm)
         run.warnings.extend(warnings)
         return usable, consistency.check(usable, the_study)
@@ -243,7 +243,7 @@ def _fit_rigid(
     run: Run, the_study: Study, all_logs: Sequence[Log]
 ) -> tuple[RigidModel | None, tuple[Prediction, ...], tuple[Prediction, ...]]:
     """The rigid model with its predictions of the fitted records and of the check records."""
-    with run.timed("rigid", "rigid joints: least squares"):
+    with run.time_part("rigid", "rigid joints: least squares"):
         records = {use: _motor_signals(run, all_logs, use) for use in ("motion", "check")}
         try:
             model = rigid.fit(records["motion"], run.arm, the_study.options.rigid)
@@ -256,12 +256,12 @@ def _fit_rigid(
         run.warnings.extend(model.warnings)
     if model.status == "not-identifiable":
         return model, (), ()
-    with run.timed("checks", "predicting the check records"):
+    with run.time_part("checks", "predicting the check records"):
         predictions: dict[str, tuple[Prediction, ...]] = {}
         for (
             use,
             of_use,
-        ) in records.items():  # those of the fit first: they show what errors are usual
+        ) in records.items():  # fitted records first: they determine the expected errors
             fitted = predictions.get("motion", ())
             predicted = run_parallel(
                 [partial(_predict, run, model, each, fitted) for each in of_use]
@@ -303,11 +303,11 @@ def _fit_whole_arm(
     """Fit all parameters to all records; None, with a warning, if that is impossible."""
     activity = "fitting the whole arm to all records at once"
 
-    def count(evaluation: int, most: int) -> None:
-        text = f"{activity}: evaluation {evaluation} of at most {most}"
-        run.report("tuned", text, evaluation / most)
+    def count(evaluation: int, limit: int) -> None:
+        text = f"{activity}: evaluation {evaluation} of at most {limit}"
+        run.report("tuned", text, evaluation / limit)
 
-    with run.timed("tuned", activity):
+    with run.time_part("tuned", activity):
         try:
             options = the_study.options.tuning
             start = run.sensors
@@ -338,7 +338,7 @@ def _add_elastic_predictions(
     checks: tuple[Prediction, ...],
 ) -> tuple[Prediction, ...]:
     """Add simulations of the check records' motion to the predictions of their torques."""
-    with run.timed("checks", "simulating the check records"):
+    with run.time_part("checks", "simulating the check records"):
         simulated = [
             log
             for log in _logs_of_use(all_logs, "check")
@@ -359,7 +359,7 @@ def _motor_responses(
     joints: Sequence[JointModel],
 ) -> tuple[MotorResponse, ...]:
     """Responses of each motor at full amplitude, measured and simulated."""
-    with run.timed("checks", "comparing the motors' responses"):
+    with run.time_part("checks", "comparing the motors' responses"):
         used = [
             log
             for log in _logs_of_use(all_logs, "frequency")

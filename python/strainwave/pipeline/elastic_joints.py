@@ -66,7 +66,7 @@ def decoupled(
     if model is None and not is_uncoupled(run.arm):
         return JointStage()  # the rigid stage gives the reason
 
-    with run.timed("decoupled", "decoupling the joints"):
+    with run.time_part("decoupled", "decoupling the joints"):
         # a sensor of unknown mounting gets an approximate one until the whole-arm fit
         placed_logs, placed_arm = with_stand_ins(excited, run.arm, all_logs)
         sides, delays = links.both_sides(placed_logs, placed_arm, the_study.options.links)

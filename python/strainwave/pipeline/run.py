@@ -29,30 +29,30 @@ class Run:
     timing_s: dict[str, float] = field(default_factory=dict)
     fraction: float = 0.0  # completed part of the run, from 0 to 1
 
-    def copied(self) -> Run:
-        """A copy of the present state, for `forget`."""
-        state = copy(self)
-        for each in fields(self):
-            value = getattr(self, each.name)
+    def copy_state(self) -> Run:
+        """Copy the present state, for `restore`."""
+        duplicate = copy(self)
+        for member in fields(self):
+            value = getattr(self, member.name)
             if isinstance(value, list | dict):
-                setattr(state, each.name, value.copy())
-        return state
+                setattr(duplicate, member.name, value.copy())
+        return duplicate
 
-    def forget(self, since: Run) -> None:
+    def restore(self, state: Run) -> None:
         """Return to an earlier copy, but keep times and progress."""
-        for each in fields(self):
-            if each.name not in ("parts", "timing_s", "fraction"):
-                setattr(self, each.name, getattr(since, each.name))
+        for member in fields(self):
+            if member.name not in ("parts", "timing_s", "fraction"):
+                setattr(self, member.name, getattr(state, member.name))
 
     @contextmanager
-    def timed(self, part: str, activity: str) -> Iterator[None]:
+    def time_part(self, part: str, activity: str) -> Iterator[None]:
         """Report the start of a part and measure its time."""
         self.report(part, activity)
-        with self.clocked(part):
+        with self.measure_time(part):
             yield
 
     @contextmanager
-    def clocked(self, part: str) -> Iterator[None]:
+    def measure_time(self, part: str) -> Iterator[None]:
         """Measure the time of a part that runs in parallel to another part."""
         begin = time.perf_counter()
         yield

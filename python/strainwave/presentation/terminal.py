@@ -74,14 +74,14 @@ def print_summary(
         console.print(Text(f"warning [{code}]"), style="yellow")
         console.print(_warning_table(warnings))
     console.print()
-    for line, style in _verdict(identification.verdict):
+    for line, style in _verdict_lines(identification.verdict):
         console.print(Text(line), style=style)
     for name in ("report.html", "result.json", *(["figures"] if figures else [])):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     console.print(f"{sum(identification.timing_s.values()):.1f} s")
 
 
-def _verdict(verdict: Verdict) -> Iterator[tuple[str, str]]:
+def _verdict_lines(verdict: Verdict) -> Iterator[tuple[str, str]]:
     """Status, reasons and corrections, each with its style."""
     style = _STATUS_STYLES.get(verdict.status, _FAULT_STYLE)
     yield f"verdict: {verdict.status} (exit code {verdict.exit_code})", style
@@ -118,7 +118,7 @@ def _fit_table(identification: Identification) -> Table:
         for name, fits in identification.tuned.fit_percent.items():
             rows[name, "fitted"] = dict(fits)
     channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
-    table = _table("fit of record", "use", *channels)
+    table = _empty_table("fit of record", "use", *channels)
     for (experiment, use), fits in rows.items():
         cells = (_fit_cell(fits.get(name)) for name in channels)
         table.add_row(Text(experiment), use, *cells)
@@ -133,7 +133,7 @@ def _fit_cell(fit: float | None) -> str:
 
 def _resonance_table(identification: Identification) -> Table:
     """Resonances of the joints; if only motors were measured, those of the fitted arm."""
-    table = _table("resonances [Hz]", "of", "anti-resonance", "resonance")
+    table = _empty_table("resonances [Hz]", "of", "anti-resonance", "resonance")
     responses = identification.motor_responses
     by_motor = {joint.joint for joint in identification.joints if joint.method == "motor-response"}
     for joint in identification.joints:
@@ -155,7 +155,7 @@ def _resonance_table(identification: Identification) -> Table:
     return table
 
 
-def _table(first: str, second: str, *numbers: str) -> Table:
+def _empty_table(first: str, second: str, *numbers: str) -> Table:
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
     table.add_column(first)
     table.add_column(second)

@@ -123,7 +123,7 @@ def test_fits_of_check_records_are_a_table() -> None:
     motion = identification().study.experiments[:1]
     study = replace(identification().study, experiments=motion)
     assert "the study has no check record" in of(checks=(), study=study)
-    assert "hardly move in the check records" in of(checks=(prediction("a", float("nan")),))
+    assert "almost do not move in the check records" in of(checks=(prediction("a", float("nan")),))
 
 
 def test_check_records_without_a_model_are_not_called_missing() -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
 from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
-from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
+from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
 from strainwave.errors import InvalidInput
 
 _ALPHA: Key = ("alpha", None)
@@ -63,10 +63,10 @@ class PlanarTwoLink(Kind):
         """Beta and alpha from the joint models, gamma from the rigid model."""
         motor, link, rejected = dict(estimates.motor), estimates.link, Values()
         n2 = [joint.gear_ratio**2 for joint in arm.joints]
-        gamma, beta = estimates.needed("gamma"), link[2]
+        gamma, beta = estimates.require_rigid("gamma"), link[2]
         if not is_positive(beta):
             rejected[_BETA] = beta
-            beta = required("beta", estimates.needed("beta"))
+            beta = require_positive("beta", estimates.require_rigid("beta"))
         if not is_positive(motor[2]):
             rejected["motor_inertia", 2] = motor[2]
             known = estimates.rigid.get(("motor_inertia", 2))
@@ -75,7 +75,7 @@ class PlanarTwoLink(Kind):
         if not is_positive(motor[1]):
             rejected["motor_inertia", 1] = motor[1]
             total = rigid if rigid is not None and is_positive(rigid) else link[1]
-            motor[1] = MOTOR_SHARE * n2[0] * required("rigid_inertia of joint 1", total)
+            motor[1] = MOTOR_SHARE * n2[0] * require_positive("rigid_inertia of joint 1", total)
         alpha, bound = link[1] - beta - 2.0 * gamma, gamma**2 / beta
         if not np.isfinite(alpha) or alpha <= max(0.0, _MIN_ALPHA_FACTOR * bound):
             rejected[_ALPHA] = alpha

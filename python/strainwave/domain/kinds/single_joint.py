@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
 from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
-from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, required
+from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
 from strainwave.errors import InvalidInput
 
 _LINK: Key = ("link_inertia", 1)
@@ -46,8 +46,10 @@ class SingleJoint(Kind):
         n2, total = arm.joints[0].gear_ratio ** 2, estimates.rigid.get(("inertia", 1))
         if not is_positive(link):
             rejected[_LINK] = link
-            whole = total if is_positive(total) else required("inertia", motor) / MOTOR_SHARE
-            link = (1.0 - MOTOR_SHARE) * (whole or 0.0) / n2
+            total_inertia = (
+                total if is_positive(total) else require_positive("inertia", motor) / MOTOR_SHARE
+            )
+            link = (1.0 - MOTOR_SHARE) * (total_inertia or 0.0) / n2
         if not is_positive(motor):
             rejected[_MOTOR] = motor
             motor = MOTOR_SHARE / (1.0 - MOTOR_SHARE) * n2 * link

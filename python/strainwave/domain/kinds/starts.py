@@ -22,8 +22,8 @@ class StageInertias:
     link: Mapping[int, float]  # [kg m^2] by joint, from 1
     rigid: Mapping[Key, float | None]  # None: not identified
 
-    def needed(self, name: str) -> float:
-        """A whole-arm parameter of the rigid model that has no substitute.
+    def require_rigid(self, name: str) -> float:
+        """Return a parameter of the arm that only the rigid model provides.
 
         Raises NotIdentifiable if the motion records do not identify it.
         """
@@ -41,8 +41,8 @@ def is_positive(value: float | None) -> bool:
     return value is not None and bool(np.isfinite(value)) and value > 0.0
 
 
-def required(name: str, value: float) -> float:
-    """The value itself. Raises NotIdentifiable unless it is positive."""
+def require_positive(name: str, value: float) -> float:
+    """Return the value. Raises NotIdentifiable unless it is positive."""
     if not is_positive(value):
         raise NotIdentifiable(
             f"the whole-arm fit has no starting values: the earlier steps estimate {name} ="

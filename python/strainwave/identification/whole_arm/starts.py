@@ -57,7 +57,7 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
     if arm.gravity is not None:
         for i in range(1, arm.n_joints + 1):
-            start[f"gravity_torque_{i}", None] = estimates.needed(f"gravity_torque_{i}")
+            start[f"gravity_torque_{i}", None] = estimates.require_rigid(f"gravity_torque_{i}")
     for number in sorted(models):
         values = models[number].values
         stiffness, damping = values["gear_stiffness"], values["gear_damping"]

@@ -105,9 +105,9 @@ def bode(
     ]
     marks = (panels.magnitude, panels.phase, panels.coherence)
     stack = tuple(
-        Panel(axis, tuple(each), height)
-        for axis, each, height in zip(axes, marks, _PANEL_HEIGHTS, strict=True)
-        if each
+        Panel(axis, tuple(panel_marks), height)
+        for axis, panel_marks, height in zip(axes, marks, _PANEL_HEIGHTS, strict=True)
+        if panel_marks
     )
     return Figure(Axis("frequency [Hz]", log=True), stack, tuple(_uprights(joint)))
 
@@ -138,12 +138,12 @@ def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high
     std = relative_std(measured)
     if std is not None and reliable.any():
         _add_band(panels, f[reliable], G[reliable], std[rows][reliable], "measured", MEASURED)
-    for name, colour, chosen in kinds:
-        if chosen.any():
-            modulus, phase = decibel(np.abs(G[chosen])), np.rad2deg(np.angle(G[chosen]))
+    for name, colour, is_shown in kinds:
+        if is_shown.any():
+            modulus, phase = decibel(np.abs(G[is_shown])), np.rad2deg(np.angle(G[is_shown]))
             style = (name, colour, _POINT_SIZE, _POINT_OPACITY)
-            panels.magnitude.append(Markers(f[chosen], modulus, *style))
-            panels.phase.append(Markers(f[chosen], phase, *style))
+            panels.magnitude.append(Markers(f[is_shown], modulus, *style))
+            panels.phase.append(Markers(f[is_shown], phase, *style))
     if measured.coherence is not None:
         coherence, name = measured.coherence[rows, 0], "coherence"
         panels.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED, name))

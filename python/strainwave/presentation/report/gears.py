@@ -76,12 +76,12 @@ def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
         loads = next((h for h in (tuned.gear_loads if tuned else ()) if h.joint == number), None)
         curve = None
         if tuned is not None:
-            curve = _curve(number, joint.law, tuned.parameters, tuned.covariance, loads)
+            curve = _stiffness_curve(number, joint.law, tuned.parameters, tuned.covariance, loads)
         for model in identification.joints:
             if curve is None and model.joint == number:
                 size = len(model.parameters)
                 covariance = model.covariance[:size, :size]
-                curve = _curve(number, joint.law, model.parameters, covariance, loads)
+                curve = _stiffness_curve(number, joint.law, model.parameters, covariance, loads)
         if curve is not None:
             is_equivalent = joint.law.is_curved and not curve.is_nonlinear
             is_prismatic = joint.motion == "prismatic"
@@ -91,7 +91,7 @@ def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
 
 def stiffness_figure(curve: StiffnessCurve) -> Figure:
     """Stiffness over torque with its 95 % band and knees; below, a histogram of the torques."""
-    torque, torsion = _segments(curve)
+    torque, torsion = _sample_segments(curve)
     stiffness = curve.law.stiffness(curve.values, torsion)
     half = CI95_STDS * _std(curve, curve.law.stiffness_jacobian(curve.values, torsion))
     top = 1.1 * float((stiffness + half).max())
@@ -108,7 +108,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
     if curve.loads is not None:
         # logarithmic: the few samples at large torques determine the last stiffness
         axis = Axis("samples [%]", log=True)
-        panels.append(Panel(axis, (_bars(curve.loads),), height=0.9))
+        panels.append(Panel(axis, (_load_bars(curve.loads),), height=0.9))
     knees = (Upright(x, f"{x:.3g} {curve.torque_unit}", height=0.25) for x in curve.knees.tolist())
     axis = Axis(f"absolute gear torque at the link [{curve.torque_unit}]")
     return Figure(axis, tuple(panels), tuple(knees))
@@ -117,7 +117,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
 def torsion_figure(curve: StiffnessCurve) -> Figure:
     """Torque over torsion with its 95 % band; markers show the knees on the curve."""
     law, values = curve.law, curve.values
-    torque, torsion = _segments(curve)
+    torque, torsion = _sample_segments(curve)
     half = CI95_STDS * _std(curve, law.jacobian(values, torsion))
     x, scale = 1e3 * torsion, 1e3
     initial = law.stiffness(values, torsion[:1]) * torsion
@@ -154,7 +154,7 @@ def describe(curve: StiffnessCurve) -> str:
     return text
 
 
-def _curve(
+def _stiffness_curve(
     number: int,
     law: GearLaw,
     parameters: Sequence[Parameter],
@@ -167,7 +167,7 @@ def _curve(
     }
     names = law.drawn(index)
     if not names and law.simpler is not None:
-        return _curve(number, gear_law(law.simpler), parameters, covariance, loads)
+        return _stiffness_curve(number, gear_law(law.simpler), parameters, covariance, loads)
     if not names:
         return None
     order = [index[name] for name in names]
@@ -179,7 +179,7 @@ def _curve(
     return StiffnessCurve(number, law, values, covariance_of_curve, largest or 1.0, loads)
 
 
-def _segments(curve: StiffnessCurve) -> tuple[FloatArray, FloatArray]:
+def _sample_segments(curve: StiffnessCurve) -> tuple[FloatArray, FloatArray]:
     """Torques between the knees within the drawn range, and their torsions: (n,).
 
     A straight segment has its end points only, so that each knee is a vertex of the line.
@@ -203,7 +203,7 @@ def _std(curve: StiffnessCurve, J: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.clip(variance, 0.0, None)))
 
 
-def _bars(loads: TorqueHistogram) -> Bars:
+def _load_bars(loads: TorqueHistogram) -> Bars:
     """Share of the samples in each bin [%]."""
     centres = 0.5 * (loads.edges[1:] + loads.edges[:-1])
     width = float(np.diff(loads.edges)[0])

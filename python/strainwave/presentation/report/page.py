@@ -61,7 +61,7 @@ _MIN_LINE_POINTS = 300  # of one line
 
 def render(identification: Identification) -> str:
     """The report as one HTML page that needs no network."""
-    return document(_name(identification), _subtitle(identification), _sections(identification))
+    return document(_rig_name(identification), _subtitle(identification), _sections(identification))
 
 
 def figures_of(identification: Identification) -> dict[str, Figure]:
@@ -73,22 +73,22 @@ def _sections(result: Identification) -> list[Section]:
     parts = (
         ("verdict", "Verdict", (verdict(result),)),
         ("rig", "Rig constants", rig_constants(result.study.arm)),
-        ("parameters", "Parameters", _parameters(result)),
-        ("responses", "Frequency responses", _responses(result)),
-        ("poles", "Poles and zeros", _poles(result)),
-        ("gears", "Gear stiffness", _gears(result)),
-        ("predictions", "Predicted and measured", _predictions(result)),
-        ("residuals", "Residual analysis", _residuals(result)),
-        ("interaction", "Interaction torques", _interaction(result)),
-        ("correlations", "Parameter correlations", _correlations(result)),
-        ("recordings", "Recorded data", _recordings(result)),
+        ("parameters", "Parameters", _parameter_blocks(result)),
+        ("responses", "Frequency responses", _response_blocks(result)),
+        ("poles", "Poles and zeros", _pole_blocks(result)),
+        ("gears", "Gear stiffness", _gear_blocks(result)),
+        ("predictions", "Predicted and measured", _prediction_blocks(result)),
+        ("residuals", "Residual analysis", _residual_blocks(result)),
+        ("interaction", "Interaction torques", _interaction_blocks(result)),
+        ("correlations", "Parameter correlations", _correlation_blocks(result)),
+        ("recordings", "Recorded data", _recording_blocks(result)),
         ("warnings", "Warnings", warnings_table(result.warnings)),
-        ("making", "Provenance", _provenance(result)),
+        ("making", "Provenance", _provenance_blocks(result)),
     )
     return [Section(key, title, tuple(blocks)) for key, title, blocks in parts]
 
 
-def _parameters(result: Identification) -> Iterator[Block]:
+def _parameter_blocks(result: Identification) -> Iterator[Block]:
     """The table, the benefit of further link sensors, and the descriptions."""
     yield from parameter_table(result.decisions)
     for clause in gain_sentences(result):
@@ -98,7 +98,7 @@ def _parameters(result: Identification) -> Iterator[Block]:
         yield Fold("Descriptions of the parameters", descriptions)
 
 
-def _name(result: Identification) -> str:
+def _rig_name(result: Identification) -> str:
     path = result.study.path
     return path.resolve().parent.name or path.name
 
@@ -110,22 +110,22 @@ def _subtitle(result: Identification) -> str:
     return f"{kind}, gear springs: {springs}; stages: {', '.join(result.stages)}"
 
 
-def _responses(result: Identification) -> Iterator[Block]:
+def _response_blocks(result: Identification) -> Iterator[Block]:
     """Bode plots of every joint, resonances, responses of the motors, and amplitude sweeps."""
     for joint in result.joints:
-        yield _bode(result, joint)
+        yield _bode_plot(result, joint)
     heads = ("joint", "records", "anti-resonance [Hz]", "damping", "resonance [Hz]", "damping")
     rows = elastic.resonance_rows(result)
     yield from table("Resonances and anti-resonances", (*heads, "stiffness [N m/rad]"), rows)
     for sweep in result.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {amplitudes.trend_title(sweep)}"
-        figure, words = amplitudes.stiffness_figure(sweep), amplitudes.describe_trend(sweep)
-        yield Plot(f"amplitude joint {sweep.joint}", label, figure, words)
+        figure, caption = amplitudes.stiffness_figure(sweep), amplitudes.describe_trend(sweep)
+        yield Plot(f"amplitude joint {sweep.joint}", label, figure, caption)
     for joint_number, records in amplitudes.swept_records(result).items():
         label = f"Joint {joint_number}, response by amplitude: motor torque to motor velocity"
         figure = amplitudes.response_figure(records)
-        words = "Joint model of each record, within the band of its fit."
-        yield Plot(f"sweep joint {joint_number}", label, figure, words)
+        caption = "Joint model of each record, within the band of its fit."
+        yield Plot(f"sweep joint {joint_number}", label, figure, caption)
     plots = tuple(_motor_plots(result))
     if plots:
         yield Fold(f"Responses of the motors in the complete arm ({len(plots)})", plots)
@@ -140,7 +140,7 @@ def _motor_plots(result: Identification) -> Iterator[Plot]:
         yield Plot(f"motor {response.experiment}", label, figure, motors.describe(response))
 
 
-def _bode(result: Identification, joint: JointModel) -> Plot:
+def _bode_plot(result: Identification, joint: JointModel) -> Plot:
     description = result.study.arm.joints[joint.joint - 1]
     measured = result.responses.get(joint.joint)
     figure = bode.bode(
@@ -159,7 +159,7 @@ def _bode(result: Identification, joint: JointModel) -> Plot:
     return Plot(f"bode joint {joint.joint}", label, figure, bode.describe(joint, measured))
 
 
-def _poles(result: Identification) -> Iterator[Block]:
+def _pole_blocks(result: Identification) -> Iterator[Block]:
     for joint in result.joints:
         ratio = result.study.arm.joints[joint.joint - 1].gear_ratio
         modes = {
@@ -169,10 +169,10 @@ def _poles(result: Identification) -> Iterator[Block]:
         }
         figure = pole_zero_map(joint, ratio, modes, tuned=_tuned_joint(result, joint))
         label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
-        words = (
+        caption = (
             "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
         )
-        yield Plot(f"poles joint {joint.joint}", label, figure, words)
+        yield Plot(f"poles joint {joint.joint}", label, figure, caption)
 
 
 def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordModel]:
@@ -212,7 +212,7 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
     return bode.TunedJoint(vector, tuned.covariance[np.ix_(order, order)])
 
 
-def _predictions(result: Identification) -> Iterator[Block]:
+def _prediction_blocks(result: Identification) -> Iterator[Block]:
     """Check records first, then fitted records, folded."""
     tuned = result.tuned
     fitted = [("tuning", p) for p in (tuned.simulated if tuned else ())]
@@ -220,12 +220,12 @@ def _predictions(result: Identification) -> Iterator[Block]:
     channels = sum(len(p.channels) for p in (*result.checks, *(p for _, p in fitted)))
     limit = _line_points(_MAX_PREDICTION_POINTS, 3 * channels)
     for prediction in result.checks:
-        yield _prediction(result, prediction, ("check", "check record"), limit)
+        yield _prediction_plot(result, prediction, ("check", "check record"), limit)
     if fitted:
-        plots = [_prediction(result, p, (kind, "fitted record"), limit) for kind, p in fitted]
+        plots = [_prediction_plot(result, p, (kind, "fitted record"), limit) for kind, p in fitted]
         yield Fold(f"Fitted records ({len(plots)})", tuple(plots))
     if tuned is not None:
-        yield from _fits(tuned)
+        yield from _fit_blocks(tuned)
 
 
 def _line_points(total: int, lines: int) -> int:
@@ -233,12 +233,12 @@ def _line_points(total: int, lines: int) -> int:
     return min(MAX_POINTS, max(_MIN_LINE_POINTS, total // max(lines, 1)))
 
 
-def _prediction(
+def _prediction_plot(
     result: Identification, prediction: Prediction, names: tuple[str, str], limit: int
 ) -> Plot:
     """One record over time, with its fits."""
     kind, use = names
-    fits = [f"{name} {_fit(fit)}" for name, fit in prediction.fit_percent.items()]
+    fits = [f"{name} {_format_fit(fit)}" for name, fit in prediction.fit_percent.items()]
     model = "drive by the rigid model" if prediction.of_drive else "motion by the elastic model"
     return Plot(
         f"{kind} {prediction.experiment}",
@@ -248,25 +248,25 @@ def _prediction(
     )
 
 
-def _fit(fit: float) -> str:
+def _format_fit(fit: float) -> str:
     return percent(fit) if math.isfinite(fit) else "no fit (standstill)"
 
 
-def _change(before: float, after: float | None) -> Cell:
+def _fit_change_cell(before: float, after: float | None) -> Cell:
     if after is None:
         return number("")
     if not math.isfinite(before) or not math.isfinite(after):
-        return number(_fit(after))
+        return number(_format_fit(after))
     return number(f"{percent(before)} → {percent(after)}")
 
 
-def _fits(tuned: ArmModel) -> Iterator[Block]:
+def _fit_blocks(tuned: ArmModel) -> Iterator[Block]:
     """Fits of each record before and after the whole-arm fit."""
     channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
     rows: list[Row] = []
     for experiment, fits in tuned.fit_percent.items():
         before = tuned.initial_fit_percent.get(experiment, {})
-        cells = [_change(before.get(name, math.nan), fits.get(name)) for name in channels]
+        cells = [_fit_change_cell(before.get(name, math.nan), fits.get(name)) for name in channels]
         rows.append((experiment, *cells))
     title = (
         f"Fits before → after the whole-arm fit ({tuned.status}, {tuned.iterations} evaluations)"
@@ -274,12 +274,12 @@ def _fits(tuned: ArmModel) -> Iterator[Block]:
     yield from table(title, ("record", *map(number, channels)), rows)
 
 
-def _interaction(result: Identification) -> Iterator[Block]:
+def _interaction_blocks(result: Identification) -> Iterator[Block]:
     for record in torques.interaction_records(result):
         where = f"Joint {record.joint}, {record.experiment.name}"
-        name, words = f"interaction joint {record.joint}", torques.describe(record)
+        name, caption = f"interaction joint {record.joint}", torques.describe(record)
         figure = torques.time_figure(record)
-        yield Plot(f"{name} time", f"{where}: torques over time", figure, words)
+        yield Plot(f"{name} time", f"{where}: torques over time", figure, caption)
         yield Plot(f"{name} spectrum", f"{where}: spectra", torques.spectrum_figure(record))
     heads = ("joint", "record", "source", "bias [rad/s²]", "error of (10) [rad/s]")
     delays = ("link sensor delay [ms]", "motor response delay [ms]")
@@ -290,7 +290,7 @@ def _interaction(result: Identification) -> Iterator[Block]:
         yield Fold(f"{label} ({len(rows)} rows)", links)
 
 
-def _gears(result: Identification) -> Iterator[Block]:
+def _gear_blocks(result: Identification) -> Iterator[Block]:
     for curve in gears.stiffness_curves(result):
         label = f"Gear {curve.joint}: stiffness over torque, and torques in the records"
         name = f"gear joint {curve.joint}"
@@ -301,7 +301,7 @@ def _gears(result: Identification) -> Iterator[Block]:
             yield Plot(f"{name} torsion", label, gears.torsion_figure(curve))
 
 
-def _residuals(result: Identification) -> Iterator[Block]:
+def _residual_blocks(result: Identification) -> Iterator[Block]:
     criticism = result.tuned.criticism if result.tuned else None
     if criticism is not None:
         yield from residual_tests(criticism)
@@ -312,19 +312,19 @@ def _residuals(result: Identification) -> Iterator[Block]:
     yield from table(title, heads, elastic.validation_rows(result))
 
 
-def _correlations(result: Identification) -> Iterator[Block]:
+def _correlation_blocks(result: Identification) -> Iterator[Block]:
     errors = correlations.correlations(result)
     if errors is not None:
-        label, words = "Correlations of the parameter errors", correlations.describe(errors)
-        yield Plot("correlations", label, correlations.heat_map(errors), words)
+        label, caption = "Correlations of the parameter errors", correlations.describe(errors)
+        yield Plot("correlations", label, correlations.heat_map(errors), caption)
 
 
-def _recordings(result: Identification) -> Iterator[Block]:
+def _recording_blocks(result: Identification) -> Iterator[Block]:
     lines = sum(len(log.channels) for log in result.logs)
     return recordings(result, _line_points(_MAX_RECORDING_POINTS, lines))
 
 
-def _provenance(result: Identification) -> Iterator[Block]:
+def _provenance_blocks(result: Identification) -> Iterator[Block]:
     study = result.study
     timing = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in result.timing_s.items())
     options = changed_options(study.options)

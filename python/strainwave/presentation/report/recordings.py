@@ -42,10 +42,12 @@ def recordings(identification: Identification, limit: int) -> Iterator[Block]:
     for log in identification.logs:
         title = "Check records" if log.experiment.use == "check" else "Fitted records"
         duration = float(log.time[-1] - log.time[0]) if len(log) else 0.0
-        words = f"{len(log)} samples, {duration:.4g} s, sample time {1e3 * log.sample_time:.4g} ms."
+        caption = (
+            f"{len(log)} samples, {duration:.4g} s, sample time {1e3 * log.sample_time:.4g} ms."
+        )
         label = f"{log.name}: {log.experiment.use} record"
         figure = recording_figure(log, joints, limit)
-        logs[title].append(Plot(f"record {log.name}", label, figure, words))
+        logs[title].append(Plot(f"record {log.name}", label, figure, caption))
     for title, plots in logs.items():
         if identification.decisions and plots:
             yield Fold(f"{title} ({len(plots)})", tuple(plots))
@@ -60,18 +62,18 @@ def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
     logged is the mean slope of the encoder angle between the points drawn.
     """
     panels: dict[str, list[tuple[str, str, FloatArray, FloatArray]]] = {}
-    for name, time, values in _series(log, limit):
+    for name, time, values in _line_samples(log, limit):
         kind = name.rstrip("0123456789")
         unit = unit_of("omega_m" + name[len(kind) :] if kind == "ref" else name, joints)
         title = _TITLES["omega_m" if kind == "ref" else kind]
         panels.setdefault(f"{title} [{unit}]", []).append((name, kind, time, values))
     order = list(dict.fromkeys(_TITLES.values()))
     titles = sorted(panels, key=lambda title: order.index(title.rsplit(" [", 1)[0]))
-    stack = tuple(Panel(Axis(title), tuple(_lines(panels[title])), 0.8) for title in titles)
+    stack = tuple(Panel(Axis(title), tuple(_panel_lines(panels[title])), 0.8) for title in titles)
     return Figure(Axis("time [s]"), stack)
 
 
-def _series(log: Log, limit: int) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+def _line_samples(log: Log, limit: int) -> Iterator[tuple[str, FloatArray, FloatArray]]:
     """Name, times and values of each line."""
     channels: Mapping[str, FloatArray] = log.channels
     for name, values in channels.items():
@@ -92,9 +94,9 @@ def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatA
     return 0.5 * (t[1:] + t[:-1]), np.diff(angle[rows]) / np.diff(t)
 
 
-def _lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> Iterator[Line]:
+def _panel_lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> Iterator[Line]:
     """Coloured by joint, axes of an IMU by dash; references are grey and lie below the others."""
-    for name, kind, time, values in sorted(series, key=lambda one: one[1] != "ref"):
+    for name, kind, time, values in sorted(series, key=lambda line: line[1] != "ref"):
         number = int(name[len(kind) :] or 1)
         if kind == "ref":
             dash = DASHES[1 + (number - 1) % 3]

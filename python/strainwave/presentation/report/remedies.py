@@ -15,7 +15,7 @@ PAGE = "docs/troubleshooting.md"
 
 
 class Advice(NamedTuple):
-    """What a warning means for the result, and what to do."""
+    """Meaning of a warning for the result, and remedy."""
 
     meaning: str
     remedy: str
@@ -32,7 +32,7 @@ _RESULT = {
         " drive, friction law.",
     ),
     "implausible-size": Advice(
-        "A unit in the study is wrong; torques or angles of that joint are off by one factor.",
+        "A unit in the study is wrong; its torques or angles are wrong by one factor.",
         "Give torque_per_volt in N m/V, angles in rad and gear_ratio as link turns per motor turn.",
     ),
     "not-predicted": Advice(
@@ -103,7 +103,7 @@ _RESULT = {
         "Read the score tests, then check torque_per_volt, distances and bandwidths in the study.",
     ),
     "no-rigid-model": Advice(
-        "Friction and inertia rest on the PRBS records alone.",
+        "Friction and inertia are estimated from the PRBS records only.",
         'Record a slow, smooth motion over the whole workspace with use = "motion".',
     ),
 }
@@ -304,17 +304,17 @@ def advice() -> Mapping[str, Advice]:
 
 def remedies() -> Mapping[str, str]:
     """Remedy by code, the most serious first."""
-    return {code: one.remedy for code, one in advice().items()}
+    return {code: entry.remedy for code, entry in advice().items()}
 
 
 def most_serious(warnings: Iterable[Diagnostic]) -> Diagnostic:
     """The first of the most serious warnings; there must be at least one."""
-    return min(warnings, key=_severity)
+    return min(warnings, key=_severity_rank)
 
 
 def by_severity(warnings: Iterable[Diagnostic]) -> list[Diagnostic]:
     """The most serious first; of equal severity in their order."""
-    return sorted(warnings, key=_severity)
+    return sorted(warnings, key=_severity_rank)
 
 
 def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
@@ -350,6 +350,6 @@ def place_of(warning: Diagnostic) -> str:
     return PurePath(warning.where).name
 
 
-def _severity(warning: Diagnostic) -> int:
+def _severity_rank(warning: Diagnostic) -> int:
     order = list(advice())
     return order.index(warning.code) if warning.code in order else -1

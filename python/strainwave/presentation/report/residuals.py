@@ -79,13 +79,15 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
     heads: Row = ("effect", "joint", "its parameters", share, "changes other parameters by")
     title = "Effects that likely act but are missing in the model, each fitted"
     yield from table(title, heads, map(_cause_row, criticism.causes))
-    yield from map(_effect_words, dict.fromkeys(cause.effect for cause in criticism.causes))
+    yield from map(_describe_effect, dict.fromkeys(cause.effect for cause in criticism.causes))
     yield from _score_table(criticism.score_tests)
     for test in worst:
         label = f"{test.experiment}, {test.channel}: residual spectrum"
-        words = f"The residuals are {_noise_ratio(test):.2g} times the sensor noise; the excess is"
-        words += f" largest near {test.worst_hz:.3g} Hz."
-        yield Plot(f"residuals {test.channel}", label, spectrum(test), words)
+        caption = (
+            f"The residuals are {_noise_ratio(test):.2g} times the sensor noise; the excess is"
+        )
+        caption += f" largest near {test.worst_hz:.3g} Hz."
+        yield Plot(f"residuals {test.channel}", label, spectrum(test), caption)
 
 
 def residual_correlations(identification: Identification) -> Iterator[Block]:
@@ -136,7 +138,7 @@ def _residual_row(test: ResidualTest) -> Row:
     numbers = (
         two_digits(_noise_ratio(test)),
         f"{test.worst_hz:.3g} Hz",
-        _probability(test.whiteness),
+        _format_probability(test.whiteness),
     )
     return (test.experiment, test.channel, *map(number, numbers), input_text)
 
@@ -145,7 +147,7 @@ def _noise_ratio(test: ResidualTest) -> float:
     return test.deviation / test.noise if test.noise > 0.0 else 0.0
 
 
-def _probability(p: float) -> str:
+def _format_probability(p: float) -> str:
     return f"p = {p:.2g}" if p >= MIN_PROBABILITY else f"p < {MIN_PROBABILITY:g}"
 
 
@@ -180,20 +182,20 @@ def _score_row(test: ScoreTest) -> Row:
         test.effect,
         str(test.joint),
         *map(number, numbers),
-        _verdict(test),
-        prose(_listed(sizes)),
+        _test_verdict(test),
+        prose(_list_sizes(sizes)),
     )
 
 
-def _verdict(test: ScoreTest) -> str:
-    """What the number says: the verdict never contradicts the column before it."""
+def _test_verdict(test: ScoreTest) -> str:
+    """Verdict of a score test; it follows from the printed number and its limit."""
     if test.evident:
         return "likely"
     return "negligible" if test.gain > test.limit else "not significant"
 
 
-def _listed(parts: Sequence[str]) -> str:
-    """The first parts: some effects have a size for each record."""
+def _list_sizes(parts: Sequence[str]) -> str:
+    """List the first sizes; some effects have a size for each record."""
     more = len(parts) - _LISTED_SIZES
     return ", ".join(parts[:_LISTED_SIZES]) + (f" and {more} more" if more > 0 else "")
 
@@ -205,25 +207,25 @@ def _cause_row(cause: Cause) -> Row:
         for p in cause.parameters
         if p.value is not None and p.std is not None
     ]
-    shifts = ", ".join(map(_shift, cause.shifts[:_LISTED_SHIFTS]))
+    shifts = ", ".join(map(_describe_shift, cause.shifts[:_LISTED_SHIFTS]))
     share = number(f"{two_digits(100.0 * cause.share)} %")
     return (
         cause.effect,
         str(cause.joint),
-        _listed(sizes) or "not identified",
+        _list_sizes(sizes) or "not identified",
         share,
         prose(shifts),
     )
 
 
-def _shift(shift: ParameterShift) -> str:
+def _describe_shift(shift: ParameterShift) -> str:
     name = shift.name if shift.joint is None else f"{shift.name} {shift.joint}"
     if not shift.without:
         return f"{name} {shift.deviations:+.2g} standard deviations"
     return f"{name} {100.0 * shift.shift / shift.without:+.2g} %"
 
 
-def _effect_words(name: str) -> Paragraph:
+def _describe_effect(name: str) -> Paragraph:
     effect = effect_named(name)
     return paragraph(
         Span(effect.name, kind="code"),
@@ -237,7 +239,7 @@ def _fitted_correlations(tests: Sequence[ResidualTest]) -> Figure | None:
     panels: list[Panel] = []
     for test in tests:
         if test.correlation is not None:
-            panels += _panels(test.channel, test.correlation, test)
+            panels += _residual_panels(test.channel, test.correlation, test)
     return Figure(Axis("lag [ms]"), tuple(panels)) if panels else None
 
 
@@ -267,7 +269,9 @@ def _check_correlations(
             is_moving = np.isfinite(prediction.fit_percent.get(channel, np.nan))
             if channel in lag_times and is_moving:
                 correlation = _prediction_correlation(prediction, column, log, lag_times[channel])
-                panels += _panels(channel, correlation, noise.get((channel, log.sample_time)))
+                panels += _residual_panels(
+                    channel, correlation, noise.get((channel, log.sample_time))
+                )
         if panels:
             label = f"{prediction.experiment}, check: residual correlations"
             figure = Figure(Axis("lag [ms]"), tuple(panels))
@@ -291,7 +295,7 @@ def _prediction_correlation(
     return correlate_residuals(middle, inputs, step * sample_time)
 
 
-def _panels(
+def _residual_panels(
     channel: str, correlation: ResidualCorrelation, test: ResidualTest | None
 ) -> list[Panel]:
     """Autocorrelation above cross-correlation of one channel; limits if its noise is known."""
@@ -360,8 +364,8 @@ def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
         name, joint = record.signals.experiment.name, record.signals.joint
         figure = _state_space_figure(record.check, record.state_space.sample_time)
         label = f"Joint {joint}, {name}: state-space model on the data that were not fitted"
-        words = "Shaded: 99 % limits for white residuals that are independent of the inputs."
-        yield Plot(f"correlation joint {joint} {name}", label, figure, words)
+        caption = "Shaded: 99 % limits for white residuals that are independent of the inputs."
+        yield Plot(f"correlation joint {joint} {name}", label, figure, caption)
 
 
 def _state_space_figure(check: ModelCheck, sample_time: float) -> Figure:

@@ -15,17 +15,17 @@ def rig_constants(arm: ArmDescription) -> Iterator[Block]:
     """A table of the constants of each joint and its servo, then the constants of the arm."""
     joints = [f"joint {number}" for number in range(1, arm.n_joints + 1)]
     heads: Row = ("constant", *map(number, joints), "unit", "key in study.toml")
-    yield from table("Rig constants", heads, _rows(arm), heading=False)
+    yield from table("Rig constants", heads, _constant_rows(arm), heading=False)
     facts = tuple(_arm_facts(arm))
     if facts:
         yield Facts(facts)
 
 
-def _rows(arm: ArmDescription) -> Iterator[Row]:
+def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
     for title, key, unit, value in _joint_constants(arm):
         values = [value(joint) for joint in arm.joints]
         if any(values):
-            yield _row(title, key, unit, values)
+            yield _constant_row(title, key, unit, values)
     servo = arm.servo
     if servo is None:
         return
@@ -36,7 +36,7 @@ def _rows(arm: ArmDescription) -> Iterator[Row]:
     )
     for title, key, unit, gain in gains:
         if gain is not None:
-            yield _row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
+            yield _constant_row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
 
 
 def _joint_constants(
@@ -48,7 +48,7 @@ def _joint_constants(
         yield "motion", "motion", "", lambda joint: joint.motion
     yield "gear spring", "spring", "", lambda joint: joint.spring
     ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
-    yield "gear ratio n", "gear_ratio", ratio, _ratio
+    yield "gear ratio n", "gear_ratio", ratio, _format_ratio
     for title, key, unit in (
         ("torque per volt e", "torque_per_volt", "N m/V"),
         ("current loop bandwidth", "current_loop_hz", "Hz"),
@@ -57,31 +57,31 @@ def _joint_constants(
         ("accelerometer bandwidth", "accelerometer_hz", "Hz"),
         ("gyro bandwidth", "gyro_hz", "Hz"),
     ):
-        yield title, key, unit, partial(_given, key)
-    yield "IMU position", "imu.xyz", "m", lambda joint: _vector(joint, "xyz")
-    yield "IMU orientation", "imu.rpy", "rad", lambda joint: _vector(joint, "rpy")
+        yield title, key, unit, partial(_format_constant, key)
+    yield "IMU position", "imu.xyz", "m", lambda joint: _format_vector(joint, "xyz")
+    yield "IMU orientation", "imu.rpy", "rad", lambda joint: _format_vector(joint, "rpy")
 
 
-def _ratio(joint: Joint) -> str:
+def _format_ratio(joint: Joint) -> str:
     """The gear ratio, and its inverse if that is close to an integer."""
     inverse = 1.0 / joint.gear_ratio
     is_round = abs(inverse - round(inverse)) < 1e-6 * inverse and inverse > 1.5
     return f"{joint.gear_ratio:.6g}" + (f" (1:{round(inverse)})" if is_round else "")
 
 
-def _given(key: str, joint: Joint) -> str:
+def _format_constant(key: str, joint: Joint) -> str:
     value = getattr(joint, key)
     return "" if value is None else f"{value:.6g}"
 
 
-def _vector(joint: Joint, key: str) -> str:
+def _format_vector(joint: Joint, key: str) -> str:
     if joint.imu is None:
         return ""
     values = getattr(joint.imu, key)
     return "estimated" if values is None else ", ".join(f"{value:g}" for value in values)
 
 
-def _row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
+def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row:
     cells = (number(value or _NOT_GIVEN) for value in values)
     return (title, *cells, unit, Cell(key, "code"))
 

@@ -51,40 +51,42 @@ def verdict(identification: Identification) -> Callout:
     title, mark = _TITLES[result.status]
     reasons = () if result.suspected else result.reasons
     blocks: list[Block] = [
-        paragraph(Span(title, kind="badge", mark=mark), f" {_count(identification.decisions)}"),
+        paragraph(
+            Span(title, kind="badge", mark=mark), f" {_count_identified(identification.decisions)}"
+        ),
         *(paragraph(sentence(reason)) for reason in reasons),
-        *_suspicions(identification),
-        *_suspects(identification),
-        *_validation(identification),
-        *_warnings(identification),
+        *_suspicion_blocks(identification),
+        *_cause_blocks(identification),
+        *_validation_blocks(identification),
+        *_warning_blocks(identification),
     ]
-    groups = tuple(_groups(identification))
+    groups = tuple(_certainty_groups(identification))
     if groups:
         blocks.append(Facts(groups))
     return Callout(mark, tuple(blocks))
 
 
-def _suspicions(identification: Identification) -> Iterator[Block]:
+def _suspicion_blocks(identification: Identification) -> Iterator[Block]:
     """Faults of the input and the corrections."""
     rows: list[Row] = [
-        (one.where, prose(sentence(one.message)), prose(one.remedy))
-        for one in identification.verdict.suspected
+        (suspicion.where, prose(sentence(suspicion.message)), prose(suspicion.remedy))
+        for suspicion in identification.verdict.suspected
     ]
     heads = ("channel or key", "observed", "correction")
     yield from table("Faults of the input", heads, rows, heading=False)
 
 
-def _suspects(identification: Identification) -> Iterator[Block]:
+def _cause_blocks(identification: Identification) -> Iterator[Block]:
     """If the stages disagree: likely causes, each with the experiment that separates it."""
     tuned = identification.tuned
     rows: list[Row] = [
         (
-            one.name if one.joint is None else f"{one.name} of joint {one.joint}",
-            number("" if one.value is None else f"{one.value:.4g} {one.unit}".rstrip()),
-            number(f"{100.0 * one.share:.3g} %"),
-            prose(one.experiment),
+            cause.name if cause.joint is None else f"{cause.name} of joint {cause.joint}",
+            number("" if cause.value is None else f"{cause.value:.4g} {cause.unit}".rstrip()),
+            number(f"{100.0 * cause.share:.3g} %"),
+            prose(cause.experiment),
         )
-        for one in (tuned.suspects if tuned else ())
+        for cause in (tuned.suspects if tuned else ())
     ]
     heads: Row = (
         "likely cause, most likely first",
@@ -95,20 +97,20 @@ def _suspects(identification: Identification) -> Iterator[Block]:
     yield from table("Likely causes of the disagreement", heads, rows, heading=False)
 
 
-def _groups(identification: Identification) -> Iterator[tuple[str, str]]:
+def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str]]:
     """Parameters by certainty, the most certain first."""
     decisions = identification.decisions
     groups: dict[str, list[Parameter]] = {name: [] for _, name in _CLASSES}
     groups |= {_UNCERTAIN: [], _NO_VALUE: [], _REJECTED: []}
     for decision in decisions:
-        groups[_class(decision)].append(decision.parameter)
+        groups[_certainty_class(decision)].append(decision.parameter)
     for name, members in groups.items():
         if members:
             yield name, named((p.name, p.joint) for p in members)
     listed = {d.parameter.label for d in decisions}
     missing = [label for label in identification.verdict.not_identified if label not in listed]
     if missing:
-        yield "Not estimated", named(map(_split, missing))
+        yield "Not estimated", named(map(_split_label, missing))
     pairs = [
         w.where.replace("_", " ") for w in identification.warnings if w.code == "only-together"
     ]
@@ -116,13 +118,13 @@ def _groups(identification: Identification) -> Iterator[tuple[str, str]]:
         yield "Only the combination is identified", "; ".join(pairs)
 
 
-def _split(label: str) -> tuple[str, int | None]:
+def _split_label(label: str) -> tuple[str, int | None]:
     """Name and joint of a label such as "gear_stiffness 1"."""
     name, _, joint = label.partition(" ")
     return name, int(joint) if joint else None
 
 
-def _class(decision: Decision) -> str:
+def _certainty_class(decision: Decision) -> str:
     p = decision.parameter
     if p.value is None:
         return _REJECTED if decision.rejected else _NO_VALUE
@@ -146,29 +148,29 @@ def named(parameters: Iterable[tuple[str, int | None]]) -> str:
     )
 
 
-def _count(decisions: Sequence[Decision]) -> str:
-    """How many parameters are identified, and how many well enough to simulate with."""
+def _count_identified(decisions: Sequence[Decision]) -> str:
+    """Count identified parameters, and those accurate enough for simulation."""
     if not decisions:
         return "No parameter was estimated."
     usable = {name for limit, name in _CLASSES if limit <= _USABLE_HALF_WIDTH}
-    good = sum(_class(d) in usable for d in decisions)
+    accurate = sum(_certainty_class(d) in usable for d in decisions)
     identified = sum(d.identified for d in decisions)
     noun = "parameter is" if len(decisions) == 1 else "parameters are"
-    whole = "All" if identified == len(decisions) > 1 else f"{identified} of"
+    share = "All" if identified == len(decisions) > 1 else f"{identified} of"
     return (
-        f"{whole} {len(decisions)} {noun} identified,"
-        f" {good} with a 95 % half-width of {100.0 * _USABLE_HALF_WIDTH:.0f} % or less."
+        f"{share} {len(decisions)} {noun} identified,"
+        f" {accurate} with a 95 % half-width of {100.0 * _USABLE_HALF_WIDTH:.0f} % or less."
     )
 
 
-def _validation(identification: Identification) -> Iterator[Block]:
-    """Fits of the check records by each model, and what they do not validate."""
+def _validation_blocks(identification: Identification) -> Iterator[Block]:
+    """Fits of the check records by each model, and models that are not validated."""
     names = [e.name for e in identification.study.experiments if e.use == "check"]
     if not identification.checks:
         reason = (
             "the input is inconsistent" if identification.suspected else "no model was estimated"
         )
-        yield paragraph(Span("Not validated: ", strong=True), _unpredicted(names, reason))
+        yield paragraph(Span("Not validated: ", strong=True), _describe_unpredicted(names, reason))
         return
     fits, validated = check_fits(identification), identification.verdict.validated.elastic
     rows = [_fit_row("rigid model, drive", fits["rigid"])] if fits["rigid"] else []
@@ -183,10 +185,10 @@ def _validation(identification: Identification) -> Iterator[Block]:
         yield paragraph(lead, f"{missing_validation(identification)}.")
     elif not rows:
         lead = Span("Not validated: ", strong=True)
-        yield paragraph(lead, "the motors hardly move in the check records.")
+        yield paragraph(lead, "the motors almost do not move in the check records.")
 
 
-def _unpredicted(names: Sequence[str], reason: str) -> str:
+def _describe_unpredicted(names: Sequence[str], reason: str) -> str:
     if not names:
         return 'the study has no check record. Record one with use = "check".'
     noun = "check record was" if len(names) == 1 else "check records were"
@@ -215,8 +217,8 @@ def _median(fits: Sequence[Fit]) -> float:
     return float(np.median([fit for fit, _, _ in fits]))
 
 
-def _warnings(identification: Identification) -> Iterator[Paragraph]:
-    """The number of warnings and the most serious one."""
+def _warning_blocks(identification: Identification) -> Iterator[Paragraph]:
+    """Number of warnings and the most serious warning."""
     count = len(identification.warnings)
     if not count:
         return

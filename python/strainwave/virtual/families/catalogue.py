@@ -94,9 +94,11 @@ def of_choices(
     bandwidth = between(rng, 50.0, 1000.0)
     lowest, highest = (25.0, 45.0) if small else (7.0, min(45.0, 0.04 / sample_time))
     frequency = [between(rng, lowest, highest) for _ in range(2)]
-    slopes = [_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)]
+    slopes = [
+        _gear_slopes(sizes[k], int(ratio)) for k, ratio in zip((base, outer), ratios, strict=True)
+    ]
     inertia = [k[1] / (2.0 * np.pi * f) ** 2 for k, f in zip(slopes, frequency, strict=True)]
-    values, load, length, payload = _links(rng, inertia, choices.payload)
+    values, load, length, payload = _draw_links(rng, inertia, choices.payload)
     drives = [
         _draw_drive(rng, spring, choices, i, size, float(ratio), slopes[i], load[i])
         for i, (size, ratio) in enumerate(zip((sizes[base], sizes[outer]), ratios, strict=True))
@@ -130,10 +132,10 @@ def of_choices(
                 limit=_VOLTAGE_LIMIT,
             ),
         ),
-        experiments=_experiments(spring, max(1e-3, sample_time)),
+        experiments=_planned_experiments(spring, max(1e-3, sample_time)),
     )
     sensor_range = next((a for a in _ACCELEROMETER_RANGES if a > peak), _ACCELEROMETER_RANGES[-1])
-    classes = _classes(sizes[base], counts, sample_time, bandwidth) | {"spring": spring}
+    classes = _arm_classes(sizes[base], counts, sample_time, bandwidth) | {"spring": spring}
     if choices.payload:
         classes["payload"] = f"{payload:.3g} kg"
     noise = SensorNoise(accelerometer_range=sensor_range)
@@ -164,8 +166,8 @@ def _draw_drive(
     torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
     motor = n**2 * load * between(rng, 0.2, 1.2)
     dry = float(rng.uniform(0.04, 0.12)) * torque
-    viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _factor(rng, choices.viscous)
-    coulomb = dry * _factor(rng, choices.coulomb)
+    viscous = dry * n * float(rng.uniform(0.15, 0.5)) * _draw_factor(rng, choices.viscous)
+    coulomb = dry * _draw_factor(rng, choices.coulomb)
     damping = 2.0 * between(rng, 0.015, 0.05) * np.sqrt(stiffness * load)
     drive = {
         "motor_inertia": motor,
@@ -191,19 +193,19 @@ def _draw_drive(
     return _Drive(joint, values, _SERVO_BANDWIDTH * (motor + n**2 * load) / per_volt)
 
 
-def _classes(size: int, counts: int, sample_time: float, bandwidth: float) -> dict[str, str]:
+def _arm_classes(size: int, counts: int, sample_time: float, bandwidth: float) -> dict[str, str]:
     """Groups of an arm in statistics."""
     return {
-        "size": _class(size, (MAX_SMALL_SIZE, MIN_LARGE_SIZE), ("small", "medium", "large")),
-        "counts": _class(counts, (2000, 8192), ("up to 2,000", "to 8,192", "more")),
-        "sampling": _class(
+        "size": _classify(size, (MAX_SMALL_SIZE, MIN_LARGE_SIZE), ("small", "medium", "large")),
+        "counts": _classify(counts, (2000, 8192), ("up to 2,000", "to 8,192", "more")),
+        "sampling": _classify(
             1.0 / sample_time, (1000.0, 4000.0), ("up to 1 kHz", "to 4 kHz", "more")
         ),
-        "bandwidth": _class(bandwidth, (100.0, 300.0), ("up to 100 Hz", "to 300 Hz", "more")),
+        "bandwidth": _classify(bandwidth, (100.0, 300.0), ("up to 100 Hz", "to 300 Hz", "more")),
     }
 
 
-def _links(
+def _draw_links(
     rng: np.random.Generator, inertia: Sequence[float], payloads: tuple[float, float] | None
 ) -> tuple[Values, tuple[float, float], tuple[float, float], float]:
     """Base parameters (3), inertia at each joint of the stretched arm, lengths, payload."""
@@ -222,23 +224,23 @@ def _links(
     return values, load, length, payload
 
 
-def _slopes(size: int, ratio: int) -> tuple[float, float, float]:
+def _gear_slopes(size: int, ratio: int) -> tuple[float, float, float]:
     """K1, K2, K3 [N m/rad] of a gear."""
     _, high, low = GEARS[size]
     first, second, third = low if ratio <= 50 else high
     return 1e4 * first, 1e4 * second, 1e4 * third
 
 
-def _factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
+def _draw_factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
     """Random factor within its bounds; equal bounds draw no random number."""
     return between(rng, *bounds) if bounds[0] < bounds[1] else bounds[0]
 
 
-def _class(value: float, edges: tuple[float, float], names: tuple[str, str, str]) -> str:
+def _classify(value: float, edges: tuple[float, float], names: tuple[str, str, str]) -> str:
     return names[0] if value <= edges[0] else names[1] if value <= edges[1] else names[2]
 
 
-def _experiments(spring: Spring, clock: float) -> tuple[Experiment, ...]:
+def _planned_experiments(spring: Spring, clock: float) -> tuple[Experiment, ...]:
     """Experiments of the built-in rig, with a sweep for three-slope springs."""
     both: tuple[Control, Control] = ("servo", "servo")
     free: tuple[Control, Control] = ("open", "open")

@@ -79,12 +79,12 @@ def injected(
         changed = list(logs)
         changed[index] = replace(log, channels={**log.channels, channel: x})
         if kind == "mains-hum":
-            changed = _hum_in_all(logs, channel, size, rng)
+            changed = _add_hum_to_records(logs, channel, size, rng)
         return Injected(kind, size, log.name, channel, tuple(spans), tuple(changed))
     return None
 
 
-def _spikes(
+def _inject_spikes(
     x: FloatArray, log: Log, joint: int, size: float, arm: Arm, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     largest = float(np.abs(np.diff(x)).max())
@@ -98,7 +98,7 @@ def _spikes(
     return spans
 
 
-def _frozen(
+def _inject_frozen(
     x: FloatArray, log: Log, joint: int, size: float, arm: Arm, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     length = max(2, round(1e-3 * size / log.sample_time))
@@ -110,7 +110,7 @@ def _frozen(
     return [(start + 1, start + length)]
 
 
-def _steps(
+def _inject_encoder_steps(
     x: FloatArray, log: Log, joint: int, size: float, arm: Arm, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     start = int(rng.integers(_CLEAN_SAMPLES, len(x) - _CLEAN_SAMPLES))
@@ -118,7 +118,7 @@ def _steps(
     return [(start, start + 1)]
 
 
-def _flat(
+def _inject_flat_tops(
     x: FloatArray, log: Log, joint: int, size: float, arm: Arm, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     limit = float(np.quantile(x, 1.0 - 0.01 * size))
@@ -128,13 +128,13 @@ def _flat(
     return [(a, b) for a, b in edges.tolist() if b - a > 2]
 
 
-def _hum(
+def _inject_hum(
     x: FloatArray, log: Log, joint: int, size: float, arm: Arm, rng: np.random.Generator
 ) -> list[tuple[int, int]]:
     return [(0, len(x))] if len(x) * log.sample_time > _MIN_HUM_DURATION else []
 
 
-def _hum_in_all(
+def _add_hum_to_records(
     logs: Sequence[Log], channel: str, size: float, rng: np.random.Generator
 ) -> list[Log]:
     mains = float(rng.choice([50.0, 60.0])) * (1.0 + rng.uniform(-2e-3, 2e-3))
@@ -155,9 +155,9 @@ def _count_angle(arm: Arm, joint: int) -> float:
 
 
 _INJECTORS: Mapping[Kind, Injector] = {
-    "spikes": _spikes,
-    "frozen": _frozen,
-    "encoder-steps": _steps,
-    "flat-tops": _flat,
-    "mains-hum": _hum,
+    "spikes": _inject_spikes,
+    "frozen": _inject_frozen,
+    "encoder-steps": _inject_encoder_steps,
+    "flat-tops": _inject_flat_tops,
+    "mains-hum": _inject_hum,
 }
