@@ -72,7 +72,7 @@ def main() -> None:
     studies = [Clean(study, read_logs(study)) for study in map(read_study, paths)]
     console = Console(width=140)
     for path, clean in zip(paths, studies, strict=True):
-        alarms = sum(map(len, hygiene.defects(clean.logs, clean.arm)))
+        alarms = sum(map(len, hygiene.detect_defects(clean.logs, clean.arm)))
         console.print(f"{path.parent.name}: {alarms} false alarms")
     for name, source in _SOURCES.items() if options.arms else ():
         run = partial(arms.run_on_logs, work=false_alarms, arm=source)
@@ -90,7 +90,7 @@ def main() -> None:
 def false_alarms(path: Path, _: Values) -> dict[str, Any]:
     """Defects reported in the logs of a virtual arm, which has none."""
     study = read_study(path)
-    warnings = hygiene.without_defects(read_logs(study), Arm.of(study.arm))[1]
+    warnings = hygiene.repair_records(read_logs(study), Arm.of(study.arm))[1]
     return {"alarms": [f"{warning.code}, {warning.where}" for warning in warnings]}
 
 
@@ -120,9 +120,11 @@ def _detection_table(studies: Sequence[Clean], runs: int, seed: int) -> Table:
 def _is_detected(defect: Injected, arm: Arm) -> bool:
     """Whether the defect is detected in its place; hum, in any record."""
     if defect.kind == "mains-hum":
-        return any(defect.named(detections) for detections in hygiene.defects(defect.logs, arm))
+        return any(
+            defect.named(detections) for detections in hygiene.detect_defects(defect.logs, arm)
+        )
     logs = [log for log in defect.logs if log.name == defect.record]
-    return defect.named(hygiene.defects(logs, arm)[0])
+    return defect.named(hygiene.detect_defects(logs, arm)[0])
 
 
 def _changes(studies: Sequence[Clean], runs: int, seed: int) -> Iterator[tuple[str, ...]]:
@@ -130,7 +132,7 @@ def _changes(studies: Sequence[Clean], runs: int, seed: int) -> Iterator[tuple[s
     values = {id(clean): _values(_identify(clean, clean.logs)) for clean in studies}
     for clean, defect in _inject(studies, runs, seed):
         clean_values = values[id(clean)]
-        with patch.object(hygiene, "without_defects", lambda logs, _: (tuple(logs), ())):
+        with patch.object(hygiene, "repair_records", lambda logs, _: (tuple(logs), ())):
             without, harms_without = _largest_change(clean_values, _identify(clean, defect.logs))
         corrected, harms_with = _largest_change(clean_values, _identify(clean, defect.logs))
         yield (

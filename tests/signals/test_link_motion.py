@@ -50,7 +50,7 @@ def shifted(log: Log, name: str, samples: int = 1) -> Log:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_lags_have_their_step_response(order: int) -> None:
+def test_lags_have_the_analytic_step_response(order: int) -> None:
     w, t = 2.0 * np.pi * 300.0, SAMPLE * np.arange(100)
     step = np.r_[0.0, np.ones(100)]
     cutoff = Lag(1 if order == 1 else 2, 300.0)
@@ -63,7 +63,7 @@ def test_lags_have_their_step_response(order: int) -> None:
     assert response == pytest.approx(exact, abs=1e-12)
 
 
-def test_a_straight_signal_comes_late_by_the_lag() -> None:
+def test_a_ramp_is_delayed_by_the_sum_of_the_lags() -> None:
     """The delay of a ramp is the sum of the delays of the low-pass filters."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     ramp = lagged(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE)
@@ -71,7 +71,7 @@ def test_a_straight_signal_comes_late_by_the_lag() -> None:
     assert ramp[-1] == pytest.approx(t[-1] - late, abs=1e-9)
 
 
-def test_the_current_loop_is_the_drives() -> None:
+def test_the_current_loop_lag_reproduces_the_simulated_torque() -> None:
     """The current-loop lag reproduces the simulated motor torque."""
     _, run = run_of(None, None)
     torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
@@ -79,7 +79,7 @@ def test_the_current_loop_is_the_drives() -> None:
     assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
 
 
-def test_an_angle_keeps_its_size_behind_a_lag() -> None:
+def test_a_lagged_angle_keeps_the_analytic_amplitude() -> None:
     """Band-limited interpolation at a tenth of the sampling rate.
 
     Linear interpolation attenuates the signal by (w T)^2 / 12 = 3.3 %.
@@ -97,7 +97,7 @@ def test_an_angle_keeps_its_size_behind_a_lag() -> None:
 
 
 @pytest.mark.parametrize("between", ["smooth", "held", "straight"])
-def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -> None:
+def test_a_ramp_is_delayed_by_the_lags_and_the_hold(between: Between) -> None:
     """The delay of a ramp is the sum of the lags, plus half a sample if it is held."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
     passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
@@ -106,7 +106,7 @@ def test_a_straight_line_comes_late_by_the_lags_and_the_hold(between: Between) -
     assert passed[2000] == pytest.approx(t[2000] - late, abs=1e-8)
 
 
-def test_a_held_voltage_leaves_no_aliases() -> None:
+def test_a_held_voltage_is_filtered_without_aliasing() -> None:
     """Reference: the same voltage at 16 times the sampling rate, whose aliasing is negligible."""
     T, oversampling, lags = 1e-3, 16, [Lag(1, 800.0)]
     rng = np.random.default_rng(3)
@@ -121,7 +121,7 @@ def test_a_held_voltage_leaves_no_aliases() -> None:
     assert errors[1] > 0.05
 
 
-def test_several_signals_pass_one_band_with_their_integrals_and_derivatives() -> None:
+def test_band_passes_give_integrals_and_derivatives_of_several_signals() -> None:
     t = SAMPLE * np.arange(8000)
     w = 2.0 * np.pi * 20.0
     signals = np.column_stack([np.sin(w * t), np.cos(w * t)])
@@ -143,7 +143,7 @@ def test_several_signals_pass_one_band_with_their_integrals_and_derivatives() ->
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
+def test_fusing_a_signal_with_its_derivative_returns_the_signal(order: int) -> None:
     t = SAMPLE * np.arange(8000)
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     fused = fuse(30.0 * np.cos(30.0 * t), np.sin(30.0 * t) + 5.0, fusion, SAMPLE)
@@ -152,7 +152,7 @@ def test_fusing_a_signal_with_its_own_slope_changes_nothing(order: int) -> None:
 
 
 @pytest.mark.parametrize(("order", "offset"), [(1, 0.2 * 0.5), (2, 0.2 * 0.5 * np.sqrt(2.0))])
-def test_a_bias_ends_as_an_offset(order: int, offset: float) -> None:
+def test_a_constant_bias_gives_a_constant_offset(order: int, offset: float) -> None:
     """A constant bias of the rate causes a constant offset of the fused signal."""
     fusion = Fusion(0.2, 1 if order == 1 else 2)
     fused = fuse(np.full(40000, 0.5), np.zeros(40000), fusion, SAMPLE)
@@ -168,7 +168,7 @@ def test_the_complement_rolls_off_with_its_order() -> None:
         assert np.sqrt(2.0) * passed.std() == pytest.approx(gain, rel=0.01)
 
 
-def test_a_bias_is_found_beside_a_vibration() -> None:
+def test_a_vibration_does_not_change_the_bias_estimate() -> None:
     """A vibration of the spring does not affect the bias estimate."""
     t = SAMPLE * np.arange(16000)
     w = 2.0 * np.pi * 13.0
@@ -181,7 +181,7 @@ def test_a_bias_is_found_beside_a_vibration() -> None:
 
 
 @pytest.mark.parametrize("gravity", [None, 9.81])
-def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
+def test_ideal_sensors_give_the_true_link_motion(gravity: float | None) -> None:
     """Without noise and quantization, the link motion equals the filtered simulation."""
     study, run = run_of(gravity, None)
     motion = links.link_side(log_of(run), Arm.of(study.arm))
@@ -199,7 +199,7 @@ def test_ideal_sensors_give_the_links_motion(gravity: float | None) -> None:
         assert np.all(error < limit), (name, error)
 
 
-def test_biases_are_taken_off_and_reported() -> None:
+def test_biases_are_subtracted_and_reported() -> None:
     """Accelerometer biases are subtracted and reported in the signals."""
     study, run = run_of()
     log = log_of(run)
@@ -213,7 +213,7 @@ def test_biases_are_taken_off_and_reported() -> None:
     assert motion.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
 
-def test_the_fusion_shows_how_wrong_it_is() -> None:
+def test_the_estimated_fusion_error_agrees_with_the_true_error() -> None:
     """The estimated fusion error agrees with the true error within a factor of 1.6."""
     study, run = run_of(None, None)
     truth = lagged(run["link_velocity"], SHARED, SAMPLE)
@@ -230,7 +230,7 @@ def test_the_fusion_shows_how_wrong_it_is() -> None:
     assert np.all(errors[1] > errors[2])
 
 
-def test_accelerometers_of_two_bandwidths_share_both() -> None:
+def test_two_accelerometer_bandwidths_are_both_applied() -> None:
     study = rig(None, counts=None)
     slower = replace(study.arm.joints[1], accelerometer_hz=150.0)
     study = replace(study, arm=replace(study.arm, joints=(study.arm.joints[0], slower)))
@@ -243,7 +243,7 @@ def test_accelerometers_of_two_bandwidths_share_both() -> None:
 
 
 @pytest.mark.parametrize("channel", ["theta_l", "deflection", "gyro"])
-def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
+def test_every_kind_of_link_sensor_gives_the_link_motion(channel: str) -> None:
     study, run = run_of(None, None)
     angle, velocity = run["link_angle"], run["link_velocity"]
     reading = {
@@ -268,7 +268,7 @@ def test_other_sensors_of_a_link_serve_as_well(channel: str) -> None:
     assert np.all(error < 0.01)
 
 
-def test_without_a_link_sensor_the_motor_stands_in_with_a_warning() -> None:
+def test_without_a_link_sensor_the_motor_is_used_with_a_warning() -> None:
     study, run = run_of()
     log = log_of(run)
     channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
@@ -294,7 +294,7 @@ def test_aligned_channels_give_no_warning(joint: int) -> None:
 
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("samples", [-4, 4])
-def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
+def test_a_delay_is_estimated_and_reported(joint: int, samples: int) -> None:
     """A shift of one channel is estimated as a delay and reported, without correction."""
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
@@ -315,7 +315,7 @@ def test_a_delay_is_found_and_not_absorbed(joint: int, samples: int) -> None:
     assert drive_delay.value / SAMPLE == pytest.approx(samples, rel=0.35)
 
 
-def test_late_link_sensors_are_moved_back_in_all_records() -> None:
+def test_delays_of_link_sensors_are_removed_in_all_records() -> None:
     """One delay per sensor, corrected in several iterations of the linear estimate."""
     pairs = [run_of(joint=joint) for joint in (1, 2)]
     study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
@@ -340,7 +340,7 @@ def test_late_link_sensors_are_moved_back_in_all_records() -> None:
             assert np.std(difference) < 0.05 * np.std(expected)
 
 
-def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
+def test_an_implausibly_long_delay_is_not_corrected() -> None:
     """A delay above `LONGEST_DELAY` is reported but not corrected."""
     study, run = run_of()
     log = log_of(run, 1, seed=3)
@@ -351,7 +351,7 @@ def test_a_delay_that_no_sensor_has_is_not_corrected() -> None:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_a_bent_spring_shows_a_delay_only_of_the_joint_that_was_excited(joint: int) -> None:
+def test_a_nonlinear_spring_gives_a_delay_only_for_the_excited_joint(joint: int) -> None:
     study, run = run_of(joint=joint)
     joints = tuple(
         replace(joint_parameters, spring="three-slope") for joint_parameters in study.arm.joints
@@ -366,7 +366,7 @@ def test_a_bent_spring_shows_a_delay_only_of_the_joint_that_was_excited(joint: i
     assert motion.sensor_delay[2 - joint] is None
 
 
-def test_a_bandwidth_left_out_of_the_study_shows_as_a_delay() -> None:
+def test_a_bandwidth_missing_from_the_study_is_reported_as_a_delay() -> None:
     study, run = run_of()
     joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.arm.joints)
     motion = links.link_side(
@@ -396,7 +396,7 @@ def test_a_voltage_logged_below_its_clock_is_reported() -> None:
         ("vertical-linear-0kg", "prbs-j1"),
     ],
 )
-def test_lab_channels_are_aligned_until_one_is_moved(
+def test_lab_channels_are_aligned_unless_one_is_shifted(
     shared_data: Path, arm: str, record: str
 ) -> None:
     study = read_study(shared_data / "lab" / arm / "study.toml")
@@ -411,7 +411,7 @@ def test_lab_channels_are_aligned_until_one_is_moved(
 # --- refusals ---------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_used_is_refused() -> None:
+def test_missing_parameters_and_short_records_are_refused() -> None:
     """Missing parameters and short records raise InvalidInput."""
     study, run = run_of()
     log = log_of(run)

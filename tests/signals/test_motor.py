@@ -33,7 +33,7 @@ def log_of(channels: dict[str, FloatArray]) -> Log:
 
 
 @pytest.mark.parametrize("relative", [0.2, 0.5, 1.0, 2.0])
-def test_the_low_pass_has_no_phase_and_the_promised_gain(relative: float) -> None:
+def test_the_low_pass_has_zero_phase_and_the_analytic_gain(relative: float) -> None:
     cutoff = 10.0
     w = 2.0 * np.pi * relative * cutoff
     passed = low_pass(np.sin(w * TIME), cutoff, CLOCK)[INNER]
@@ -49,7 +49,7 @@ def test_a_cutoff_beyond_nyquist_passes_everything() -> None:
     np.testing.assert_array_equal(low_pass(noise, 500.0, CLOCK), noise)
 
 
-def test_differences_are_of_fourth_order() -> None:
+def test_numerical_derivatives_are_of_fourth_order() -> None:
     errors = []
     for T in (0.02, 0.01):
         t = T * np.arange(200)
@@ -57,7 +57,7 @@ def test_differences_are_of_fourth_order() -> None:
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4.0, abs=0.2)
 
 
-def test_encoder_noise_and_band_are_found() -> None:
+def test_encoder_noise_and_band_are_estimated() -> None:
     rng = np.random.default_rng(0)
     angle = 50.0 * np.sin(2.0 * np.pi * 1.0 * TIME) + rng.normal(0.0, 1e-3, TIME.shape)
     assert noise_deviation(angle) == pytest.approx(1e-3, rel=0.1)
@@ -72,7 +72,7 @@ def test_encoder_noise_and_band_are_found() -> None:
 # --- drive ------------------------------------------------------------------------------------
 
 
-def test_held_voltages_come_half_a_sample_and_the_lag_later() -> None:
+def test_held_voltages_are_delayed_by_half_a_sample_and_the_lag() -> None:
     """The torque is delayed by half a sample and the lag of the current loop."""
     joint = replace(rigid_drive().arm.joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
     w = 2.0 * np.pi * 5.0
@@ -124,7 +124,7 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
 
 
 @pytest.mark.parametrize("missing", ["theta_m1", "torque1"])
-def test_a_missing_channel_is_named(missing: str) -> None:
+def test_the_error_states_the_missing_channel(missing: str) -> None:
     channels = {"theta_m1": np.sin(TIME), "torque1": np.cos(TIME)}
     del channels[missing]
     with pytest.raises(InvalidInput, match=missing):
@@ -142,7 +142,7 @@ def test_a_record_shorter_than_its_filter_is_refused() -> None:
 # --- stiction ---------------------------------------------------------------------------------
 
 
-def test_directions_are_certain_only_where_the_motor_slides() -> None:
+def test_directions_are_certain_only_while_the_motor_slides() -> None:
     count = 1e-3
     angle = np.concatenate(
         [np.linspace(0.0, 1.0, 1000), np.full(500, 1.0), np.linspace(1.0, 0.0, 1000)]
@@ -153,7 +153,7 @@ def test_directions_are_certain_only_where_the_motor_slides() -> None:
     assert np.all(direction[1520:-20] == -1.0)
 
 
-def test_a_stop_without_reversal_is_found() -> None:
+def test_a_stop_without_reversal_is_detected() -> None:
     angle = np.concatenate([np.linspace(0, 1, 500), np.ones(200), np.linspace(1, 2, 500)])
     direction = sliding_direction(angle, 3e-3, 20)
     assert np.all(direction[510:690] == 0.0)
@@ -161,7 +161,7 @@ def test_a_stop_without_reversal_is_found() -> None:
     assert np.all(direction[710:-5] == 1.0)
 
 
-def test_a_still_encoder_has_no_direction() -> None:
+def test_an_encoder_at_standstill_has_no_direction() -> None:
     assert not np.any(sliding_direction(np.zeros(100), 1e-3, 20))
 
 
@@ -187,7 +187,7 @@ def test_responses_are_the_shapes_through_the_filter() -> None:
 
 @pytest.mark.parametrize("kept", [slice(None), slice(7, None, 13)])
 @pytest.mark.parametrize("cutoff", [2.0, 40.0, 450.0])
-def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slice) -> None:
+def test_filtering_in_blocks_equals_filtering_the_whole_signal(cutoff: float, kept: slice) -> None:
     """Filtering in blocks gives the same result as filtering the whole signal."""
     signal = np.cumsum(np.random.default_rng(5).normal(size=(300_000, 2)), axis=0)
     reference = signal if cutoff >= 450.0 else filters._passed(signal, cutoff * 1e-3, 1)
@@ -202,7 +202,7 @@ def test_a_long_signal_passes_piece_by_piece_as_in_one(cutoff: float, kept: slic
 
 
 @given(st.lists(st.sampled_from([-1.0, 0.0, 1.0]), min_size=1, max_size=200), st.integers(2, 40))
-def test_free_friction_spans_constants_where_and_only_where_uncertain(
+def test_friction_shapes_sum_to_one_at_uncertain_directions(
     directions: list[float], spacing: int
 ) -> None:
     """The shapes sum to one at uncertain directions and to zero elsewhere."""
@@ -213,7 +213,7 @@ def test_free_friction_spans_constants_where_and_only_where_uncertain(
     assert total == pytest.approx((direction == 0.0).astype(float))
 
 
-def test_sticking_is_found_where_the_arm_sticks() -> None:
+def test_certain_directions_agree_with_the_simulated_velocity() -> None:
     """Certain directions agree with the sign of the velocity of a simulated arm."""
     study = scara.study(Path("nowhere"), "linear")
     motion = signals.motor_side(
@@ -229,7 +229,7 @@ def test_sticking_is_found_where_the_arm_sticks() -> None:
 # --- saturation -------------------------------------------------------------------------------
 
 
-def test_servo_limits_are_left_out_with_a_warning() -> None:
+def test_samples_at_the_servo_limit_are_excluded_with_a_warning() -> None:
     study = scara.study(Path("nowhere"), "linear")
     log = motion_log(study, scara.parameters(0, "linear"), 0, duration=4.0)
     voltage = log.channels["u1"].copy()
@@ -241,7 +241,7 @@ def test_servo_limits_are_left_out_with_a_warning() -> None:
     assert [w.code for w in motion.warnings] == ["saturated"]
 
 
-def test_flat_tops_count_as_saturation_and_a_free_joint_does_not() -> None:
+def test_flat_tops_are_saturation_only_under_servo_control() -> None:
     torque = np.clip(2.0 * np.sin(9.0 * TIME), -1.5, 1.5)
     motion = signals.motor_side(
         log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), Arm.of(rigid_drive().arm)
@@ -251,7 +251,7 @@ def test_flat_tops_count_as_saturation_and_a_free_joint_does_not() -> None:
     assert not signals.motor_side(idle, Arm.of(rigid_drive().arm)).warnings
 
 
-def test_an_open_loop_test_may_sit_at_its_extremes() -> None:
+def test_an_open_loop_voltage_at_its_extremes_is_not_saturation() -> None:
     experiment = replace(DRIVE, control=("open",))
     square = np.sign(np.sin(9.0 * TIME + 0.1))
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": square})

@@ -24,7 +24,7 @@ def log_named(name: str) -> Log:
     return next(log for log in rig_logs()[1] if log.name == name)
 
 
-def test_a_servoed_log_is_driven_by_its_references() -> None:
+def test_a_servo_log_is_driven_by_its_references() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     drive = recorded_drive(Arm.of(study.arm), log)
@@ -36,7 +36,7 @@ def test_a_servoed_log_is_driven_by_its_references() -> None:
     assert drive.initial_voltage == (log.channels["u1"][0], log.channels["u2"][0])
 
 
-def test_an_open_joint_is_driven_by_its_voltage_and_a_servoed_one_by_its_prbs() -> None:
+def test_drives_use_open_loop_voltages_and_the_prbs_of_servo_joints() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     open_servo: tuple[Control, Control] = ("open", "servo")
@@ -50,14 +50,14 @@ def test_an_open_joint_is_driven_by_its_voltage_and_a_servoed_one_by_its_prbs() 
     assert set(np.unique(recorded_drive(Arm.of(study.arm), excited).voltage[:, 0])) == {-5.0, 5.0}
 
 
-def test_what_the_recorded_input_needs_is_named() -> None:
+def test_the_error_states_the_missing_recorded_input() -> None:
     """The error message names the missing servo or channel."""
     study, _ = rig_logs()
     log = log_named("step-j1")
     assert missing_recorded_input(Arm.of(study.arm), log) is None
     assert (
         missing_recorded_input(Arm.of(replace(study, arm=replace(study.arm, servo=None)).arm), log)
-        == "the study describes no servo"
+        == "the study has no [servo] table"
     )
     for channel, pattern in [
         ("ref1", "reference ref1"),
@@ -75,7 +75,7 @@ def test_what_the_recorded_input_needs_is_named() -> None:
 @pytest.mark.parametrize(
     ("factor", "refused"), [(1.0, False), (2.0, False), (1.006, True), (0.9873, True)]
 )
-def test_stamps_without_a_step_in_common_with_the_servo_are_refused(
+def test_sampling_and_servo_periods_without_a_common_step_are_refused(
     factor: float, refused: bool
 ) -> None:
     study, _ = rig_logs()
@@ -98,7 +98,7 @@ def test_the_true_arm_predicts_its_own_records(name: str) -> None:
     assert bias[2:] == pytest.approx([0.0, 0.0], abs=1e-9)
 
 
-def test_an_open_loop_record_is_predicted_too() -> None:
+def test_an_open_loop_record_is_predicted() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     control: tuple[Control, Control] = ("open", "servo")
@@ -106,7 +106,7 @@ def test_an_open_loop_record_is_predicted_too() -> None:
     assert predict_closed_loop(truth()[1], opened, Arm.of(study.arm)).fit_percent["omega_m1"] > 95.0
 
 
-def test_a_motor_that_stands_gets_no_fit() -> None:
+def test_a_motor_at_standstill_has_no_fit_percentage() -> None:
     """The fit percentage of a motor at standstill is NaN, with a warning."""
     study, _ = rig_logs()
     log = log_named("step-j1")
@@ -117,7 +117,7 @@ def test_a_motor_that_stands_gets_no_fit() -> None:
     assert [c.code for c in prediction.warnings] == ["nothing-to-predict"]
 
 
-def test_the_cutoff_is_from_the_record_or_as_asked() -> None:
+def test_the_cutoff_follows_from_the_record_or_the_option() -> None:
     study, _ = rig_logs()
     log = log_named("step-j1")
     assert observe(log, Arm.of(study.arm), 40.0).cutoff_hz == 40.0

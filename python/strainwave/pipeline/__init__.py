@@ -126,7 +126,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         model, fitted, checks = _fit_rigid(run, the_study, all_logs)
         input_check = _add_torque_constants(the_study, input_check, model)
     result = _ElasticResult()
-    suspicion = consistency.doubted_torques(input_check)
+    suspicion = consistency.find_doubtful_torque_constant(input_check)
     if elastic and suspicion is not None:
         result, input_check = _explain_suspicion(run, the_study, all_logs, model, suspicion)
     elif elastic and not input_check.suspected:
@@ -224,7 +224,7 @@ def _check_logs(
 ) -> tuple[tuple[Log, ...], Consistency]:
     """Mask defects of sensors and loggers, and check the consistency of the channels."""
     with run.time_part("consistency", "detecting defects, checking consistency"):
-        usable, warnings = hygiene.without_defects(all_logs, run.arm)
+        usable, warnings = hygiene.repair_records(all_logs, run.arm)
         run.warnings.extend(warnings)
         return usable, consistency.check(usable, the_study)
 
@@ -235,7 +235,7 @@ def _add_torque_constants(
     """Add to the consistency check the ratio of torque constants that the rigid fit estimates."""
     if model is None or model.torque_ratio is None:
         return input_check
-    torques = consistency.torque_constants(*model.torque_ratio, the_study)
+    torques = consistency.suspect_torque_constants(*model.torque_ratio, the_study)
     return Consistency((*input_check.suspected, torques)) if torques else input_check
 
 

@@ -38,16 +38,16 @@ def torque_channel(log: Log, joint: int) -> str:
         if name in log.channels:
             return name
     raise InvalidInput(
-        f"neither torque{joint} nor u{joint} is there",
+        f"the log has neither torque{joint} nor u{joint}",
         where=log.name,
-        remedy="log the drive's torque or voltage",
+        remedy="log the torque or the voltage of the motor",
     )
 
 
 def channel_of(log: Log, name: str) -> FloatArray:
     """One channel of a log, (n_samples,). Raises InvalidInput if it is missing."""
     if name not in log.channels:
-        raise InvalidInput(f"{name} is not there", where=log.name, remedy=f"log {name}")
+        raise InvalidInput(f"the log has no channel {name}", where=log.name, remedy=f"log {name}")
     return log.channels[name]
 
 
@@ -98,8 +98,8 @@ def saturation(
         )
         share = float(saturated[:, i].mean())
         if share > _MAX_SATURATED_SHARE:
-            text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; left out"
-            text += ". Record a slower motion"
+            text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; these "
+            text += "samples are not used. Record a slower motion"
             warnings.append(Diagnostic.at("saturated", Place.in_records(log.name), text))
     return saturated, tuple(warnings)
 
@@ -141,18 +141,18 @@ def check_alike(records: Sequence[Decoupled]) -> None:
     Raises InvalidInput if there is no record, or if joints, inputs or sampling periods differ.
     """
     if not records:
-        raise InvalidInput("there is no record to take a model from")
+        raise InvalidInput("there is no record from which to estimate a model")
     first = records[0]
     for record in records[1:]:
         if record.joint != first.joint or record.inputs.shape[1] != first.inputs.shape[1]:
             raise InvalidInput(
                 f"records of different joints: {first.joint} and {record.joint}",
                 where=record.experiment.name,
-                remedy="take one joint at a time",
+                remedy="use records of one joint",
             )
         if abs(record.sample_time - first.sample_time) > 1e-6 * first.sample_time:
             raise InvalidInput(
-                f"sample times differ: {first.sample_time:g} s and {record.sample_time:g} s",
+                f"sampling periods differ: {first.sample_time:g} s and {record.sample_time:g} s",
                 where=record.experiment.name,
-                remedy="log all records at one rate",
+                remedy="log all records at the same sampling rate",
             )

@@ -49,10 +49,8 @@ def misaligned(delay: Delay | None, channel: str, place: Place) -> Iterator[Diag
         return
     side = "behind" if delay.value > 0.0 else "ahead of"
     text = f"{channel} is {1e3 * abs(delay.value):.3g} +- {1e3 * delay.std:.2g} ms {side} the motor"
-    text += (
-        " encoder, and was not shifted. Check the time stamps of the logger, and the bandwidths in"
-    )
-    text += " the study (accelerometer_hz, gyro_hz, current_loop_hz)"
+    text += " encoder; the channel was not shifted. Check the time stamps of the logger, and the"
+    text += " bandwidths in the study (accelerometer_hz, gyro_hz, current_loop_hz)"
     yield Diagnostic.at("misaligned", place, text)
 
 
@@ -79,8 +77,7 @@ def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
         text = (
             f"the link sensor is {1e3 * abs(delay.value):.3g} ± {1.96e3 * delay.std:.2g} ms {side}"
         )
-        text += (
-            " the motor encoder; its channel was shifted by that. Likely causes: its bandwidth is"
-        )
-        text += " missing from the study, latency of its converter or bus, time stamps"
+        text += " the motor encoder; its channel was shifted by this delay. Likely causes: a"
+        text += " missing sensor bandwidth in the study, latency of its converter or bus, wrong"
+        text += " time stamps"
         yield Diagnostic.at("sensor-delay", Place(joint=joint), text)

@@ -185,7 +185,7 @@ class _FilteredLog:
             raise InvalidInput(
                 f"{len(log)} samples are too few for a filter of {slowest:.3g} Hz",
                 where=log.name,
-                remedy="record for longer",
+                remedy="record a longer motion",
             )
         self.motor_angle = self.through(self.raw_angle)
 
@@ -273,7 +273,7 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
             raise InvalidInput(
                 f"a{joint} is logged but accelerometer_distance is not given",
                 where=f"joint {joint}",
-                remedy="add accelerometer_distance to the joint, or leave the channel out",
+                remedy="add accelerometer_distance to the joint, or remove the channel",
             )
         return "accelerometer"
     if f"theta_l{joint}" in log.channels:
@@ -394,13 +394,17 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
     warnings = list(saturation_warnings)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
-            text = f"link {i} has no sensor: its gear shows only in the motor's own response; an"
-            text += " accelerometer, a link encoder or the deflection would make intervals narrower"
+            text = (
+                f"link {i} has no sensor: only the response of motor {i} determines its gear. Add"
+            )
+            text += " an accelerometer, a link encoder or the deflection for narrower intervals"
             warnings.append(Diagnostic.at("no-link-sensor", Place.in_records(view.log.name), text))
     prbs = view.log.experiment.prbs
     if prbs and prbs.clock < 0.999 * view.log.sample_time:
         text = f"the voltage changes every {prbs.clock:g} s but is logged every"
-        text += f" {view.log.sample_time:g} s: what lies between is lost; log at least at its clock"
+        text += (
+            f" {view.log.sample_time:g} s: the log misses changes. Log at the PRBS clock or faster"
+        )
         warnings.append(Diagnostic.at("sub-sampled", Place.in_records(view.log.name), text))
     return valid, warnings
 

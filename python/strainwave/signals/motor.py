@@ -55,7 +55,7 @@ def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Sign
         raise InvalidInput(
             f"{len(log)} samples are too few for a filter of {bandwidth:.3g} Hz",
             where=log.name,
-            remedy="record for longer",
+            remedy="record a longer motion",
         )
     smooth_angle = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth_angle, T)

@@ -65,14 +65,14 @@ def missing_recorded_input(arm: Arm, log: Log) -> str | None:
     """Describe what a log lacks for a simulation with its servo; None if complete."""
     experiment = log.experiment
     if arm.servo is None and "servo" in experiment.control:
-        return "the study describes no servo"
+        return "the study has no [servo] table"
     missing_signal = missing_motor_signal(arm, log)
     if missing_signal:
         return missing_signal
     for i, control in enumerate(experiment.control, start=1):
         follows_reference = experiment.joint in (None, i) and experiment.prbs is None
         if control == "servo" and follows_reference and f"ref{i}" not in log.channels:
-            return f"the servo's reference ref{i} is not there"
+            return f"the log has no servo reference ref{i}"
     return None
 
 
@@ -80,9 +80,9 @@ def missing_motor_signal(arm: Arm, log: Log) -> str | None:
     """Describe the first motor angle or motor input that a log lacks; None if complete."""
     for i in range(1, arm.n_joints + 1):
         if input_channel(log, i) is None:
-            return f"neither torque{i} nor u{i} is there"
+            return f"the log has neither torque{i} nor u{i}"
         if f"theta_m{i}" not in log.channels:
-            return f"theta_m{i} is not there"
+            return f"the log has no channel theta_m{i}"
     return None
 
 
@@ -93,7 +93,7 @@ def check_recorded_input(arm: Arm, log: Log) -> None:
         raise InvalidInput(
             missing,
             where=log.name,
-            remedy="give the study a [servo] table, and the log the references of servoed joints",
+            remedy="add a [servo] table to the study, and log the references of servoed joints",
         )
 
 
@@ -111,10 +111,10 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
         common_step([T, period])
     except InvalidInput as error:
         raise InvalidInput(
-            f"its samples lie {T:g} s apart, which has no step in common with the servo's period "
-            f"of {period:g} s, so that its servo cannot be simulated",
+            f"the sampling period of {T:g} s and the servo period of {period:g} s have no common "
+            "time step, so the servo cannot be simulated",
             where=log.name,
-            remedy="mend the stamps, or period in [servo], whichever is off",
+            remedy="correct the time stamps of the log, or period in [servo]",
         ) from error
 
 

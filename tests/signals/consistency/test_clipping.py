@@ -21,7 +21,7 @@ def found(
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
     log = Log(step, TIME, TIME[1], channels)
-    return [each.where for each in clipping.clipped([log], Arm.of(study.arm))]
+    return [each.where for each in clipping.detect_clipping([log], Arm.of(study.arm))]
 
 
 def rounded(angle: FloatArray, counts: int) -> FloatArray:
@@ -34,7 +34,7 @@ def rounded(angle: FloatArray, counts: int) -> FloatArray:
     decay=st.floats(0.0, 6.0),
     counts=st.sampled_from([2048, 8192, 131072, 1048576]),
 )
-def test_an_angle_that_turns_is_not_clipped(
+def test_reversals_of_an_angle_are_not_clipping(
     size: float, hz: float, decay: float, counts: int
 ) -> None:
     swing = size * np.exp(-decay * TIME) * np.sin(2.0 * np.pi * hz * TIME)
@@ -42,7 +42,7 @@ def test_an_angle_that_turns_is_not_clipped(
 
 
 @given(share=st.floats(0.4, 0.8), hz=st.floats(0.6, 20.0))
-def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
+def test_a_saturated_angle_is_reported_as_clipped(share: float, hz: float) -> None:
     swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # The period is not a whole number of samples.
     clipped = rounded(np.clip(swing, -share, share), 131072)
     assert found(clipped) == ["theta_l1"]
@@ -54,7 +54,7 @@ def test_an_angle_at_its_end_is_clipped(share: float, hz: float) -> None:
     rise=st.floats(0.05, 0.4),
     counts=st.sampled_from([8192, 131072, 1048576]),
 )
-def test_an_angle_that_rests_where_a_step_led_it_is_not_clipped(
+def test_an_angle_at_rest_after_a_step_is_not_clipped(
     size: float, rise: float, counts: int
 ) -> None:
     edges = np.clip((TIME - 0.3) / rise, 0.0, 1.0) - np.clip((TIME - 1.0) / rise, 0.0, 1.0)
@@ -74,7 +74,7 @@ def of_16_bits(acceleration: FloatArray, noise: float, seed: int = 0) -> FloatAr
     noise=st.floats(0.0, 2.0),
     seed=st.integers(0, 1000),
 )
-def test_an_accelerometer_that_reads_a_slow_peak_many_times_is_not_clipped(
+def test_a_slow_peak_of_an_accelerometer_is_not_clipping(
     size: float, hz: float, noise: float, seed: int
 ) -> None:
     a = of_16_bits(size * np.sin(2.0 * np.pi * hz * TIME), noise, seed)
@@ -87,7 +87,7 @@ def test_an_accelerometer_that_reads_a_slow_peak_many_times_is_not_clipped(
     noise=st.floats(0.0, 2.0),
     share=st.floats(0.4, 0.9),
 )
-def test_an_accelerometer_at_its_end_is_clipped(
+def test_a_saturated_accelerometer_is_reported_as_clipped(
     size: float, hz: float, noise: float, share: float
 ) -> None:
     a = of_16_bits(size * np.sin(2.0 * np.pi * 1.0137 * hz * TIME), noise)

@@ -44,12 +44,12 @@ def swapped(given: Input, kind: str) -> Input:
     ), study
 
 
-def test_clean_input_is_silent(arm: Input) -> None:
+def test_fault_free_input_gives_no_suspicion(arm: Input) -> None:
     assert check(*arm).suspected == ()
 
 
 @pytest.mark.parametrize("number", [23, 38, 71, 88, 98, 107, 133, 144])
-def test_a_short_motion_is_vague_and_not_wrong(number: int) -> None:
+def test_short_fault_free_records_give_no_suspicion(number: int) -> None:
     """Fault-free records of 6 s: similar motion of both joints, servo lag, or almost no motion."""
     assert suspected(number) == ()
 
@@ -57,13 +57,13 @@ def test_a_short_motion_is_vague_and_not_wrong(number: int) -> None:
 @pytest.mark.parametrize(
     "name", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"]
 )
-def test_lab_arms_are_silent(name: str, shared_data: Path) -> None:
+def test_lab_arms_give_no_suspicion(name: str, shared_data: Path) -> None:
     study = read_study(shared_data / "lab" / name / "study.toml")
     assert check(read_logs(study), study).suspected == ()
 
 
 @pytest.mark.parametrize("name", ["dfki-double-pendulum", "emps", "ist-flexible-arm"])
-def test_real_arms_are_silent(name: str, shared_data: Path) -> None:
+def test_real_arms_give_no_suspicion(name: str, shared_data: Path) -> None:
     study = read_study(shared_data / "real" / name / "study.toml")
     assert check(read_logs(study), study).suspected == ()
 
@@ -84,7 +84,7 @@ def test_real_arms_are_silent(name: str, shared_data: Path) -> None:
         ("u2", -1.0, "wrong-sign", "its sign is wrong"),
     ],
 )
-def test_units_and_signs_are_named(
+def test_wrong_units_and_signs_are_reported(
     arm: Input, name: str, factor: float, code: str, said: str
 ) -> None:
     suspicion = the_one(changed(arm, **{name: factor}))
@@ -96,7 +96,7 @@ def test_units_and_signs_are_named(
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds")])
-def test_the_unit_of_time_is_named(arm: Input, factor: float, unit: str) -> None:
+def test_a_wrong_unit_of_time_is_reported(arm: Input, factor: float, unit: str) -> None:
     logs, study = arm
     rescaled = tuple(
         replace(log, time=factor * log.time, sample_time=factor * log.sample_time) for log in logs
@@ -108,7 +108,7 @@ def test_the_unit_of_time_is_named(arm: Input, factor: float, unit: str) -> None
 
 
 @pytest.mark.parametrize("kind", ["a", "u", "theta_m"])
-def test_swapped_joints_are_named(arm: Input, kind: str) -> None:
+def test_swapped_joints_are_reported(arm: Input, kind: str) -> None:
     suspicion = the_one(swapped(arm, kind))
     assert (suspicion.code, suspicion.where) == ("swapped-channels", f"{kind}1, {kind}2")
     assert f'channels.{kind}1 = "{kind}2"' in suspicion.remedy
@@ -116,14 +116,14 @@ def test_swapped_joints_are_named(arm: Input, kind: str) -> None:
 
 @pytest.mark.parametrize("joint", [1, 2])
 @pytest.mark.parametrize("ratio", [1.0, 0.02, 0.005])
-def test_gear_ratios_are_named(arm: Input, joint: int, ratio: float) -> None:
+def test_wrong_gear_ratios_are_reported(arm: Input, joint: int, ratio: float) -> None:
     suspicion = the_one(with_joint(arm, joint, gear_ratio=ratio))
     assert (suspicion.code, suspicion.where) == ("wrong-gear-ratio", f"joint {joint} gear_ratio")
     assert suspicion.factor == pytest.approx(ratio / 0.01, rel=0.03)
 
 
 @pytest.mark.parametrize("degrees", [-10.0, 10.0])
-def test_an_encoder_s_zero_is_no_gear_ratio(arm: Input, degrees: float) -> None:
+def test_an_encoder_zero_error_is_not_a_wrong_gear_ratio(arm: Input, degrees: float) -> None:
     logs, study = arm
     motor = np.radians(degrees) / study.arm.joints[1].gear_ratio
     turned = tuple(
@@ -134,7 +134,7 @@ def test_an_encoder_s_zero_is_no_gear_ratio(arm: Input, degrees: float) -> None:
 
 
 @pytest.mark.parametrize("degrees", [-5.0, 5.0])
-def test_a_table_that_tilts_is_no_gear_ratio(arm: Input, degrees: float) -> None:
+def test_a_tilted_table_is_not_a_wrong_gear_ratio(arm: Input, degrees: float) -> None:
     logs, study = arm
     ratios = np.array([joint.gear_ratio for joint in study.arm.joints])
     where = 0.5 * np.pi if study.arm.gravity else 0.5  # The tilt of a vertical arm rotates gravity.
@@ -148,7 +148,7 @@ def test_a_table_that_tilts_is_no_gear_ratio(arm: Input, degrees: float) -> None
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None:
+def test_a_distance_from_the_wrong_axis_is_reported(arm: Input, joint: int) -> None:
     true_distance = arm[1].arm.joints[joint - 1].accelerometer_distance or 0.0
     suspicion = the_one(with_joint(arm, joint, accelerometer_distance=true_distance + 0.35))
     assert (suspicion.code, suspicion.where) == (
@@ -160,7 +160,7 @@ def test_a_distance_from_the_wrong_axis_is_named(arm: Input, joint: int) -> None
 
 
 @pytest.mark.parametrize(("joint", "factor"), [(1, 1.05), (2, 1.05), (2, 0.9)])
-def test_the_rigid_fit_holds_torque_constants_against_each_other(
+def test_the_rigid_fit_reports_a_wrong_torque_constant(
     arm: Input, tmp_path: Path, joint: int, factor: float
 ) -> None:
     e = arm[1].arm.joints[joint - 1].torque_per_volt or 1.0
@@ -173,10 +173,10 @@ def test_the_rigid_fit_holds_torque_constants_against_each_other(
     (suspicion,) = result.suspected
     assert (suspicion.code, suspicion.where) == ("wrong-torque-constant", "torque_per_volt")
     assert suspicion.factor == pytest.approx(factor if joint == 1 else 1.0 / factor, rel=0.01)
-    assert "[[joint]] 2 by it" in suspicion.remedy
+    assert "multiply torque_per_volt of [[joint]] 2 by" in suspicion.remedy
 
 
-def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
+def test_correct_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     logs, study = small_arm
     motion = [log for log in logs if log.experiment.use == "motion"]
     estimate = rigid.fit([motor_side(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm))
@@ -186,7 +186,7 @@ def test_right_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     assert std < 0.01
 
 
-def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
+def test_a_torque_constant_wrong_by_ten_is_reported_by_the_input_check(small_arm: Input) -> None:
     e = small_arm[1].arm.joints[0].torque_per_volt or 1.0
     suspicion = the_one(with_joint(small_arm, 1, torque_per_volt=10.0 * e))
     assert suspicion.code == "wrong-torque-constant"
@@ -195,7 +195,7 @@ def test_a_factor_of_ten_is_named_before_any_estimate(small_arm: Input) -> None:
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 50.0])
-def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -> None:
+def test_wrong_gear_ratios_of_a_small_arm_are_reported(small_arm: Input, factor: float) -> None:
     n = small_arm[1].arm.joints[1].gear_ratio
     suspicion = the_one(with_joint(small_arm, 2, gear_ratio=factor * n))
     assert (suspicion.code, suspicion.where) == ("wrong-gear-ratio", "joint 2 gear_ratio")
@@ -205,7 +205,7 @@ def test_gear_ratios_of_a_small_arm_are_named(small_arm: Input, factor: float) -
 @pytest.mark.parametrize(
     ("length", "scale", "where"), [(1.3, 1.0, "link_length"), (1.0, 0.85, "a2")]
 )
-def test_geometry_and_scale_are_no_gear_ratio(
+def test_geometry_and_scale_errors_are_not_a_wrong_gear_ratio(
     small_arm: Input, length: float, scale: float, where: str
 ) -> None:
     logs, study = changed(small_arm, a2=scale)
@@ -215,25 +215,25 @@ def test_geometry_and_scale_are_no_gear_ratio(
     assert suspicion.factor == pytest.approx(length * scale, rel=0.02)
 
 
-def test_a_millisecond_is_left_to_the_whole_arm_fit(arm: Input) -> None:
+def test_a_delay_of_a_millisecond_gives_no_suspicion(arm: Input) -> None:
     delayed_input = delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 1e-3, 0.0)
     assert check(*delayed_input).suspected == ()
 
 
-def test_a_large_delay_is_named(arm: Input) -> None:
+def test_a_large_delay_is_reported(arm: Input) -> None:
     suspicion = the_one(delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 2e-2, 0.0))
     assert suspicion.code == "misaligned"
     assert suspicion.delay_s == pytest.approx(2e-2, rel=0.1)
 
 
-def test_another_clock_is_named(arm: Input) -> None:
+def test_clock_drift_is_reported(arm: Input) -> None:
     rate = 1.5e-3 if arm[1].arm.gravity else 1e-3  # Gravity reduces the sensitivity.
     suspicion = the_one(delayed(arm, ("a1", "a2"), 0.0, rate))
     assert (suspicion.code, suspicion.where) == ("clock-drift", "a1, a2")
     assert suspicion.factor == pytest.approx(1.0 + rate, abs=3e-4)
 
 
-def test_a_clipped_sensor_is_named(arm: Input) -> None:
+def test_a_clipped_sensor_is_reported(arm: Input) -> None:
     logs, study = arm
     top = max(float(log.channels["a2"].max()) for log in logs)
     clipped_logs = tuple(
@@ -244,7 +244,7 @@ def test_a_clipped_sensor_is_named(arm: Input) -> None:
     assert [(each.code, each.where) for each in suspicions] == [("clipped", "a2")]
 
 
-def test_a_fault_ends_in_exit_code_3_with_its_remedy(arm: Input, tmp_path: Path) -> None:
+def test_a_fault_gives_exit_code_3_and_a_remedy(arm: Input, tmp_path: Path) -> None:
     """The result contains only the rigid model, which does not use the accelerometers."""
     logs, study = changed(arm, a1=1.0 / 9.80665)
     for log in logs:
@@ -258,7 +258,7 @@ def test_a_fault_ends_in_exit_code_3_with_its_remedy(arm: Input, tmp_path: Path)
     assert result.tuned is None
 
 
-def test_time_in_milliseconds_leaves_no_traceback(arm: Input, tmp_path: Path) -> None:
+def test_time_in_milliseconds_gives_no_traceback(arm: Input, tmp_path: Path) -> None:
     logs, study = arm
     for log in logs:
         write_log(tmp_path / log.experiment.file, {"t": 1e3 * log.time, **log.channels})

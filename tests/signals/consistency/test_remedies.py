@@ -180,35 +180,39 @@ def assert_remedied(given: Input, codes: tuple[str, ...]) -> None:
 
 
 @pytest.mark.parametrize("fault", EVERYWHERE)
-def test_an_obeyed_remedy_makes_the_input_consistent(arm: Input, fault: str) -> None:
+def test_applying_the_remedy_makes_the_input_consistent(arm: Input, fault: str) -> None:
     change, codes = EVERYWHERE[fault]
     assert_remedied(change(arm), codes)
 
 
 @pytest.mark.parametrize("fault", HORIZONTAL)
-def test_an_obeyed_remedy_of_a_test_signal(horizontal_arm: Input, fault: str) -> None:
+def test_applying_the_remedy_of_a_test_signal_makes_the_input_consistent(
+    horizontal_arm: Input, fault: str
+) -> None:
     change, codes = HORIZONTAL[fault]
     assert_remedied(change(horizontal_arm), codes)
 
 
 @pytest.mark.parametrize("fault", VERTICAL)
-def test_an_obeyed_remedy_of_gravity(vertical_arm: Input, fault: str) -> None:
+def test_applying_the_remedy_of_gravity_makes_the_input_consistent(
+    vertical_arm: Input, fault: str
+) -> None:
     change, codes = VERTICAL[fault]
     assert_remedied(change(vertical_arm), codes)
 
 
-def test_the_delay_of_a_command_is_known_to_a_tenth_of_a_millisecond(horizontal_arm: Input) -> None:
+def test_the_delay_of_a_command_is_estimated_within_0_1_ms(horizontal_arm: Input) -> None:
     for delay in (1.5e-3, 3e-3, 1e-2):
         (suspicion,) = check(*delayed(delay, "u1")(horizontal_arm)).suspected
         assert suspicion.delay_s == pytest.approx(delay, abs=1e-4)
         assert suspicion.where == "u1"
 
 
-def test_a_delay_within_a_sample_is_no_fault(horizontal_arm: Input) -> None:
+def test_a_delay_below_one_sample_gives_no_suspicion(horizontal_arm: Input) -> None:
     assert check(*delayed(1e-3, "u1", "u2")(horizontal_arm)).suspected == ()
 
 
-def test_where_nothing_explains_everything_experiments_separate_likely_causes(arm: Input) -> None:
+def test_several_faults_give_experiments_that_isolate_the_likely_causes(arm: Input) -> None:
     noise = np.random.default_rng(7)
 
     def change(_: Log, columns: Columns) -> None:

@@ -67,7 +67,7 @@ def record(channels: dict[str, FloatArray], name: str = "record", control: str =
 
 
 def found(log: Log) -> list[str]:
-    return [f"{defect.kind} {defect.channel}" for defect in hygiene.defects([log], ARM)[0]]
+    return [f"{defect.kind} {defect.channel}" for defect in hygiene.detect_defects([log], ARM)[0]]
 
 
 def with_channel(log: Log, name: str, x: FloatArray) -> Log:
@@ -77,14 +77,14 @@ def with_channel(log: Log, name: str, x: FloatArray) -> Log:
 # --- detection of defects ---------------------------------------------------------------------
 
 
-def test_every_kind_can_be_drawn() -> None:
+def test_every_kind_of_defect_has_a_detector_and_sizes() -> None:
     """Each kind of defect has a detector, sizes and a test size."""
     assert set(SIZES) == set(CERTAIN) == set(hygiene.DETECTORS)
 
 
 @pytest.mark.parametrize("kind", sorted(hygiene.DETECTORS))
 @given(seed=st.integers(0, 10_000), factor=st.floats(1.0, 4.0))
-def test_a_large_defect_is_named_wherever_it_is(
+def test_a_large_defect_is_detected_at_any_position(
     kind: hygiene.Kind, seed: int, factor: float
 ) -> None:
     """A sufficiently large defect is detected at any position."""
@@ -94,7 +94,7 @@ def test_a_large_defect_is_named_wherever_it_is(
     drawn = injected(clean(), ARM, kind, size, rng(seed))
     assert drawn is not None
     assume(kind != "frozen" or (missed_something(drawn) and not rushed(drawn)))
-    detections = zip(drawn.logs, hygiene.defects(drawn.logs, ARM), strict=True)
+    detections = zip(drawn.logs, hygiene.detect_defects(drawn.logs, ARM), strict=True)
     assert [
         log.name for log, record_defects in detections if drawn.named(record_defects)
     ] or kind == "flat-tops"
@@ -126,22 +126,22 @@ def rushed(drawn: Injected) -> bool:
     shape=st.sampled_from([(1.0,), (1.0, 1.0), (1.0, 0.4, 1.3)]),
     size=st.floats(5.0, 1e4),
 )
-def test_a_spike_is_found_to_the_sample(at: int, shape: tuple[float, ...], size: float) -> None:
+def test_a_spike_is_located_to_the_sample(at: int, shape: tuple[float, ...], size: float) -> None:
     x = clean()[0].channels["a1"].copy()
     x[at : at + len(shape)] += size * np.array(shape)
-    record_defects = hygiene.defects([with_channel(clean()[0], "a1", x)], ARM)[0]
+    record_defects = hygiene.detect_defects([with_channel(clean()[0], "a1", x)], ARM)[0]
     assert [(d.kind, d.channel, d.start, d.stop) for d in record_defects] == [
         ("spikes", "a1", at, at + len(shape))
     ]
 
 
 @given(bits=st.integers(9, 12), seed=st.integers(0, 100))
-def test_a_counter_that_wraps_is_unwrapped(bits: int, seed: int) -> None:
+def test_counter_overflows_are_removed(bits: int, seed: int) -> None:
     log = clean()[seed % 2]
     counts = np.round(log.channels["theta_m1"] / COUNT)
     wrapped = COUNT * np.mod(counts, 2**bits)
     n_wraps = np.count_nonzero(np.abs(np.diff(wrapped)) > COUNT * 2 ** (bits - 1))
-    (usable,), warnings = hygiene.without_defects([with_channel(log, "theta_m1", wrapped)], ARM)
+    (usable,), warnings = hygiene.repair_records([with_channel(log, "theta_m1", wrapped)], ARM)
     if n_wraps > 1:
         assert [w.code for w in warnings] == ["encoder-steps"]
         error = usable.channels["theta_m1"] - log.channels["theta_m1"]
@@ -151,11 +151,11 @@ def test_a_counter_that_wraps_is_unwrapped(bits: int, seed: int) -> None:
 # --- no false detections ----------------------------------------------------------------------
 
 
-def test_clean_logs_have_none() -> None:
+def test_clean_logs_give_no_detection() -> None:
     """Logs without defects give no detection and no warning."""
     assert [found(log) for log in clean()] == [[], []]
     study = read_study(SMALL_ARM)
-    assert hygiene.without_defects(read_logs(study), Arm.of(study.arm))[1] == ()
+    assert hygiene.repair_records(read_logs(study), Arm.of(study.arm))[1] == ()
 
 
 @pytest.mark.skipif(not SHARED.exists(), reason="the shared data are not there")
@@ -170,17 +170,17 @@ def test_clean_logs_have_none() -> None:
         "real/ist-flexible-arm",
     ],
 )
-def test_shared_logs_have_none(name: str) -> None:
+def test_shared_logs_give_no_warning_and_are_unchanged(name: str) -> None:
     """Shared logs give no warning and are unchanged."""
     study = read_study(SHARED / name / "study.toml")
     logs = read_logs(study)
-    usable, warnings = hygiene.without_defects(logs, Arm.of(study.arm))
+    usable, warnings = hygiene.repair_records(logs, Arm.of(study.arm))
     assert warnings == ()
     assert usable == logs
 
 
 @given(seed=st.integers(0, 1000), stands=st.integers(50, 2000), at=st.integers(1000, 9000))
-def test_a_motor_that_stands_is_not_frozen(seed: int, stands: int, at: int) -> None:
+def test_a_motor_at_standstill_is_not_frozen(seed: int, stands: int, at: int) -> None:
     log = made(seed)
     channels = dict(log.channels)
     # The motor stops and starts without a step of its velocity, as friction permits.
@@ -201,7 +201,7 @@ def test_a_motor_that_stands_is_not_frozen(seed: int, stands: int, at: int) -> N
     clock=st.integers(1, 40),
     amplitude=st.floats(1.0, 10.0),
 )
-def test_a_pseudo_random_voltage_is_no_defect(seed: int, clock: int, amplitude: float) -> None:
+def test_a_pseudo_random_voltage_is_not_a_defect(seed: int, clock: int, amplitude: float) -> None:
     levels = rng(seed).integers(0, 2, len(TIME) // clock + 1)
     voltage = np.asarray(amplitude * (2.0 * np.repeat(levels, clock)[: len(TIME)] - 1.0))
     log = with_channel(clean()[0], "u1", voltage)
@@ -210,14 +210,14 @@ def test_a_pseudo_random_voltage_is_no_defect(seed: int, clock: int, amplitude: 
 
 
 @given(limit=st.floats(0.1, 0.9))
-def test_a_servo_at_its_limit_is_no_defect(limit: float) -> None:
+def test_a_servo_at_its_limit_is_not_a_defect(limit: float) -> None:
     u = clean()[0].channels["u1"]
     bound = limit * float(np.abs(u).max())
     assert found(with_channel(clean()[0], "u1", np.clip(u, -bound, bound))) == []
 
 
 @given(height=st.floats(0.5, 20.0), at=st.integers(500, 11_000), decay=st.floats(10.0, 400.0))
-def test_a_step_of_a_reference_is_no_spike(height: float, at: int, decay: float) -> None:
+def test_a_step_of_a_reference_is_not_a_spike(height: float, at: int, decay: float) -> None:
     since = np.clip(np.arange(len(TIME)) - at, 0, None)
     transient = np.where(np.arange(len(TIME)) >= at, height * np.exp(-since / decay), 0.0)
     u = clean()[0].channels["u1"] + transient
@@ -225,14 +225,14 @@ def test_a_step_of_a_reference_is_no_spike(height: float, at: int, decay: float)
 
 
 @given(step=st.floats(0.001, 0.05), seed=st.integers(0, 20))
-def test_a_coarse_sensor_is_not_frozen_nor_clipped(step: float, seed: int) -> None:
+def test_a_coarse_sensor_has_no_frozen_stretches_or_flat_tops(step: float, seed: int) -> None:
     log = made(seed)
     rate = log.channels["gyro1"]
     assert found(with_channel(log, "gyro1", digits(rate, step))) == []
 
 
 @given(hz=st.floats(20.0, 80.0), damping=st.floats(0.01, 0.1), seed=st.integers(0, 1000))
-def test_a_resonance_is_no_hum(hz: float, damping: float, seed: int) -> None:
+def test_a_resonance_is_not_mains_hum(hz: float, damping: float, seed: int) -> None:
     logs = []
     w = 2.0 * np.pi * hz
     impulse_response = np.exp(-damping * w * TIME) * np.sin(w * TIME)
@@ -244,4 +244,4 @@ def test_a_resonance_is_no_hum(hz: float, damping: float, seed: int) -> None:
         ]
         a = log.channels["a1"] + vibration / np.std(vibration)
         logs.append(with_channel(log, "a1", a))
-    assert hygiene.defects(logs, ARM) == [[], []]
+    assert hygiene.detect_defects(logs, ARM) == [[], []]

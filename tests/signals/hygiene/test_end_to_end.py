@@ -32,7 +32,7 @@ def spoilt(log: Log, seed: int) -> Log:
     return replace(log, channels={**channels, "theta_m2": stepped_angle})
 
 
-def test_defects_are_named_and_change_nothing() -> None:
+def test_defects_are_reported_and_do_not_change_the_estimates() -> None:
     study = read_study(FOLDER / "study.toml")
     logs = [spoilt(log, k) for k, log in enumerate(read_logs(study))]
     data = {log.name: {"t": log.time, **log.channels} for log in logs}

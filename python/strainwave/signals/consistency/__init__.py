@@ -12,19 +12,25 @@ from collections.abc import Sequence
 from strainwave.domain import Consistency, Log, Study, Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import one_blas_thread
-from strainwave.signals.consistency.causes import Cause, causes
-from strainwave.signals.consistency.clipping import clipped
-from strainwave.signals.consistency.evidence import Evidence, evidence
-from strainwave.signals.consistency.observations import Observation, observe
-from strainwave.signals.consistency.torque_constants import doubted_torques, torque_constants
-from strainwave.signals.consistency.unexplained import is_reported, unexplained
+from strainwave.signals.consistency.causes import Cause, propose_causes
+from strainwave.signals.consistency.clipping import detect_clipping
+from strainwave.signals.consistency.evidence import Evidence, collect_evidence
+from strainwave.signals.consistency.observations import Observation, compute_observations
+from strainwave.signals.consistency.remaining_contradictions import (
+    is_reported,
+    report_remaining_contradictions,
+)
+from strainwave.signals.consistency.torque_constants import (
+    find_doubtful_torque_constant,
+    suspect_torque_constants,
+)
 
-__all__ = ["check", "doubted_torques", "torque_constants"]
+__all__ = ["check", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
 # Kinds of observations that must remain available after a correction.
-_REQUIRED_KINDS = ("followed", "scale", "inertia")
+_REQUIRED_KINDS = ("explained-share", "scale", "inertia")
 # Minimum decrease of the total contradiction weight for a cause to be accepted.
 _MIN_EXPLAINED_WEIGHT = 0.75
 # Weight added to a cause with an estimated factor, so that structured causes take precedence.
@@ -41,35 +47,38 @@ def check(logs: Sequence[Log], study: Study) -> Consistency:
     first.
     """
     with one_blas_thread():
-        suspicions = list(clipped(logs, Arm.of(study.arm)))
+        suspicions = list(detect_clipping(logs, Arm.of(study.arm)))
         clipped_channels = [p.channel for each in suspicions for p in each.places if p.channel]
-        unclipped = evidence(logs, study).without(clipped_channels)
+        unclipped = collect_evidence(logs, study).without(clipped_channels)
         suspicions.extend(_explain_contradictions(unclipped))
     return Consistency(tuple(suspicions))
 
 
-def _explain_contradictions(seen: Evidence) -> list[Suspicion]:
+def _explain_contradictions(evidence: Evidence) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
-    observations = observe(seen)
+    observations = compute_observations(evidence)
     chosen: list[Cause] = []
     likely: list[Suspicion] = []
     while any(o.contradicts for o in observations) and len(chosen) < _MAX_CAUSES:
-        ranked = _rank_causes(seen, observations)
+        ranked = _rank_causes(evidence, observations)
         if not chosen:
-            likely = [cause.suspicion for cause in ranked if not cause.is_free]
+            likely = [cause.suspicion for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
             break
         chosen.append(ranked[0])
-        seen = seen.corrected(ranked[0].suspicion.corrections)
-        observations = observe(seen)
+        evidence = evidence.corrected(ranked[0].suspicion.corrections)
+        observations = compute_observations(evidence)
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
     if not remaining:
         return [cause.suspicion for cause in chosen]
-    structured = [cause.suspicion for cause in chosen if not cause.is_free]
-    return [*structured, *unexplained(remaining, likely[:_MAX_LIKELY_CAUSES], seen.study)]
+    structured = [cause.suspicion for cause in chosen if not cause.has_estimated_factor]
+    return [
+        *structured,
+        *report_remaining_contradictions(remaining, likely[:_MAX_LIKELY_CAUSES], evidence.study),
+    ]
 
 
-def _rank_causes(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
+def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     """Causes that reduce the contradictions, ordered by remaining weight, then by simplicity.
 
     An observation counts as a contradiction if the correction removes it and it contradicted
@@ -77,10 +86,12 @@ def _rank_causes(seen: Evidence, now: Sequence[Observation]) -> list[Cause]:
     """
     before = _contradiction_weight(now, now)
     weights: list[tuple[float, Cause]] = []
-    for cause in causes(seen, [o for o in now if o.contradicts]):
-        after = _contradiction_weight(observe(seen.corrected(cause.suspicion.corrections)), now)
+    for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
+        after = _contradiction_weight(
+            compute_observations(evidence.corrected(cause.suspicion.corrections)), now
+        )
         if after < before - _MIN_EXPLAINED_WEIGHT:
-            weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.is_free, cause))
+            weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
         if after == 0.0:
             break
     return [cause for _, cause in sorted(weights, key=lambda each: each[0])]

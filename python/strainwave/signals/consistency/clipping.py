@@ -14,7 +14,7 @@ from strainwave.domain import (
 )
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import resolution_of
-from strainwave.signals.hygiene.flat_tops import SHARE, ends_of_range
+from strainwave.signals.hygiene.flat_tops import MAX_SATURATED_SHARE, find_saturated_runs
 
 _KINDS = ("a", "gyro", "theta_l", "deflection", "torque", "omega_m")
 # Kinds whose noise prevents runs of equal samples unless the sensor is saturated.
@@ -25,7 +25,7 @@ _MIN_MOTOR_MOTION_SHARE = 0.01
 _HIDDEN_RESOLUTIONS = 2.0
 
 
-def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
+def detect_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
     """Yield one suspicion per channel that repeatedly stays at its largest or smallest reading."""
     for kind in _KINDS:
         for i in range(1, arm.n_joints + 1):
@@ -38,7 +38,9 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
                 for log in logs
                 if name in log.channels
             }
-            records = [record for record, (share, _) in shares.items() if share > SHARE]
+            records = [
+                record for record, (share, _) in shares.items() if share > MAX_SATURATED_SHARE
+            ]
             if not records:
                 continue
             first = max(records, key=lambda record: shares[record][0])
@@ -51,12 +53,11 @@ def clipped(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
                 places=(Place(channel=name),),
                 message=(
                     f"{name} stays at {values.min():.4g} or {values.max():.4g} for "
-                    f"{100.0 * share:.2g} % of {first}{others}: the sensor is at the end of "
-                    "its range"
+                    f"{100.0 * share:.2g} % of {first}{others}: the sensor is saturated"
                 ),
                 remedy=(
-                    "Lower the amplitude, or use a sensor of larger range; leave the channel out "
-                    "of the study until then"
+                    "Reduce the amplitude, or use a sensor with a larger range; until then, remove "
+                    "the channel from the study"
                 ),
                 corrections=(Correction("log", name, "unusable", None),),
             )
@@ -68,7 +69,7 @@ def _clipped_share(log: Log, name: str, *, rests: bool) -> float:
     If `rests` is true, counts only the runs during which the motor moves.
     """
     values, motor = log.channels[name], log.channels.get(f"theta_m{name[-1]}")
-    runs = [run for ends in ends_of_range(values, rests=rests) for run in ends.tolist()]
+    runs = [run for ends in find_saturated_runs(values, rests=rests) for run in ends.tolist()]
     if rests and motor is not None:
         relative_resolution = resolution_of(values) / float(np.ptp(values)) if runs else 0.0
         min_motion = (_MIN_MOTOR_MOTION_SHARE + _HIDDEN_RESOLUTIONS * relative_resolution) * float(

@@ -43,7 +43,7 @@ class Clocks:
         return replace(self, prbs=by(self.prbs), servo=by(self.servo))
 
 
-def clocks_of(log: Log, arm: Arm) -> Clocks:
+def estimate_clocks(log: Log, arm: Arm) -> Clocks:
     """Estimate the PRBS and servo clocks of a log from its commands."""
     experiment = log.experiment
     level: dict[str, float] = {}
@@ -61,10 +61,10 @@ def clocks_of(log: Log, arm: Arm) -> Clocks:
             prbs = prbs or clock
         elif control == "servo" and arm.servo is not None:
             servo = servo or _estimate_clock(values, log, two_levels=False)
-    return Clocks(prbs, servo, level, excited_inputs(log))
+    return Clocks(prbs, servo, level, find_excited_inputs(log))
 
 
-def excited_inputs(log: Log) -> frozenset[str]:
+def find_excited_inputs(log: Log) -> frozenset[str]:
     """Commands with at least `_MIN_SWITCHES` jumps larger than `_MIN_JUMP_SHARE` of their range."""
     excited = set()
     for name, values in log.channels.items():

@@ -20,7 +20,7 @@ _MIN_WHOLE_SHARE = 0.97
 _MAX_SAMPLES = 40_000
 
 
-def count_of(angles: Sequence[FloatArray]) -> float | None:
+def estimate_encoder_count(angles: Sequence[FloatArray]) -> float | None:
     """Size of one encoder count of a motor angle, in the unit of the channel.
 
     The count is the smallest step between consecutive samples, provided that nearly all small

@@ -26,9 +26,9 @@ from strainwave.domain.corrections import apply_corrections
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.consistency.clocks import Clocks, clocks_of, excited_inputs
-from strainwave.signals.consistency.counts import count_of
-from strainwave.signals.consistency.input_delay import DelayProfile, delay_profile
+from strainwave.signals.consistency.clocks import Clocks, estimate_clocks, find_excited_inputs
+from strainwave.signals.consistency.counts import estimate_encoder_count
+from strainwave.signals.consistency.input_delay import DelayProfile, compute_delay_profile
 
 # Share of the velocity power, and ratio of the bandwidth to the frequency below which that share
 # lies, for slow and for fast records.
@@ -209,13 +209,13 @@ def _remapped(
     )
 
 
-def evidence(logs: Sequence[Log], study: Study) -> Evidence:
+def collect_evidence(logs: Sequence[Log], study: Study) -> Evidence:
     """Collect the evidence of a study. Records that are too short are omitted."""
     arm = Arm.of(study.arm)
     records = run_parallel([partial(_slow_record, log, arm) for log in logs]) if logs else []
     counts = {}
     for joint in range(1, arm.n_joints + 1):
-        count = count_of([log.channels[f"theta_m{joint}"] for log in logs])
+        count = estimate_encoder_count([log.channels[f"theta_m{joint}"] for log in logs])
         if count is not None:
             counts[joint] = count
     return Evidence(study, tuple(r for r in records if r is not None), counts)
@@ -252,7 +252,7 @@ def _slow_record(log: Log, arm: Arm) -> SlowRecord | None:
         direction=slow[:, len(names) :],
         inside=inside,
         start=0.5 * (block - 1) * T,
-        clocks=clocks_of(log, arm),
+        clocks=estimate_clocks(log, arm),
         delays=_delay_profiles(log, arm),
     )
 
@@ -262,9 +262,9 @@ def _delay_profiles(log: Log, arm: Arm) -> dict[int, DelayProfile]:
     profiles = {}
     if log.experiment.use in ("frequency", "sweep"):
         open_loop = {i for i, control in enumerate(log.experiment.control, 1) if control == "open"}
-        excited = {channel_parts(name)[1] for name in excited_inputs(log)}
+        excited = {channel_parts(name)[1] for name in find_excited_inputs(log)}
         for joint in excited | {i for i in open_loop if i == log.experiment.joint}:
-            profile = delay_profile(log, arm, joint - 1)
+            profile = compute_delay_profile(log, arm, joint - 1)
             if profile is not None:
                 profiles[joint] = profile
     return profiles

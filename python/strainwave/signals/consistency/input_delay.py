@@ -48,19 +48,19 @@ class DelayProfile:
     """Unexplained share of the command of one record as a function of its delay."""
 
     record: str
-    unexplained: FloatArray  # (n_delays,) over `delays()`
+    unexplained: FloatArray  # (n_delays,) over `delay_grid()`
     lines: int  # spectral lines in the band
     band_hz: float  # upper band limit
     sample_time: float  # [s] of the log
 
 
-def delays() -> FloatArray:
+def delay_grid() -> FloatArray:
     """Delay grid of a profile [s]."""
     count = round(LONGEST_DELAY / _DELAY_STEP)
     return np.asarray(_DELAY_STEP * np.arange(-count, count + 1), dtype=np.float64)
 
 
-def delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
+def compute_delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
     """Delay profile of joint i, from 0. Returns None if the record does not determine the delay."""
     T, n = log.sample_time, arm.n_joints
     angle = np.column_stack([log.channels[f"theta_m{k}"] for k in range(1, n + 1)])
@@ -73,7 +73,7 @@ def delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
     return min(valid, key=lambda each: float(each.unexplained.min()), default=None)
 
 
-def pooled_delay(profiles: Sequence[DelayProfile]) -> Delay | None:
+def pool_delays(profiles: Sequence[DelayProfile]) -> Delay | None:
     """Maximum-likelihood delay over several records.
 
     Returns None if the records do not determine the delay, or if it does not differ significantly
@@ -83,7 +83,7 @@ def pooled_delay(profiles: Sequence[DelayProfile]) -> Delay | None:
     if not valid:
         return None
     cost = np.sum([p.lines * np.log(p.unexplained) for p in valid], axis=0)
-    best, grid = int(np.argmin(cost)), delays()
+    best, grid = int(np.argmin(cost)), delay_grid()
     zero = len(grid) // 2
     lines = sum(p.lines for p in valid)
     if best in (0, len(grid) - 1) or cost[zero] - cost[best] < lines * np.log(_MIN_IMPROVEMENT):
@@ -130,7 +130,7 @@ def _band_profile(
     columns = columns[:, size > 0.0] / size[size > 0.0]
     basis, singular_values, _ = np.linalg.svd(columns, full_matrices=False)
     basis = basis[:, singular_values > 1e-7 * singular_values[0]]
-    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delays()))
+    shifted = lines[:, :1] * np.exp(2j * np.pi * np.outer(frequency[inside], delay_grid()))
     explained = np.sum((basis.T @ _stack_real_imaginary(shifted)) ** 2, axis=0) / total
     unexplained = np.maximum(1.0 - explained, 1e-9)
     return DelayProfile(log.name, unexplained, int(inside.sum()), band[1], T)

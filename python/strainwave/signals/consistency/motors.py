@@ -44,7 +44,7 @@ class Ratio:
 
 
 @dataclass(frozen=True, slots=True)
-class Torque:
+class TorqueRegression:
     """Regression of the torque of one joint on its rigid-joint equation, over all slow records."""
 
     joint: int  # from 1
@@ -56,13 +56,13 @@ class Torque:
     coupling_covariance: FloatArray  # (n_shared, n_shared)
 
 
-def references(seen: Evidence) -> list[Ratio]:
+def compute_reference_ratios(evidence: Evidence) -> list[Ratio]:
     """Ratios of low-frequency motor velocity to servo reference.
 
     Covers the joints under servo control whose reference varies.
     """
     ratios: list[Ratio] = []
-    for record, i in _servo_controlled(seen):
+    for record, i in _servo_controlled(evidence):
         reference = record.channels[f"ref{i}"]
         velocity = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
         slope = differentiate(reference, record.sample_time)
@@ -72,14 +72,14 @@ def references(seen: Evidence) -> list[Ratio]:
     return ratios
 
 
-def servo_outputs(seen: Evidence) -> list[Ratio]:
+def compute_servo_output_ratios(evidence: Evidence) -> list[Ratio]:
     """Ratios of the logged voltage to the servo output kp e + ki int(e) of the study.
 
     e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output.
     """
     ratios: list[Ratio] = []
-    servo = seen.arm.servo
-    for record, i in _servo_controlled(seen):
+    servo = evidence.arm.servo
+    for record, i in _servo_controlled(evidence):
         name = f"u{i}"
         has_prbs = record.experiment.prbs is not None and record.experiment.joint in (None, i)
         if servo is None or has_prbs or name not in record.channels:
@@ -98,11 +98,11 @@ def servo_outputs(seen: Evidence) -> list[Ratio]:
     return ratios
 
 
-def velocities(seen: Evidence) -> list[Ratio]:
+def compute_velocity_ratios(evidence: Evidence) -> list[Ratio]:
     """Ratios of the logged motor velocity to the derivative of the motor angle."""
     ratios: list[Ratio] = []
-    for record in seen.records:
-        for i in range(1, seen.arm.n_joints + 1):
+    for record in evidence.records:
+        for i in range(1, evidence.arm.n_joints + 1):
             name = f"omega_m{i}"
             if name in record.channels:
                 slope = differentiate(record.channels[f"theta_m{i}"], record.sample_time)
@@ -111,18 +111,18 @@ def velocities(seen: Evidence) -> list[Ratio]:
     return ratios
 
 
-def torques(seen: Evidence) -> list[Torque]:
+def regress_torques(evidence: Evidence) -> list[TorqueRegression]:
     """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
     The two joints are regressed separately, so the shared parameters beta, gamma and G2 are
     estimated twice. Joints without a torque or voltage channel are omitted.
     """
-    slow = [r for r in seen.records if is_slow(r.experiment)]
+    slow = [r for r in evidence.records if is_slow(r.experiment)]
     estimates = []
-    for i in range(seen.arm.n_joints):
-        records = slow or [r for r in seen.records if r.experiment.joint in (None, i + 1)]
+    for i in range(evidence.arm.n_joints):
+        records = slow or [r for r in evidence.records if r.experiment.joint in (None, i + 1)]
         records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        fit, names = _regress_torque(records, seen.arm, i)
+        fit, names = _regress_torque(records, evidence.arm, i)
         if fit is None:
             continue
         std = np.sqrt(np.diag(fit.covariance))
@@ -130,16 +130,16 @@ def torques(seen: Evidence) -> list[Torque]:
         shared = tuple(names[k] for k in indices)
         inertia = float(fit.value[0]), float(std[0])
         coupling = fit.value[indices], fit.covariance[np.ix_(indices, indices)]
-        estimates.append(Torque(i + 1, *inertia, fit.explained, shared, *coupling))
+        estimates.append(TorqueRegression(i + 1, *inertia, fit.explained, shared, *coupling))
     return estimates
 
 
-def _servo_controlled(seen: Evidence) -> Iterator[tuple[SlowRecord, int]]:
+def _servo_controlled(evidence: Evidence) -> Iterator[tuple[SlowRecord, int]]:
     """Records and joints (from 1) under servo control, unsaturated, with a varying reference."""
-    if seen.arm.servo is None:
+    if evidence.arm.servo is None:
         return
-    limit = 0.999 * seen.arm.servo.limit
-    for record in seen.records:
+    limit = 0.999 * evidence.arm.servo.limit
+    for record in evidence.records:
         for i, control in enumerate(record.experiment.control, start=1):
             if control != "servo" or f"ref{i}" not in record.channels:
                 continue
@@ -170,7 +170,7 @@ def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | 
         # Near a velocity reversal, the Coulomb friction is undetermined between its two values.
         rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
         rows = rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
-        torque = motor_torque(record, arm, i)[rows]
+        torque = compute_motor_torque(record, arm, i)[rows]
         block = np.column_stack(list(columns.values()))[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
@@ -179,7 +179,7 @@ def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | 
     return regress(np.concatenate(targets), np.concatenate(blocks)), names
 
 
-def motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
+def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     """Motor torque of joint i (from 0), (n_rows,) [N m].
 
     Returns the logged torque, or torque_per_volt times the voltage. If the study gives no
@@ -202,8 +202,8 @@ def _regressor_columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatA
     friction = {"viscous": dq[:, i] / n[i], "coulomb": record.direction[:, i]}
     gravity = arm.gravity is not None
     if arm.n_joints == 1:
-        pull = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
-        return {"inertia": ddq[:, 0] / n[0]} | friction | pull
+        gravity_columns = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
+        return {"inertia": ddq[:, 0] / n[0]} | friction | gravity_columns
     c, s = np.cos(q[:, 1]), np.sin(q[:, 1])
     inertia = {"inertia": ddq[:, i] / n[i]}
     if i == 0:
@@ -215,15 +215,15 @@ def _regressor_columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatA
         }
     else:
         coupled = {"beta": n[1] * ddq[:, 0], "gamma": n[1] * (c * ddq[:, 0] + s * dq[:, 0] ** 2)}
-    pull = {}
+    gravity_columns = {}
     if gravity:
-        pull["gravity_torque_2"] = n[i] * np.cos(q[:, 0] + q[:, 1])
+        gravity_columns["gravity_torque_2"] = n[i] * np.cos(q[:, 0] + q[:, 1])
         if i == 0:
-            pull["gravity_torque_1"] = n[0] * np.cos(q[:, 0])
-    return inertia | coupled | friction | pull
+            gravity_columns["gravity_torque_1"] = n[0] * np.cos(q[:, 0])
+    return inertia | coupled | friction | gravity_columns
 
 
-def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
+def estimate_torque_ratio(regressions: list[TorqueRegression]) -> tuple[float, float] | None:
     """Ratio of the torque-constant errors of joints 1 and 2, from the symmetry of M(q).
 
     beta, gamma and G2 occur in the equations of both joints. If the torque constant of joint i is
@@ -237,9 +237,13 @@ def torque_ratio(found: list[Torque]) -> tuple[float, float] | None:
     is the cost per degree of freedom, at least 1. Returns None for one joint, or if the motion
     does not determine the ratio.
     """
-    if len(found) < 2 or found[0].shared != found[1].shared or not found[0].shared:
+    if (
+        len(regressions) < 2
+        or regressions[0].shared != regressions[1].shared
+        or not regressions[0].shared
+    ):
         return None
-    first, second = found
+    first, second = regressions
 
     def costs_of(ratios: FloatArray) -> FloatArray:
         error = first.coupling - ratios[:, None] * second.coupling

@@ -9,17 +9,17 @@ from typing import Literal
 import numpy as np
 
 from strainwave.signals.consistency.evidence import Evidence
-from strainwave.signals.consistency.input_delay import pooled_delay
+from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
     Ratio,
-    references,
-    servo_outputs,
-    torque_ratio,
-    torques,
-    velocities,
+    compute_reference_ratios,
+    compute_servo_output_ratios,
+    compute_velocity_ratios,
+    estimate_torque_ratio,
+    regress_torques,
 )
-from strainwave.signals.consistency.regression import pooled
-from strainwave.signals.consistency.sensors import LINK_CHANNELS, Reading, readings
+from strainwave.signals.consistency.regression import pool_estimates
+from strainwave.signals.consistency.sensors import LINK_CHANNELS, Reading, regress_readings
 
 Kind = Literal[
     "count",
@@ -30,15 +30,15 @@ Kind = Literal[
     "servo",
     "velocity",
     "scale",
-    "own",
+    "own-joint",
     "elbow",
     "gravity",
-    "turn",
+    "rotation-ratio",
     "delay",
     "drift",
     "inertia",
     "torque-ratio",
-    "followed",
+    "explained-share",
     "input-delay",
     "excited-joint",
     "limit",
@@ -63,10 +63,10 @@ _TOLERANCE: dict[Kind, float] = {
     "servo": 3.0,  # the integrator state and the limit are unknown
     "velocity": 0.05,
     "scale": 0.05,  # range that the whole-arm fit corrects
-    "own": 0.08,
+    "own-joint": 0.08,
     "elbow": 0.12,
     "gravity": 0.08,
-    "turn": 0.12,
+    "rotation-ratio": 0.12,
     "delay": 5e-3,  # [s] range that the whole-arm fit corrects
     "input-delay": _MAX_INPUT_DELAY,
     "drift": 2e-4,  # [s/s]
@@ -83,10 +83,10 @@ _MODEL_ERROR: dict[Kind, float] = {
     "servo": 0.1,
     "velocity": 0.005,
     "scale": 0.008,
-    "own": 0.012,
+    "own-joint": 0.012,
     "elbow": 0.008,
     "gravity": 0.01,
-    "turn": 0.02,
+    "rotation-ratio": 0.02,
     "delay": 4e-4,
     "tilt": 0.01,
     "drift": 0.0,  # follows from the floor of the delay and the length of the record
@@ -124,7 +124,7 @@ class Observation:
     @property
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
-        if self.kind == "followed":
+        if self.kind == "explained-share":
             link = self.where[:-1] in LINK_CHANNELS
             return self.value < (_MIN_EXPLAINED_SHARE if link else _MIN_MOTOR_EXPLAINED_SHARE)
         tolerance = self.tolerance or _TOLERANCE[self.kind]
@@ -140,35 +140,35 @@ class Observation:
     @property
     def weight(self) -> float:
         """Weight of the observation if it contradicts."""
-        return _UNEXPLAINED_WEIGHT if self.kind == "followed" else 1.0
+        return _UNEXPLAINED_WEIGHT if self.kind == "explained-share" else 1.0
 
 
-def observe(seen: Evidence) -> tuple[Observation, ...]:
+def compute_observations(evidence: Evidence) -> tuple[Observation, ...]:
     """Compute all observations of the input check."""
     return (
-        *_counts(seen),
-        *_clocks(seen),
-        *_test_signals(seen),
-        *_input_delays(seen),
-        *_ratios("reference", references(seen)),
-        *_ratios("servo", servo_outputs(seen)),
-        *_ratios("velocity", velocities(seen)),
-        *_sensors(seen),
-        *_torques(seen),
+        *_observe_counts(evidence),
+        *_observe_clocks(evidence),
+        *_observe_test_signals(evidence),
+        *_observe_input_delays(evidence),
+        *_observe_ratios("reference", compute_reference_ratios(evidence)),
+        *_observe_ratios("servo", compute_servo_output_ratios(evidence)),
+        *_observe_ratios("velocity", compute_velocity_ratios(evidence)),
+        *_observe_sensors(evidence),
+        *_observe_torques(evidence),
     )
 
 
-def _counts(seen: Evidence) -> Iterator[Observation]:
-    for joint, count in seen.counts.items():
-        per_turn = seen.arm.joints[joint - 1].encoder_counts
+def _observe_counts(evidence: Evidence) -> Iterator[Observation]:
+    for joint, count in evidence.counts.items():
+        per_turn = evidence.arm.joints[joint - 1].encoder_counts
         if per_turn:
             ratio = count * per_turn / (2.0 * np.pi)
             yield Observation("count", f"theta_m{joint}", ratio, 1e-3 * ratio, joint)
 
 
-def _clocks(seen: Evidence) -> Iterator[Observation]:
-    servo = seen.arm.servo
-    for record in seen.records:
+def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
+    servo = evidence.arm.servo
+    for record in evidence.records:
         experiment, clocks = record.experiment, record.clocks
         if clocks.prbs is not None and experiment.prbs is not None:
             ratio = clocks.prbs / experiment.prbs.clock
@@ -183,27 +183,27 @@ def _clocks(seen: Evidence) -> Iterator[Observation]:
                 yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
 
 
-def _test_signals(seen: Evidence) -> Iterator[Observation]:
+def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
     """Compare the stated excited joint and the servo limit with the commands."""
-    for record in seen.records:
+    for record in evidence.records:
         experiment, excited = record.experiment, record.clocks.excited
         joint = experiment.joint
         if joint is not None and excited and experiment.use in ("frequency", "sweep"):
             is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
             yield Observation("excited-joint", experiment.name, 2.0 * is_stated - 1.0, 0.0, joint)
-        if seen.arm.servo is None:
+        if evidence.arm.servo is None:
             continue
         for i, control in enumerate(experiment.control, start=1):
             voltage = record.channels.get(f"u{i}")
             if control == "servo" and voltage is not None:
-                share = float(np.max(np.abs(voltage))) / seen.arm.servo.limit
+                share = float(np.max(np.abs(voltage))) / evidence.arm.servo.limit
                 yield Observation("limit", f"u{i}", max(1.0, share), 1e-3 * share, i)
 
 
-def _input_delays(seen: Evidence) -> Iterator[Observation]:
-    for joint in range(1, seen.arm.n_joints + 1):
-        profiles = [(r, r.delays[joint]) for r in seen.records if joint in r.delays]
-        delay = pooled_delay([profile for _, profile in profiles])
+def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
+    for joint in range(1, evidence.arm.n_joints + 1):
+        profiles = [(r, r.delays[joint]) for r in evidence.records if joint in r.delays]
+        delay = pool_delays([profile for _, profile in profiles])
         if delay is None:
             continue
         record, profile = profiles[0]
@@ -214,78 +214,80 @@ def _input_delays(seen: Evidence) -> Iterator[Observation]:
         yield Observation("input-delay", name, remaining, delay.std, joint, tolerance)
 
 
-def _ratios(kind: Kind, found: Iterable[Ratio]) -> Iterator[Observation]:
+def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:
     by_channel: dict[str, list[Ratio]] = {}
-    for each in found:
+    for each in ratios:
         by_channel.setdefault(each.channel, []).append(each)
     for channel, all_records in by_channel.items():
         best = max(each.explained for each in all_records)
         clear = [each for each in all_records if each.explained > 0.8 * best]
         stds = [float(np.hypot(e.std, _MODEL_ERROR[kind] * abs(e.value))) for e in clear]
-        value, std = pooled([e.value for e in clear], stds)
+        value, std = pool_estimates([e.value for e in clear], stds)
         joint = int(channel[-1])
-        yield Observation("followed", channel, best, 0.0, joint)
+        yield Observation("explained-share", channel, best, 0.0, joint)
         if best > (
             _MIN_EXPLAINED_SHARE if kind == "reference" else _MIN_PARTLY_EXPLAINED_SHARE
         ):  # a servo can lag
             yield Observation(kind, channel, value, std, joint)
 
 
-def _sensors(seen: Evidence) -> Iterator[Observation]:
+def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
     by_channel: dict[str, list[Reading]] = {}
-    for each in readings(seen):
+    for each in regress_readings(evidence):
         by_channel.setdefault(each.channel, []).append(each)
     for channel, all_records in by_channel.items():
-        kept = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
-        if kept:
-            yield from _sensor(channel, int(channel[-1]), kept)
+        readings = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
+        if readings:
+            yield from _observe_sensor(channel, int(channel[-1]), readings)
 
 
-def _sensor(channel: str, joint: int, kept: list[Reading]) -> Iterator[Observation]:
-    """Observations of one link channel, averaged over the records `kept`."""
+def _observe_sensor(channel: str, joint: int, readings: list[Reading]) -> Iterator[Observation]:
+    """Observations of one link channel, averaged over the records `readings`."""
 
-    def mean(kind: Kind, values: list[float], deviations: list[float]) -> Observation:
+    def mean(kind: Kind, values: list[float], stds: list[float]) -> Observation:
         relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
         floor = _MODEL_ERROR[kind] * relative
-        value, std = pooled(values, [float(np.hypot(d, floor)) for d in deviations])
+        value, std = pool_estimates(values, [float(np.hypot(d, floor)) for d in stds])
         return Observation(kind, channel, value, std, joint)
 
-    best = max(each.explained for each in kept)
-    yield Observation("followed", channel, best, 0.0, joint)
-    yield mean("scale", [e.scale for e in kept], [e.scale_std for e in kept])
+    best = max(each.explained for each in readings)
+    yield Observation("explained-share", channel, best, 0.0, joint)
+    yield mean("scale", [e.scale for e in readings], [e.scale_std for e in readings])
     if best < _MIN_PARTLY_EXPLAINED_SHARE:
         return
-    yield mean("delay", [e.delay for e in kept], [e.delay_std for e in kept])
+    yield mean("delay", [e.delay for e in readings], [e.delay_std for e in readings])
     drift_stds = [
-        float(np.hypot(e.drift_std, 2.0 * _MODEL_ERROR["delay"] / e.seconds)) for e in kept
+        float(np.hypot(e.drift_std, 2.0 * _MODEL_ERROR["delay"] / e.seconds)) for e in readings
     ]
-    tilts = [e.tilt for e in kept if e.tilt is not None]
+    tilts = [e.tilt for e in readings if e.tilt is not None]
     if tilts:
         yield mean("tilt", [v for v, _ in tilts], [s for _, s in tilts])
-    yield mean("drift", [e.drift for e in kept], drift_stds)
-    parts: tuple[Kind, ...] = ("own", "elbow", "gravity")
-    own_agrees = False
+    yield mean("drift", [e.drift for e in readings], drift_stds)
+    parts: tuple[Kind, ...] = ("own-joint", "elbow", "gravity")
+    is_own_scale_correct = False
     for part in parts:
-        scales = [e.parts[part] for e in kept if part in e.parts and len(e.parts) > 1]
+        scales = [e.parts[part] for e in readings if part in e.parts and len(e.parts) > 1]
         if not scales:
             continue
         observation = mean(part, [v for v, _ in scales], [s for _, s in scales])
-        if part == "own":
-            own_agrees = abs(observation.value - 1.0) < _MAX_SCALE_ERROR
-        if part == "elbow" and own_agrees:  # The scale of the sensor is correct.
+        if part == "own-joint":
+            is_own_scale_correct = abs(observation.value - 1.0) < _MAX_SCALE_ERROR
+        if part == "elbow" and is_own_scale_correct:  # The scale of the sensor is correct.
             observation = replace(observation, tolerance=_LENGTH_TOLERANCE)
         yield observation
-    turns = [e.turn for e in kept if e.turn is not None]
-    if turns:
-        yield mean("turn", [v for v, _ in turns], [s for _, s in turns])
+    rotation_ratios = [e.rotation_ratio for e in readings if e.rotation_ratio is not None]
+    if rotation_ratios:
+        yield mean(
+            "rotation-ratio", [v for v, _ in rotation_ratios], [s for _, s in rotation_ratios]
+        )
 
 
-def _torques(seen: Evidence) -> Iterator[Observation]:
-    estimates = torques(seen)
+def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
+    estimates = regress_torques(evidence)
     for each in estimates:
         channel = f"u{each.joint}"
         yield Observation("inertia", channel, each.inertia, each.inertia_std, each.joint)
-        yield Observation("followed", f"{channel} torque", each.explained, 0.0, each.joint)
-    ratio = torque_ratio(estimates)
+        yield Observation("explained-share", f"{channel} torque", each.explained, 0.0, each.joint)
+    ratio = estimate_torque_ratio(estimates)
     if ratio is not None:
         yield Observation("torque-ratio", "torque_per_volt", *ratio)

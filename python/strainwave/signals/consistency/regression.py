@@ -82,13 +82,13 @@ def _long_run_std(influence: FloatArray, residual: FloatArray) -> FloatArray:
     return np.sqrt(np.maximum(window @ autocovariance, 0.0))
 
 
-def pooled(values: Sequence[float], deviations: Sequence[float]) -> tuple[float, float]:
+def pool_estimates(values: Sequence[float], stds: Sequence[float]) -> tuple[float, float]:
     """Weighted mean over records and its standard deviation.
 
-    `deviations` holds the standard deviations of the values. The result's standard deviation
-    increases if the values scatter more than `deviations` explain.
+    `stds` holds the standard deviations of the values. The result's standard deviation
+    increases if the values scatter more than `stds` explain.
     """
-    x, weights = np.array(values), np.array(deviations) ** -2.0
+    x, weights = np.array(values), np.array(stds) ** -2.0
     mean = float(weights @ x / weights.sum())
     scatter = float(weights @ (x - mean) ** 2) / max(1, len(x) - 1)
     return mean, float(np.sqrt(max(1.0, scatter) / weights.sum()))

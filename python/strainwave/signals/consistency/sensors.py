@@ -59,47 +59,47 @@ class Reading:
     drift_std: float
     explained: float  # share of the variance of the reading
     signal: float  # signal-to-noise ratio at low frequency
-    parts: dict[str, tuple[float, float]]  # "own", "elbow", "gravity" -> scale, std
-    turn: tuple[float, float] | None  # scale of joint 2's rotation over joint 1's, std
+    parts: dict[str, tuple[float, float]]  # "own-joint", "elbow", "gravity" -> scale, std
+    rotation_ratio: tuple[float, float] | None  # scale of joint 2's rotation over joint 1's, std
     tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
 
 
-def readings(seen: Evidence) -> list[Reading]:
+def regress_readings(evidence: Evidence) -> list[Reading]:
     """Regress each link channel on the prediction from the motor angles.
 
     Uses the slow records that contain the channel. If none do, uses the records that excite the
     joint. Omits records that do not determine the regression.
     """
-    slow = {name for r in seen.records if is_slow(r.experiment) for name in r.channels}
-    found: list[Reading] = []
-    for record in seen.records:
-        motion = _Motion.of(record, seen.arm)
+    slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
+    regressions: list[Reading] = []
+    for record in evidence.records:
+        motion = _Motion.of(record, evidence.arm)
         for kind in LINK_CHANNELS:
-            for i in range(seen.arm.n_joints):
+            for i in range(evidence.arm.n_joints):
                 name = f"{kind}{i + 1}"
                 excited = record.experiment.joint in (None, i + 1)
-                wanted = is_slow(record.experiment) or (name not in slow and excited)
-                if wanted and name in record.channels:
-                    found.extend(_regress_channel(record, seen, motion, kind, i))
-    return found
+                is_used = is_slow(record.experiment) or (name not in slow and excited)
+                if is_used and name in record.channels:
+                    regressions.extend(_regress_channel(record, evidence, motion, kind, i))
+    return regressions
 
 
-def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
+def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     """Cutoff of the first-order high-pass that explains an accelerometer reading [Hz].
 
     Returns None if no cutoff explains the reading substantially better than no high-pass.
     """
     kind, joint = channel_parts(name)
-    records = [r for r in seen.records if name in r.channels and is_slow(r.experiment)]
+    records = [r for r in evidence.records if name in r.channels and is_slow(r.experiment)]
     if not records:
         return None
     record = max(records, key=lambda r: len(r.inside))
-    motion = _Motion.of(record, seen.arm)
+    motion = _Motion.of(record, evidence.arm)
 
     def unexplained(hz: float) -> float:
-        other = replace(seen, high_passes={**seen.high_passes, name: hz})
-        found = _regress_channel(record, other, motion, kind, joint - 1)
-        plausible = [reading for reading in found if 0.5 < reading.scale < 2.0]
+        hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
+        regressions = _regress_channel(record, hypothesis, motion, kind, joint - 1)
+        plausible = [reading for reading in regressions if 0.5 < reading.scale < 2.0]
         return min((1.0 - reading.explained for reading in plausible), default=1.0)
 
     edges = 0.1 / (len(record.inside) * record.sample_time), record.bandwidth_hz
@@ -116,7 +116,7 @@ def high_pass_cutoff(seen: Evidence, name: str) -> float | None:
     return float(f"{np.exp(grid[k]):.4g}")
 
 
-def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
+def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ...]:
     """Estimate the rotation of link 2 relative to the rotation that the gear ratio implies.
 
     The readings of link 2 are not proportional to the motion of joint 2, so a grid search finds
@@ -125,15 +125,17 @@ def turning(seen: Evidence, joint: int) -> tuple[float, ...]:
     """
     if joint == 1:
         return ()
-    ratio = seen.arm.joints[joint - 1].gear_ratio
-    slow = [r for r in seen.records if is_slow(r.experiment)] or list(seen.records)
+    ratio = evidence.arm.joints[joint - 1].gear_ratio
+    slow = [r for r in evidence.records if is_slow(r.experiment)] or list(evidence.records)
     names = [f"{k}{joint}" for k in ("theta_l", "gyro", "a") if f"{k}{joint}" in slow[0].channels]
 
     def unexplained(factor: float) -> float:
-        other = seen.corrected([Correction("joint", str(joint), "gear_ratio", factor * ratio)])
-        motion = _Motion.of(slow[0], other.arm)
-        found = _regress_channel(slow[0], other, motion, names[0][:-1], joint - 1)
-        return min((1.0 - reading.explained for reading in found), default=1.0)
+        hypothesis = evidence.corrected(
+            [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
+        )
+        motion = _Motion.of(slow[0], hypothesis.arm)
+        regressions = _regress_channel(slow[0], hypothesis, motion, names[0][:-1], joint - 1)
+        return min((1.0 - reading.explained for reading in regressions), default=1.0)
 
     if not names:
         return ()
@@ -174,15 +176,15 @@ def _predicted_parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, 
     """
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     if kind == "theta_l":
-        return {"own": q[:, i]}
+        return {"own-joint": q[:, i]}
     if kind == "gyro":
-        return {"own": dq[:, : i + 1].sum(axis=1)}
+        return {"own-joint": dq[:, : i + 1].sum(axis=1)}
     joint = arm.joints[i]
     if joint.motion == "prismatic":
-        return {"own": ddq[:, i]}
+        return {"own-joint": ddq[:, i]}
     if joint.accelerometer_distance is None:
         return None
-    parts = {"own": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
+    parts = {"own-joint": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
     if i == 1:
         elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
         parts["elbow"] = (arm.link_length or 0.0) * elbow
@@ -211,16 +213,16 @@ def _tilt_derivatives(arm: Arm, motion: _Motion, kind: str, i: int) -> list[Floa
 
 
 def _regress_channel(
-    record: SlowRecord, seen: Evidence, motion: _Motion, kind: str, i: int
+    record: SlowRecord, evidence: Evidence, motion: _Motion, kind: str, i: int
 ) -> Iterator[Reading]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
-    name, arm = f"{kind}{i + 1}", seen.arm
+    name, arm = f"{kind}{i + 1}", evidence.arm
     parts = _predicted_parts(arm, motion, kind, i)
     if parts is None:
         return
     T = record.sample_time
     sensor = [lag for lag in _sensor_lags(arm, kind, i) if _is_relevant(lag, T, len(record.inside))]
-    cutoff = seen.high_passes.get(name)
+    cutoff = evidence.high_passes.get(name)
     if cutoff and not _MIN_TIME_CONSTANT_ROWS < 1.0 / (
         2.0 * np.pi * cutoff * T
     ) < _MAX_DECAY_RECORDS * len(record.inside):
@@ -246,14 +248,14 @@ def _regress_channel(
     delay, delay_std = _relative_coefficient(fit, 2)
     drift, drift_std = _relative_coefficient(fit, 3)
     each_part_fit = nuisance.fit(target, list(parts.values())) if len(parts) > 1 else None
-    scales = {"own": (scale, scale_std)}
+    scales = {"own-joint": (scale, scale_std)}
     if each_part_fit is not None:
         scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
     shares = _rotation_parts(arm, motion, kind) if i == 1 else None
-    turn = None
+    rotation_ratio = None
     if shares is not None:
-        turn = nuisance.quotient(target, [sensed(share) for share in shares])
+        rotation_ratio = nuisance.quotient(target, [sensed(share) for share in shares])
     yield Reading(
         channel=name,
         record=record.experiment.name,
@@ -267,7 +269,7 @@ def _regress_channel(
         explained=fit.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=scales,
-        turn=turn,
+        rotation_ratio=rotation_ratio,
         tilt=_tilt(fit, arm, 4 + len(decays)) if len(derivatives) > 1 else None,
     )
 
@@ -359,8 +361,8 @@ def _rotation_parts(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | 
         return None
     rotation = motion.velocity if kind == "gyro" else motion.acceleration
     distance = 1.0 if kind == "gyro" else arm.joints[1].accelerometer_distance or 0.0
-    rest = [part for key, part in parts.items() if key != "own"]
-    return [distance * rotation[:, 1], distance * rotation[:, 0], *rest]
+    other_parts = [part for key, part in parts.items() if key != "own-joint"]
+    return [distance * rotation[:, 1], distance * rotation[:, 0], *other_parts]
 
 
 def _coefficient_ratio(fit: Fit) -> tuple[float, float] | None:

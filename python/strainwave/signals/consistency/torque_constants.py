@@ -10,7 +10,7 @@ from strainwave.domain import (
     Study,
     Suspicion,
 )
-from strainwave.signals.consistency.wording import number
+from strainwave.signals.consistency.message_text import format_number
 
 # Minimum significance of a ratio other than 1, in standard deviations.
 _MIN_SIGNIFICANCE = 4.0
@@ -22,7 +22,7 @@ _MAX_DOUBTFUL_FACTOR = 1.25
 _MIN_APPROXIMATE_STD = 0.02
 
 
-def torque_constants(value: float, std: float, study: Study) -> Suspicion | None:
+def suspect_torque_constants(value: float, std: float, study: Study) -> Suspicion | None:
     """Suspicion of a wrong torque constant if the torque ratio differs significantly from 1.
 
     `value` and `std` are the ratio of the torque-constant errors of joints 1 and 2, from the
@@ -31,45 +31,50 @@ def torque_constants(value: float, std: float, study: Study) -> Suspicion | None
     error = abs(value - 1.0)
     if error <= _MIN_SIGNIFICANCE * std or error <= _TOLERANCE:
         return None
-    return wrong_torque_constant(value, std, study)
+    return build_torque_constant_suspicion(value, std, study)
 
 
-def doubted_torques(found: Consistency) -> Suspicion | None:
+def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
     """The only suspicion, if it is a wrong torque constant with a factor near 1; else None.
 
     The rigid fit assumes Coulomb and viscous friction and a linear drive. Other friction terms or
     a nonlinear drive can violate the symmetry of M(q) in the same way as a wrong torque constant.
     """
-    if len(found.suspected) != 1:
+    if len(consistency.suspected) != 1:
         return None
-    (only,) = found.suspected
+    (suspicion,) = consistency.suspected
     is_near_one = (
-        only.factor is not None and 1.0 / _MAX_DOUBTFUL_FACTOR < only.factor < _MAX_DOUBTFUL_FACTOR
+        suspicion.factor is not None
+        and 1.0 / _MAX_DOUBTFUL_FACTOR < suspicion.factor < _MAX_DOUBTFUL_FACTOR
     )
-    return only if only.code == "wrong-torque-constant" and is_near_one else None
+    return suspicion if suspicion.code == "wrong-torque-constant" and is_near_one else None
 
 
-def wrong_torque_constant(value: float, std: float, study: Study) -> Suspicion:
-    """Suspicion that one of two torque constants is wrong. The data do not determine which one."""
-    factor = number(value) if std < _MIN_APPROXIMATE_STD * value else f"about {number(value, 2)}"
+def build_torque_constant_suspicion(value: float, std: float, study: Study) -> Suspicion:
+    """Build the suspicion that one of two torque constants is wrong, without stating which one."""
+    factor = (
+        format_number(value)
+        if std < _MIN_APPROXIMATE_STD * value
+        else f"about {format_number(value, 2)}"
+    )
     logged = any(name.startswith("torque") for name in study.channels)
     if logged:
         remedy = (
-            f"Divide the scale of channels.torque1 by {factor}, or multiply that of channels."
-            "torque2 by it, whichever is known less well"
+            f"Divide the scale of channels.torque1 by {factor}, or multiply the scale of "
+            f"channels.torque2 by {factor}; change the less certain of the two"
         )
     else:
         remedy = (
-            f"Divide torque_per_volt of [[joint]] 1 by {factor}, or multiply that of [[joint]] 2 "
-            "by it, whichever is known less well"
+            f"Divide torque_per_volt of [[joint]] 1 by {factor}, or multiply torque_per_volt of "
+            f"[[joint]] 2 by {factor}; change the less certain of the two"
         )
     return Suspicion(
         code="wrong-torque-constant",
         places=(Place(key="torque_per_volt"),),
         message=(
-            f"the torques of joint 1 are {factor} (deviation {number(std, 2)}) times what the "
-            "symmetry of the inertia matrix allows beside those of joint 2: one of the two torque "
-            "constants is wrong, and which of them these signals do not show"
+            f"the torques of joint 1 are {factor} (standard deviation {format_number(std, 2)}) "
+            "times the value that the torques of joint 2 and the symmetry of the inertia matrix "
+            "imply: one of the two torque constants is wrong; the signals do not determine which"
         ),
         remedy=remedy,
         factor=value,

@@ -15,10 +15,10 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.hygiene import encoder_steps, flat_tops, frozen, mains_hum, spikes
 from strainwave.signals.hygiene.defects import Defect, Detector, Kind
-from strainwave.signals.hygiene.mending import mended
-from strainwave.signals.hygiene.wording import hum_warnings, warnings_of
+from strainwave.signals.hygiene.repair import repair_record
+from strainwave.signals.hygiene.warning_text import build_defect_warnings, build_hum_warnings
 
-__all__ = ["DETECTORS", "Defect", "Kind", "defects", "without_defects"]
+__all__ = ["DETECTORS", "Defect", "Kind", "detect_defects", "repair_records"]
 
 DETECTORS: Mapping[Kind, Detector] = {
     "spikes": spikes.detect,
@@ -30,26 +30,24 @@ DETECTORS: Mapping[Kind, Detector] = {
 """Detector of each kind of defect."""
 
 
-def defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
+def detect_defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
     """Detect all defects of each record; one list per log.
 
     Mains hum is included only if the records together confirm it.
     """
     detections = run_parallel([partial(_detect_in_record, log, arm) for log in logs])
-    hum = mains_hum.confirmed(logs, detections)
+    hum = mains_hum.confirm_hum(logs, detections)
     return [
         [
             defect
             for defect in record_defects
-            if defect.kind != "mains-hum" or (defect.channel, defect.words) in hum
+            if defect.kind != "mains-hum" or (defect.channel, defect.description) in hum
         ]
         for record_defects in detections
     ]
 
 
-def without_defects(
-    logs: Sequence[Log], arm: Arm
-) -> tuple[tuple[Log, ...], tuple[Diagnostic, ...]]:
+def repair_records(logs: Sequence[Log], arm: Arm) -> tuple[tuple[Log, ...], tuple[Diagnostic, ...]]:
     """Interpolate and mask the defects of all records.
 
     Returns the usable records, without channels and records that are defective to a large extent,
@@ -57,13 +55,15 @@ def without_defects(
     """
     usable_logs: list[Log] = []
     warnings: list[Diagnostic] = []
-    detections = defects(logs, arm)
+    detections = detect_defects(logs, arm)
     for log, record_defects in zip(logs, detections, strict=True):
-        usable, left_out = mended(log, arm, record_defects)
-        warnings += warnings_of(log, record_defects, left_out, used=usable is not None)
+        usable, excluded_channels = repair_record(log, arm, record_defects)
+        warnings += build_defect_warnings(
+            log, record_defects, excluded_channels, used=usable is not None
+        )
         if usable is not None:
             usable_logs.append(usable)
-    return tuple(usable_logs), (*warnings, *hum_warnings(logs, detections))
+    return tuple(usable_logs), (*warnings, *build_hum_warnings(logs, detections))
 
 
 def _detect_in_record(log: Log, arm: Arm) -> list[Defect]:

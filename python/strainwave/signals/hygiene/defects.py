@@ -38,7 +38,7 @@ class Defect:
     start: int  # first sample
     stop: int  # index after the last sample
     size: float  # in the unit of the channel; duration [s] if frozen
-    words: str  # description without channel and time, such as "a spike"
+    description: str  # description without channel and time, such as "a spike"
     wraps: bool = False  # whether the step is the full range of a counter
 
 
@@ -74,7 +74,7 @@ def count_of(channel: str, arm: Arm) -> float:
     return 2.0 * np.pi / per_turn if per_turn else 0.0
 
 
-def usual(change: FloatArray) -> float:
+def usual_change(change: FloatArray) -> float:
     """Quantile `_USUAL_QUANTILE` of the nonnegative changes of a channel, (n,); zero if empty."""
     subset = change[:: max(1, len(change) // _MAX_STATISTICS_SAMPLES)]
     if not len(subset):

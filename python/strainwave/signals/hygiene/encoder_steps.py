@@ -7,8 +7,8 @@ import numpy as np
 from strainwave.domain import Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import ENCODERS, Defect, count_of, of_kinds
-from strainwave.signals.hygiene.frozen import ends_a_freeze
-from strainwave.signals.hygiene.isolated import Jump, spikes_and_steps
+from strainwave.signals.hygiene.frozen import is_end_of_freeze
+from strainwave.signals.hygiene.isolated import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the largest one
@@ -18,13 +18,17 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     """Detect permanent steps of an angle that are inconsistent with the motion around them."""
     detections = []
     for name, x in of_kinds(log, ENCODERS).items():
-        _, isolated_steps = spikes_and_steps(x, count_of(name, arm))
+        _, isolated_steps = classify_jumps(x, count_of(name, arm))
         rest_runs = runs_of(np.diff(x) == 0.0)
-        steps = [jump for jump in isolated_steps if not ends_a_freeze(x, jump, rest_runs)]
+        steps = [jump for jump in isolated_steps if not is_end_of_freeze(x, jump, rest_runs)]
         wraps = _are_overflows(steps)
-        words = "the counter wraps" if wraps else "a step that no motion explains"
+        description = (
+            "the counter wraps" if wraps else "a step that is inconsistent with the motion"
+        )
         detections += [
-            Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, words, wraps)
+            Defect(
+                "encoder-steps", name, step.sample, step.sample + 1, step.size, description, wraps
+            )
             for step in steps
         ]
     return detections

@@ -14,10 +14,10 @@ from strainwave.signals.hygiene.defects import (
 )
 from strainwave.signals.standstill import runs_of
 
-RUN = 3
+MIN_REPEATED_SAMPLES = 3
 """Minimum number of equal samples at an extreme value that are a flat top."""
 
-SHARE = 1e-2
+MAX_SATURATED_SHARE = 1e-2
 """Share of saturated samples above which a channel is `clipped` and the input is rejected."""
 
 # Minimum ratio of the number of samples at the extreme value to the number at the adjacent value.
@@ -33,26 +33,27 @@ _MIN_EDGE_STEPS = 4.0  # minimum step into or out of a flat top, in units of the
 
 
 def detect(log: Log, _: Arm) -> list[Defect]:
-    """Detect flat tops of noisy sensors, which repeat a value `RUN` times only in saturation.
+    """Detect flat tops of noisy sensors.
 
-    More than `SHARE` of a record is a fault that the input check reports, see
+    These sensors repeat a value `MIN_REPEATED_SAMPLES` times only in saturation.
+    More than `MAX_SATURATED_SHARE` of a record is a fault that the input check reports, see
     `strainwave.signals.consistency`.
     """
     detections = []
     for name, x in of_kinds(log, NOISY).items():
-        for end_runs in ends_of_range(x, rests=False):
-            runs = cut(x, end_runs)
+        for end_runs in find_saturated_runs(x, rests=False):
+            runs = select_abrupt_runs(x, end_runs)
             samples = int((runs[:, 1] - runs[:, 0]).sum())
-            if _MIN_SATURATED_SAMPLES <= samples <= SHARE * len(x):
-                words = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
+            if _MIN_SATURATED_SAMPLES <= samples <= MAX_SATURATED_SHARE * len(x):
+                description = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
                 detections += [
-                    Defect("flat-tops", name, start, stop, float(abs(x[start])), words)
+                    Defect("flat-tops", name, start, stop, float(abs(x[start])), description)
                     for start, stop in runs.tolist()
                 ]
     return detections
 
 
-def cut(values: FloatArray, runs: IntArray) -> IntArray:
+def select_abrupt_runs(values: FloatArray, runs: IntArray) -> IntArray:
     """Runs, (n_runs, 2), that a signal enters or leaves faster than the peak of a smooth signal.
 
     Each run is its first sample and the index after its last sample.
@@ -63,7 +64,7 @@ def cut(values: FloatArray, runs: IntArray) -> IntArray:
     return runs[np.maximum(before, after) > step]
 
 
-def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
+def find_saturated_runs(values: FloatArray, *, rests: bool) -> list[IntArray]:
     """Runs of equal values, (n_runs, 2), at the minimum and maximum, if these limit the range.
 
     Zero does not limit a range. For a channel that can rest (`rests`), an extreme near its median
@@ -86,13 +87,13 @@ def ends_of_range(values: FloatArray, *, rests: bool) -> list[IntArray]:
         if rests and is_reversal:
             continue
         runs = runs_of(at_extreme)
-        runs = runs[runs[:, 1] - runs[:, 0] >= RUN]
-        flat_tops.append(cut(values, runs) if is_reversal else runs)
+        runs = runs[runs[:, 1] - runs[:, 0] >= MIN_REPEATED_SAMPLES]
+        flat_tops.append(select_abrupt_runs(values, runs) if is_reversal else runs)
     return flat_tops
 
 
-def _count_adjacent(values: FloatArray, extreme: float, alike: float) -> int:
+def _count_adjacent(values: FloatArray, extreme: float, tolerance: float) -> int:
     """Number of samples at the value adjacent to an extreme, such as the next encoder count."""
     inside = np.abs(values - extreme)
-    inside = inside[inside > alike]
-    return int(np.count_nonzero(inside <= inside.min() + alike))
+    inside = inside[inside > tolerance]
+    return int(np.count_nonzero(inside <= inside.min() + tolerance))

@@ -22,9 +22,9 @@ from strainwave.signals.hygiene.defects import (
     joint_of,
     of_kinds,
     resolution_of,
-    usual,
+    usual_change,
 )
-from strainwave.signals.hygiene.isolated import Jump, spikes_and_steps
+from strainwave.signals.hygiene.isolated import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MIN_ZERO_INCREMENTS = 3  # minimum number of zero increments before the step by the missed motion
@@ -86,32 +86,38 @@ def _is_moving(angle: FloatArray, start: int, stop: int, count: float) -> bool:
     return bool(is_beyond_noise and np.count_nonzero(np.diff(stretch)) > _MIN_MOTION_COUNTS)
 
 
-def ends_a_freeze(x: FloatArray, jump: Jump, still: IntArray) -> bool:
+def is_end_of_freeze(x: FloatArray, jump: Jump, rest_runs: IntArray) -> bool:
     """Whether a step of an encoder is the motion that it missed in a frozen stretch.
 
-    `still` contains the runs of zero increments, (n_runs, 2).
+    `rest_runs` contains the runs of zero increments, (n_runs, 2).
     """
-    return _frozen_before(x, jump, still) is not None
+    return _frozen_before(x, jump, rest_runs) is not None
 
 
-def _frozen_before(x: FloatArray, jump: Jump, still: IntArray) -> tuple[int, int] | None:
+def _frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int, int] | None:
     """Frozen stretch that ends with a jump, or None.
 
     The stretch is frozen if the velocities on both sides predict the jump, or if the motor moves
     after a rest that is unusually long.
     """
     end = jump.sample - 1  # the increment that is the jump
-    k = int(np.searchsorted(still[:, 1], end))
-    if k == len(still) or still[k, 1] != end or end - still[k, 0] < _MIN_ZERO_INCREMENTS:
+    k = int(np.searchsorted(rest_runs[:, 1], end))
+    if (
+        k == len(rest_runs)
+        or rest_runs[k, 1] != end
+        or end - rest_runs[k, 0] < _MIN_ZERO_INCREMENTS
+    ):
         return None
-    start = int(still[k, 0])
+    start = int(rest_runs[k, 0])
     predicted = (
         0.5
         * (_mean_increment(x, start, before=True) + _mean_increment(x, end + 1))
         * (end + 1 - start)
     )
     step = x[end + 1] - x[end]
-    rest_after = int(still[k + 1, 1] - end - 1) if _is_followed_by_rest(still, k, end) else 0
+    rest_after = (
+        int(rest_runs[k + 1, 1] - end - 1) if _is_followed_by_rest(rest_runs, k, end) else 0
+    )
     is_predicted = abs(predicted - step) < _MAX_PREDICTION_ERROR * abs(step)
     is_moving_after = rest_after < _STANDSTILL_RATIO * (end - start) + 2
     is_plausible = abs(step) < _MAX_SPEED_RATIO * _speed_around(x, start, end) * (end + 1 - start)
@@ -144,9 +150,9 @@ def _usual_rest(x: FloatArray, start: int, end: int) -> int:
     return max((int(np.max(r[:, 1] - r[:, 0], initial=0)) for r in runs), default=0)
 
 
-def _is_followed_by_rest(still: IntArray, k: int, end: int) -> bool:
+def _is_followed_by_rest(rest_runs: IntArray, k: int, end: int) -> bool:
     """Whether the next run of zero increments begins directly after a jump."""
-    return k + 1 < len(still) and int(still[k + 1, 0]) == end + 1
+    return k + 1 < len(rest_runs) and int(rest_runs[k + 1, 0]) == end + 1
 
 
 def _mean_increment(x: FloatArray, k: int, *, before: bool = False) -> float:
@@ -163,10 +169,12 @@ def _find_frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int
     rest_runs = runs_of(increment == 0.0)
     if not len(rest_runs):
         return
-    _, isolated_steps = spikes_and_steps(x, count)
+    _, isolated_steps = classify_jumps(x, count)
     spans = [_frozen_before(x, jump, rest_runs) for jump in isolated_steps]
     frozen = {span for span in spans if span is not None}
-    abrupt = _MIN_ABRUPT_RATIO * max(usual(np.abs(np.diff(increment))), count or resolution_of(x))
+    abrupt = _MIN_ABRUPT_RATIO * max(
+        usual_change(np.abs(np.diff(increment))), count or resolution_of(x)
+    )
     long_runs = rest_runs[rest_runs[:, 1] - rest_runs[:, 0] > _MIN_ZERO_INCREMENTS]
     inside = long_runs[(long_runs[:, 0] > 0) & (long_runs[:, 1] < len(increment))]
     ends = np.minimum(np.abs(increment[inside[:, 0] - 1]), np.abs(increment[inside[:, 1]]))

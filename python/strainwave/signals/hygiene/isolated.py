@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.signals.hygiene.defects import resolution_of, usual
+from strainwave.signals.hygiene.defects import resolution_of, usual_change
 
-LONGEST = 3
+MAX_SPIKE_SAMPLES = 3
 """Maximum duration of a spike [samples]."""
 
 _MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
@@ -37,15 +37,16 @@ class Jump:
     size: float  # difference from the adjacent increments
 
 
-def spikes_and_steps(
+def classify_jumps(
     signal: FloatArray, count: float = 0.0
 ) -> tuple[list[tuple[int, int]], list[Jump]]:
-    """Classify jumps of a signal, (n_samples,), by whether it returns within `LONGEST` samples.
+    """Classify the jumps of a signal, (n_samples,), as spikes or permanent steps.
 
+    A signal returns from a spike within `MAX_SPIKE_SAMPLES` samples.
     `count` is the quantization step, or zero if unknown. Returns spikes as (first sample, index
     after the last one), and permanent steps.
     """
-    all_jumps = jumps(signal, count)
+    all_jumps = detect_jumps(signal, count)
     spikes: list[tuple[int, int]] = []
     steps: list[Jump] = []
     last_stop = 0  # end of the last spike
@@ -54,7 +55,7 @@ def spikes_and_steps(
         if start <= last_stop:
             continue
         speed = signal[start] - signal[start - 1] - jump.size
-        ends = np.arange(start, min(start + LONGEST, len(signal) - 1) + 1)
+        ends = np.arange(start, min(start + MAX_SPIKE_SAMPLES, len(signal) - 1) + 1)
         offset = signal[ends] - signal[start - 1] - speed * (ends - start + 1)
         returns = ends[np.abs(offset) < _MAX_RETURN_ERROR * abs(jump.size)].tolist()
         if returns:
@@ -65,7 +66,7 @@ def spikes_and_steps(
     return spikes, steps
 
 
-def jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
+def detect_jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
     """Detect all isolated increments of a signal, (n_samples,), in order of time.
 
     `count` is the quantization step, or zero if unknown.
@@ -78,7 +79,7 @@ def jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
     np.minimum(change[1:], change[:-1], out=contrast[1:-1])
     threshold = max(
         _MIN_RESOLUTION_STEPS * (count or resolution_of(signal)),
-        _MIN_RECORD_RATIO * usual(contrast),
+        _MIN_RECORD_RATIO * usual_change(contrast),
     )
     candidates = np.flatnonzero(contrast > threshold)
     if not 0 < len(candidates) <= _MAX_CANDIDATES:
@@ -90,11 +91,11 @@ def jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
     ]
 
 
-def _usual_nearby(apart: FloatArray, k: int) -> float:
+def _usual_nearby(contrast: FloatArray, k: int) -> float:
     """Usual value near a sample: the larger one of both sides, because a motion can begin there."""
     sides = [
-        apart[max(0, k - _COMPARISON_SAMPLES) : max(0, k - _EXCLUDED_SAMPLES)],
-        apart[k + _EXCLUDED_SAMPLES + 1 : k + 1 + _COMPARISON_SAMPLES],
+        contrast[max(0, k - _COMPARISON_SAMPLES) : max(0, k - _EXCLUDED_SAMPLES)],
+        contrast[k + _EXCLUDED_SAMPLES + 1 : k + 1 + _COMPARISON_SAMPLES],
     ]
     return max(
         (float(np.partition(s, -4)[-4]) for s in sides if len(s) > _EXCLUDED_SAMPLES),

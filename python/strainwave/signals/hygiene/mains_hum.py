@@ -10,14 +10,14 @@ from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import NOISY, Defect, of_kinds
 
-MAINS = (50.0, 60.0)
+MAINS_FREQUENCIES_HZ = (50.0, 60.0)
 """Mains frequencies [Hz]."""
 
 _FREQUENCY_TOLERANCE = (
     0.006  # relative tolerance of the mains frequency and of the clock of the logger
 )
 # [Hz] fundamental and harmonics up to the fifth
-_LINES_HZ = tuple(sorted({k * hz for hz in MAINS for k in (1, 2, 3, 4, 5)}))
+_LINES_HZ = tuple(sorted({k * hz for hz in MAINS_FREQUENCIES_HZ for k in (1, 2, 3, 4, 5)}))
 _MIN_DURATION = 1.2  # [s] minimum duration of a record to separate a line from a resonance
 _MAX_SAMPLES = 1 << 16  # maximum number of samples for the spectrum
 _COMPARISON_BAND_HZ = 8.0  # [Hz] half-width of the band around a line for comparison
@@ -49,26 +49,30 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     return detections
 
 
-def confirmed(logs: Sequence[Log], found: Sequence[Sequence[Defect]]) -> set[tuple[str, str]]:
+def confirm_hum(
+    logs: Sequence[Log], detections: Sequence[Sequence[Defect]]
+) -> set[tuple[str, str]]:
     """Hum lines (channel, description) that appear in all records with similar amplitude.
 
     At least two records, or the only one, must have the line with similar amplitude. In the other
     records, the line or the largest amplitude around it must not be smaller. This excludes the
-    motion of the arm. `found` are the defects of each log.
+    motion of the arm. `detections` are the defects of each log.
     """
     sizes: dict[tuple[str, str, float], list[float]] = {}
-    for defect in (d for record_defects in found for d in record_defects if d.kind == "mains-hum"):
-        hz = next(hz for hz in _LINES_HZ if f"{hz:.0f} Hz" in defect.words)
-        sizes.setdefault((defect.channel, defect.words, hz), []).append(defect.size)
+    for defect in (
+        d for record_defects in detections for d in record_defects if d.kind == "mains-hum"
+    ):
+        hz = next(hz for hz in _LINES_HZ if f"{hz:.0f} Hz" in defect.description)
+        sizes.setdefault((defect.channel, defect.description, hz), []).append(defect.size)
     lines = set()
-    for (channel, words, hz), amplitudes in sizes.items():
+    for (channel, description, hz), amplitudes in sizes.items():
         usable = [log for log in logs if channel in log.channels and _is_long_enough(log)]
         is_sufficient = len(amplitudes) > 1 or len(usable) == 1
         if not is_sufficient or max(amplitudes) > _MAX_AMPLITUDE_RATIO * min(amplitudes):
             continue
         upper_bounds = (_amplitude_bound(log, channel, hz) for log in usable)
         if min(upper_bounds) * _MAX_AMPLITUDE_RATIO > float(np.median(amplitudes)):
-            lines.add((channel, words))
+            lines.add((channel, description))
     return lines
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import ENCODERS, NOISY, Defect, count_of, joint_of, of_kinds
-from strainwave.signals.hygiene.isolated import LONGEST, spikes_and_steps
+from strainwave.signals.hygiene.isolated import MAX_SPIKE_SAMPLES, classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
@@ -26,7 +26,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     detections = []
     for name, x in of_kinds(log, (*ENCODERS, *NOISY)).items():
         detections += [
-            _spike_defect(name, x, *span) for span in spikes_and_steps(x, count_of(name, arm))[0]
+            _spike_defect(name, x, *span) for span in classify_jumps(x, count_of(name, arm))[0]
         ]
     for name, x in of_kinds(log, ("u",)).items():
         margin = _MIN_RANGE_MARGIN[log.experiment.control[joint_of(name) - 1]]
@@ -41,16 +41,16 @@ def _spike_defect(name: str, x: FloatArray, start: int, stop: int) -> Defect:
     return Defect("spikes", name, start, stop, size, "a spike")
 
 
-def _find_outside_range(x: FloatArray, beyond: float) -> Iterator[tuple[int, int]]:
-    """Short runs outside the usual range by at least `beyond` times this range."""
+def _find_outside_range(x: FloatArray, min_margin: float) -> Iterator[tuple[int, int]]:
+    """Short runs outside the usual range by at least `min_margin` times this range."""
     k = max(1, int(_EXCLUDED_SHARE * len(x)))
     if len(x) <= 4 * k:
         return
     ordered = np.partition(x, (k, len(x) - 1 - k))
     low, high = float(ordered[k]), float(ordered[-1 - k])
-    margin = beyond * (high - low)
+    margin = min_margin * (high - low)
     for start, stop in runs_of((x > high + margin) | (x < low - margin)).tolist():
-        is_short = start > 0 and stop < len(x) and stop - start <= LONGEST
+        is_short = start > 0 and stop < len(x) and stop - start <= MAX_SPIKE_SAMPLES
         if is_short and abs(x[stop] - x[start - 1]) < _MAX_RETURN_ERROR * abs(
             x[start] - x[start - 1]
         ):

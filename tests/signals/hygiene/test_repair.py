@@ -17,7 +17,7 @@ from strainwave.identification.whole_arm.preparation import coarsened, dataset_o
 from strainwave.signals import hygiene
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.hygiene.defects import Defect
-from strainwave.signals.hygiene.mending import bridged, mended
+from strainwave.signals.hygiene.repair import interpolate_masked, repair_record
 from strainwave.signals.link_motion import link_side
 from strainwave.signals.motor import motor_side
 
@@ -31,9 +31,11 @@ def log() -> Log:
 
 
 def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -> Log:
-    usable, left_out = mended(log(), ARM, [Defect(kind, channel, start, stop, 1.0, "")])
+    usable, excluded_channels = repair_record(
+        log(), ARM, [Defect(kind, channel, start, stop, 1.0, "")]
+    )
     assert usable is not None
-    assert left_out == ()
+    assert excluded_channels == ()
     return usable
 
 
@@ -44,28 +46,28 @@ def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -
     st.lists(st.booleans(), min_size=5, max_size=60).filter(lambda bad: not all(bad)),
     st.floats(-3.0, 3.0),
 )
-def test_a_straight_line_is_bridged_by_itself(where: list[bool], slope: float) -> None:
+def test_interpolation_restores_a_straight_line(where: list[bool], slope: float) -> None:
     """Linear interpolation restores a straight line exactly."""
     is_defective = np.array(where)
     is_defective[0] = is_defective[-1] = False
     x = slope * np.arange(len(is_defective))
     defective = np.where(is_defective, 1e6, x)
-    np.testing.assert_allclose(bridged(defective, is_defective), x, atol=1e-12 * len(x))
+    np.testing.assert_allclose(interpolate_masked(defective, is_defective), x, atol=1e-12 * len(x))
 
 
 def test_a_voltage_holds_its_last_value() -> None:
     x: FloatArray = np.array([9.0, 1.0, 2.0, 9.0, 9.0, 3.0])
     is_defective = x == 9.0
-    assert bridged(x, is_defective, hold=True).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, 3.0]
+    assert interpolate_masked(x, is_defective, hold=True).tolist() == [1.0, 1.0, 2.0, 2.0, 2.0, 3.0]
 
 
-def test_a_step_is_taken_off_in_whole_counts() -> None:
+def test_an_encoder_step_is_subtracted_in_whole_counts() -> None:
     count = 2.0 * np.pi / 8192
     x = log().channels["theta_m1"].copy()
     x[5000:] += 300 * count
     stepped = replace(log(), channels={**log().channels, "theta_m1": x})
     step = Defect("encoder-steps", "theta_m1", 5000, 5001, 300.3 * count, "")
-    usable, _ = mended(stepped, ARM, [step])
+    usable, _ = repair_record(stepped, ARM, [step])
     assert usable is not None
     assert np.flatnonzero(usable.masked["theta_m1"]).tolist() == [4999, 5000]
     error = usable.channels["theta_m1"] - log().channels["theta_m1"]
@@ -86,32 +88,34 @@ def test_a_step_is_taken_off_in_whole_counts() -> None:
         ("u1", 0.02, None),
     ],
 )
-def test_what_is_much_defective_is_not_used(
+def test_a_channel_with_many_defects_is_excluded(
     channel: str, share: float, used: tuple[str, ...] | None
 ) -> None:
     """A channel with many defects is excluded; a motor angle or input excludes the record."""
     stop = 4000 + int(share * len(log()))
-    usable, left_out = mended(log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0, "")])
+    usable, excluded_channels = repair_record(
+        log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0, "")]
+    )
     if used is None:
         assert usable is None
-        assert left_out == (channel,)
+        assert excluded_channels == (channel,)
     else:
         assert usable is not None
-        assert left_out == used
+        assert excluded_channels == used
         assert (channel in usable.channels) == (not used)
 
 
-def test_an_encoder_of_many_steps_is_not_used() -> None:
+def test_an_encoder_with_many_steps_is_excluded() -> None:
     steps = [Defect("encoder-steps", "theta_m2", k, k + 1, 0.3, "") for k in range(100, 2300, 100)]
-    assert mended(log(), ARM, steps) == (None, ("theta_m2",))
+    assert repair_record(log(), ARM, steps) == (None, ("theta_m2",))
     wraps = [replace(step, wraps=True) for step in steps]
-    assert mended(log(), ARM, wraps)[0] is not None
+    assert repair_record(log(), ARM, wraps)[0] is not None
 
 
 # --- equations and rows without defective samples ---------------------------------------------
 
 
-def test_rigid_equations_leave_it_out() -> None:
+def test_rigid_equations_exclude_defective_samples() -> None:
     """The rigid step excludes samples with defective torque or motion."""
     of_torque = motor_side(spoilt("u1", 5000, 5003), ARM)
     assert not of_torque.valid[5000:5003, 0].any()
@@ -120,13 +124,13 @@ def test_rigid_equations_leave_it_out() -> None:
     assert not of_motion.valid[5000:5003].any()
 
 
-def test_linear_models_go_on_through_a_short_bridge_only() -> None:
+def test_linear_models_use_only_short_interpolated_stretches() -> None:
     """Linear models use short interpolated stretches and exclude long ones."""
     assert link_side(spoilt("a1", 5000, 5003), ARM).valid[5000:5003].all()
     assert not link_side(spoilt("a1", 5000, 5100, "frozen"), ARM).valid[5000:5100].any()
 
 
-def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
+def test_the_whole_arm_fit_excludes_rows_with_defective_samples() -> None:
     """The whole-arm fit excludes rows whose filter includes defective samples."""
     record = dataset_of(spoilt("a2", 5000, 5003), ARM, CUTOFF)
     assert record.counted is not None
@@ -142,7 +146,7 @@ def test_rows_of_the_whole_arm_that_reach_it_do_not_count() -> None:
     assert dataset_of(log(), ARM, CUTOFF).counted is None
 
 
-def test_masks_are_thinned_with_their_channels() -> None:
+def test_masks_are_decimated_with_their_channels() -> None:
     """Masks are decimated together with their channels."""
     record = coarsened(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
     assert record.counted is not None

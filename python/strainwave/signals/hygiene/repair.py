@@ -12,7 +12,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import INPUTS, Defect, count_of, kind_of
 from strainwave.signals.standstill import runs_of
 
-MOST = 0.2
+MAX_MASKED_SHARE = 0.2
 """Maximum share of masked samples in a channel that is used."""
 
 _MAX_INPUT_GAP = 0.01  # [s] maximum duration of a defective stretch of a motor input
@@ -20,7 +20,9 @@ _MAX_ENCODER_STEPS = 20  # maximum number of encoder steps per record, without o
 _REQUIRED_KINDS = ("theta_m", *INPUTS)  # channels that a record must have
 
 
-def mended(log: Log, arm: Arm, defects: Sequence[Defect]) -> tuple[Log | None, tuple[str, ...]]:
+def repair_record(
+    log: Log, arm: Arm, defects: Sequence[Defect]
+) -> tuple[Log | None, tuple[str, ...]]:
     """Correct, interpolate and mask the defects of a record.
 
     Each encoder step is subtracted from all subsequent samples. Other stretches are interpolated
@@ -45,46 +47,48 @@ def mended(log: Log, arm: Arm, defects: Sequence[Defect]) -> tuple[Log | None, t
             del channels[name]
             continue
         x = _subtract_steps(channels[name], channel_defects, count_of(name, arm))
-        channels[name] = bridged(x, mask, hold=name.startswith("u"))
+        channels[name] = interpolate_masked(x, mask, hold=name.startswith("u"))
         masked[name] = mask
     if any(kind_of(name) in _REQUIRED_KINDS for name in excluded):
         return None, tuple(excluded)
     return replace(log, channels=channels, masked=masked), tuple(excluded)
 
 
-def bridged(x: FloatArray, bad: BoolArray, *, hold: bool = False) -> FloatArray:
-    """Replace the samples of a signal, (n_samples,), where `bad` is True.
+def interpolate_masked(x: FloatArray, mask: BoolArray, *, hold: bool = False) -> FloatArray:
+    """Replace the samples of a signal, (n_samples,), where `mask` is True.
 
     Interpolation is linear, or holds the last value with `hold`. At least one sample must be good.
     """
-    good = np.flatnonzero(~bad)
+    good = np.flatnonzero(~mask)
     if not hold:
         return np.asarray(np.interp(np.arange(len(x)), good, x[good]))
     last = np.clip(np.searchsorted(good, np.arange(len(x)), side="right") - 1, 0, None)
     return np.asarray(x[good[last]])
 
 
-def _mask_defects(own: Sequence[Defect], n_samples: int) -> BoolArray:
+def _mask_defects(channel_defects: Sequence[Defect], n_samples: int) -> BoolArray:
     """Mask of all defective samples of a channel."""
     mask = np.zeros(n_samples, dtype=bool)
-    for defect in own:
+    for defect in channel_defects:
         mask[max(0, defect.start - (defect.kind == "encoder-steps")) : defect.stop] = True
     return mask
 
 
-def _is_unusable(name: str, own: Sequence[Defect], bad: BoolArray, sample_time: float) -> bool:
+def _is_unusable(
+    name: str, channel_defects: Sequence[Defect], mask: BoolArray, sample_time: float
+) -> bool:
     """Whether a channel has too many defects to be used."""
-    steps = sum(defect.kind == "encoder-steps" and not defect.wraps for defect in own)
-    if bad.mean() > MOST or steps > _MAX_ENCODER_STEPS:
+    steps = sum(defect.kind == "encoder-steps" and not defect.wraps for defect in channel_defects)
+    if mask.mean() > MAX_MASKED_SHARE or steps > _MAX_ENCODER_STEPS:
         return True
-    runs = runs_of(bad)
+    runs = runs_of(mask)
     longest = float(np.max(runs[:, 1] - runs[:, 0], initial=0)) * sample_time
     return kind_of(name) in INPUTS and longest > _MAX_INPUT_GAP
 
 
-def _subtract_steps(x: FloatArray, own: Sequence[Defect], count: float) -> FloatArray:
+def _subtract_steps(x: FloatArray, channel_defects: Sequence[Defect], count: float) -> FloatArray:
     """Subtract encoder steps from a signal, rounded to whole counts if the count is known."""
-    steps = [step for step in own if step.kind == "encoder-steps"]
+    steps = [step for step in channel_defects if step.kind == "encoder-steps"]
     if not steps:
         return x
     offset = np.zeros(len(x))
