@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from elastic_runs import log_of, prbs_run, rig
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.preparation import coarsened, dataset_of
+from strainwave.identification.whole_arm.preparation import coarsen_steps, dataset_of
 from strainwave.signals import hygiene
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.hygiene.defects import Defect
@@ -148,7 +148,7 @@ def test_the_whole_arm_fit_excludes_rows_with_defective_samples() -> None:
 
 def test_masks_are_decimated_with_their_channels() -> None:
     """Masks are decimated together with their channels."""
-    record = coarsened(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
+    record = coarsen_steps(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
     assert record.counted is not None
     assert not record.counted.all()
     assert np.flatnonzero(unmeasured(record.log, ("a2",))).tolist() == [5001 // 8]
