@@ -18,11 +18,11 @@ from strainwave.dynamics.link_sensors import (
     is_optional,
     is_sensor_constant,
     mount_of,
-    moved,
     nominal,
     scale_of,
+    shift_samples,
 )
-from strainwave.dynamics.mounting import DISTANCE, TILT
+from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, ACCELEROMETER_TILT
 
 T = 1e-3
 TIME = T * np.arange(2000)
@@ -35,14 +35,14 @@ def test_shifted_samples_match_the_shifted_signal(ahead: float) -> None:
     for hz in (3.0, 60.0, 250.0):
         x = np.sin(2.0 * np.pi * hz * TIME + 0.4)
         expected = np.sin(2.0 * np.pi * hz * (TIME + ahead * T) + 0.4)
-        assert moved(x, ahead)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
+        assert shift_samples(x, ahead)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
 
 
 def test_a_constant_and_a_zero_shift_do_not_change() -> None:
-    assert moved(np.full(50, 3.0), 2.4) == pytest.approx(3.0, abs=1e-14)
+    assert shift_samples(np.full(50, 3.0), 2.4) == pytest.approx(3.0, abs=1e-14)
     x = np.random.default_rng(0).normal(size=50)
-    assert np.array_equal(moved(x, 0.0), x)
-    assert len(moved(x, -3.7)) == 50
+    assert np.array_equal(shift_samples(x, 0.0), x)
+    assert len(shift_samples(x, -3.7)) == 50
 
 
 def test_the_derivative_of_rows_at_four_samples_per_period() -> None:
@@ -65,7 +65,7 @@ def test_delay_and_scale_change_the_reading() -> None:
 def test_names_of_sensor_constants() -> None:
     every = [(name, 1) for name in ("accelerometer", "gyro", "link_angle")]
     every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
-    names = {name for name, _ in constants_of(every)} | {TILT}
+    names = {name for name, _ in constants_of(every)} | {ACCELEROMETER_TILT}
     names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
     names |= {key[0] for each in every for key in mount_of(*each) or ()}
     of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
@@ -76,8 +76,8 @@ def test_names_of_sensor_constants() -> None:
     names |= {base_name(key[0]) for key in drifts if key is not None}
     assert names == set(SENSOR_PARAMETERS)
     assert all(is_optional((name, 1)) and is_sensor_constant((name, 1)) for name in names)
-    assert not is_optional((DISTANCE, 1))
-    assert is_sensor_constant((DISTANCE, 1))
+    assert not is_optional((ACCELEROMETER_DISTANCE, 1))
+    assert is_sensor_constant((ACCELEROMETER_DISTANCE, 1))
     keys = list(constants_of([("motor_angle", 1), ("accelerometer", 1), ("link_angle", 2)]))
     assert keys == [
         ("accelerometer_delay", 1),

@@ -11,8 +11,8 @@ import pytest
 from strainwave.domain import FloatArray, Imu, Study
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
-    BASIS,
-    RATE,
+    ACCELEROMETER_BASIS,
+    GYRO_QUANTITY,
     Axis,
     axes_of,
     factors,
@@ -76,7 +76,7 @@ def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -
     voltage = 4.0 * rng.choice([-1.0, 1.0], size=(n // 40 + 1, 2))
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
-    record: list[Quantity] = ["link_angle", *BASIS, RATE]
+    record: list[Quantity] = ["link_angle", *ACCELEROMETER_BASIS, GYRO_QUANTITY]
     run = simulate(Arm.of(study.arm), values, drive, sample_time=T, samples=n, record=record)
     position, link_attitude = path_of(run["link_angle"], study, joint)
     second = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / T**2
@@ -107,11 +107,16 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (10.0, -90.0), still)
     motion: list[Quantity] = ["link_angle", "link_velocity", "link_acceleration"]
     run = simulate(
-        Arm.of(study.arm), values, drive, sample_time=1e-3, samples=300, record=[*motion, *BASIS]
+        Arm.of(study.arm),
+        values,
+        drive,
+        sample_time=1e-3,
+        samples=300,
+        record=[*motion, *ACCELEROMETER_BASIS],
     )
     q, dq, ddq = (run[name] for name in motion)
     basis = kinematics(q, dq, ddq, Arm.of(study.arm))
-    for k, name in enumerate(BASIS):
+    for k, name in enumerate(ACCELEROMETER_BASIS):
         np.testing.assert_allclose(basis[:, :, k], run[name], atol=1e-9)
 
 

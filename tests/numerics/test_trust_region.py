@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.numerics.trust_region import Flat, Found, Linearised, minimise
+from strainwave.numerics.trust_region import Flat, Linearised, Minimum, minimise
 
 Residual = Callable[[FloatArray], FloatArray]
 FAR = 1e6
@@ -39,13 +39,13 @@ class Box:
     reach: FloatArray
     farthest: float = np.inf
 
-    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+    def move(self, x: FloatArray, step: FloatArray) -> FloatArray:
         return np.asarray(np.clip(x + step, -self.reach, self.reach))
 
-    def bounded(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
+    def at_bounds(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
         return np.asarray((np.abs(x) >= self.reach) & (np.sign(x) * gradient < 0.0))
 
-    def trusted(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
+    def limit_step(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
         near = np.clip(step, -share * self.farthest, share * self.farthest)
         return np.asarray(np.clip(near, -self.reach - x, self.reach - x))
 
@@ -80,7 +80,7 @@ def found_for(
     farthest: float = np.inf,
     tolerance: float = 1e-14,
     max_evaluations: int = 300,
-) -> Found:
+) -> Minimum:
     problem = Problem(residual)
     x = np.array(start)
     result = minimise(

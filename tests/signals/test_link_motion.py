@@ -341,7 +341,7 @@ def test_delays_of_link_sensors_are_removed_in_all_records() -> None:
 
 
 def test_an_implausibly_long_delay_is_not_corrected() -> None:
-    """A delay above `LONGEST_DELAY` is reported but not corrected."""
+    """A delay above `MAX_SENSOR_DELAY` is reported but not corrected."""
     study, run = run_of()
     log = log_of(run, 1, seed=3)
     (motion,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))

@@ -16,11 +16,11 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.dynamics.mount_resonance import MountResonance
-from strainwave.dynamics.mounting import TILT, is_mounting
+from strainwave.dynamics.mounting import ACCELEROMETER_TILT, is_mounting
 
 Key = tuple[str, int | None]
 
-LONGEST_DELAY = 5e-3
+MAX_SENSOR_DELAY = 5e-3
 """Largest delay [s] of a sensor: logger, bus and internal filter."""
 
 MAX_SCALE_ERROR = 0.1
@@ -114,7 +114,7 @@ def is_optional(key: Key) -> bool:
     if sensor in _SENSORS.values() and constant in ("delay", "scale", "bandwidth", "drift"):
         return True
     is_of_axis = sensor in _AXES and constant in ("scale", "drift")
-    return is_of_axis or key[0] == TILT or key[0] in _MOUNT_NAMES
+    return is_of_axis or key[0] == ACCELEROMETER_TILT or key[0] in _MOUNT_NAMES
 
 
 def is_bandwidth(key: Key) -> bool:
@@ -158,7 +158,7 @@ def differentiate_rows(rows: FloatArray, row_time: float) -> FloatArray:
     return np.asarray(difference / row_time)
 
 
-def moved(samples: FloatArray, ahead: float) -> FloatArray:
+def shift_samples(samples: FloatArray, ahead: float) -> FloatArray:
     """Samples at shifted times, y_k = x(k + ahead), by windowed sinc interpolation.
 
     The signal continues with its first and last value beyond its ends. `ahead` is in samples.
@@ -189,4 +189,4 @@ def apply_sensor_model(
     mount = mount_resonance("accelerometer", joint, values)
     if mount is not None:
         samples = mount.read(samples, sample_time)
-    return np.asarray(scale * moved(samples, -delay / sample_time))
+    return np.asarray(scale * shift_samples(samples, -delay / sample_time))

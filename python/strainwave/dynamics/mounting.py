@@ -24,7 +24,7 @@ from strainwave.dynamics.simulation import Quantity
 
 Key = tuple[str, int | None]
 
-BASIS: tuple[Quantity, ...] = (
+ACCELEROMETER_BASIS: tuple[Quantity, ...] = (
     "specific_force_x",
     "specific_force_y",
     "angular_acceleration",
@@ -32,14 +32,14 @@ BASIS: tuple[Quantity, ...] = (
 )
 """Quantities whose linear combination is the reading of an accelerometer on a link."""
 
-RATE: Quantity = "angular_rate"
+GYRO_QUANTITY: Quantity = "angular_rate"
 """Quantity that a gyro on a link measures a share of."""
 
-DISTANCE, TILT = "accelerometer_distance", "accelerometer_tilt"
-PLACE = ("imu_x", "imu_y")
-FROM_AXIS, BEARING = "imu_distance", "imu_bearing"
-TURN = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
-START = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
+ACCELEROMETER_DISTANCE, ACCELEROMETER_TILT = "accelerometer_distance", "accelerometer_tilt"
+IMU_POSITION = ("imu_x", "imu_y")
+IMU_DISTANCE, IMU_BEARING = "imu_distance", "imu_bearing"
+IMU_ROTATION = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
+IMU_START_ATTITUDE = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
 _LETTERS = "xyz"
 _DIFFERENCE_STEP = 1e-6  # of central differences: factors are smooth, of the order of one
 
@@ -68,7 +68,7 @@ class Axis:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Quantities whose combination the axis reads."""
-        return (RATE,) if self.kind == "gyro" else BASIS
+        return (GYRO_QUANTITY,) if self.kind == "gyro" else ACCELEROMETER_BASIS
 
 
 def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]:
@@ -93,25 +93,26 @@ def axes_of(channels: Collection[str], arm: Arm, joint: int) -> tuple[Axis, ...]
 def unknowns_of(axes: Sequence[Axis], arm: Arm) -> list[Key]:
     """Unknowns of the mounting of one link's axes, in the coordinates of a fit.
 
-    An attitude is a fixed start, `START`, and a rotation vector from there, which has no singular
-    point. Axis 1 is fixed. On link 1 the position is therefore the distance from the axis and,
-    under gravity, a bearing, and the attitude is relative to the bearing. This separates what short
-    motions identify from what they do not. A single accelerometer is assumed to lie in the plane of
-    motion, and each gyro axis then has an unknown share of the rate.
+    An attitude is a fixed start, `IMU_START_ATTITUDE`, and a rotation vector from there, which has
+    no singular point. Axis 1 is fixed. On link 1 the position is therefore the distance from the
+    axis and, under gravity, a bearing, and the attitude is relative to the bearing. These
+    coordinates separate identifiable from unidentifiable quantities in short motions. A single
+    accelerometer is assumed to lie in the plane of motion, and each gyro axis then has an unknown
+    share of the rate.
     """
     if not axes:
         return []
     joint = axes[0].joint
     imu = arm.joints[joint - 1].imu or Imu()
     if axes[0].kind == "tangential":
-        return [(DISTANCE, joint)]
+        return [(ACCELEROMETER_DISTANCE, joint)]
     names: list[str] = []
     count = sum(axis.kind == "accelerometer" for axis in axes)
     if count and imu.xyz is None:
         polar = is_polar(arm, joint)
-        names += (FROM_AXIS, *((BEARING,) if arm.gravity else ())) if polar else PLACE
+        names += (IMU_DISTANCE, *((IMU_BEARING,) if arm.gravity else ())) if polar else IMU_POSITION
     if count and imu.rpy is None:
-        names += TURN if count > 1 else TURN[2:]
+        names += IMU_ROTATION if count > 1 else IMU_ROTATION[2:]
     if imu.rpy is None and count < 2:
         names += [_share(axis) for axis in axes if axis.kind == "gyro"]
     return [(name, joint) for name in names]
@@ -139,12 +140,17 @@ def is_scale_identifiable(axis: Axis, axes: Sequence[Axis], arm: Arm) -> bool:
 def is_hidden(key: Key) -> bool:
     """Whether an unknown is internal to the fit; results report position and attitude instead."""
     name = key[0]
-    return name in (BEARING, *TURN) or (name.startswith("imu_g") and name[-2:] == "_z")
+    return name in (IMU_BEARING, *IMU_ROTATION) or (name.startswith("imu_g") and name[-2:] == "_z")
 
 
 def is_mounting(key: Key) -> bool:
     """Whether a parameter is a position or an attitude of a sensor."""
-    return key[0] in (DISTANCE, TILT, FROM_AXIS, *PLACE) or is_hidden(key)
+    return key[0] in (
+        ACCELEROMETER_DISTANCE,
+        ACCELEROMETER_TILT,
+        IMU_DISTANCE,
+        *IMU_POSITION,
+    ) or is_hidden(key)
 
 
 def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
@@ -152,8 +158,10 @@ def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
     joint = axis.joint
     imu = arm.joints[joint - 1].imu or Imu()
     if axis.kind == "tangential":
-        tilt = values.get((TILT, joint), 0.0)
-        return _accelerometer_factors(-np.sin(tilt), np.cos(tilt), values[DISTANCE, joint], 0.0)
+        tilt = values.get((ACCELEROMETER_TILT, joint), 0.0)
+        return _accelerometer_factors(
+            -np.sin(tilt), np.cos(tilt), values[ACCELEROMETER_DISTANCE, joint], 0.0
+        )
     if axis.kind == "gyro":
         share = values.get((_share(axis), joint))
         if share is None:
@@ -161,12 +169,14 @@ def factors(axis: Axis, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
         return np.array([share])
     direction = _attitude(arm, joint, values)[:2, axis.number]
     if not is_polar(arm, joint):
-        position = imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in PLACE]
+        position = (
+            imu.xyz[:2] if imu.xyz is not None else [values[name, joint] for name in IMU_POSITION]
+        )
         return _accelerometer_factors(direction[0], direction[1], position[0], position[1])
-    bearing = values.get((BEARING, joint), 0.0)
+    bearing = values.get((IMU_BEARING, joint), 0.0)
     radial, tangential = direction.tolist()
     c = complex(radial, tangential) * complex(np.cos(bearing), np.sin(bearing))
-    distance = values[FROM_AXIS, joint]
+    distance = values[IMU_DISTANCE, joint]
     return np.array([c.real, c.imag, distance * tangential, -distance * radial])
 
 
@@ -181,8 +191,8 @@ def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
 
     Its columns are the sensor's axes in the link's frame.
     """
-    turn = np.array([values.get((name, joint), 0.0) for name in TURN])
-    start = attitude([values.get((name, joint), 0.0) for name in START])
+    turn = np.array([values.get((name, joint), 0.0) for name in IMU_ROTATION])
+    start = attitude([values.get((name, joint), 0.0) for name in IMU_START_ATTITUDE])
     return np.asarray(start @ rotation(turn))
 
 
@@ -207,7 +217,8 @@ def with_sensor_positions(arm: Arm, values: Mapping[Key, float]) -> Arm:
         joints.append(
             replace(
                 joint,
-                accelerometer_distance=joint.accelerometer_distance or values.get((DISTANCE, i)),
+                accelerometer_distance=joint.accelerometer_distance
+                or values.get((ACCELEROMETER_DISTANCE, i)),
                 accelerometer_hz=hz if is_estimated else joint.accelerometer_hz,
             )
         )
@@ -224,13 +235,13 @@ def reported(
     them. On link 1 without gravity the yaw counts from the direction of the sensor's position.
     Unknowns of the fit are not in the result.
     """
-    if not axes or (TURN[2], axes[0].joint) not in values:
+    if not axes or (IMU_ROTATION[2], axes[0].joint) not in values:
         return {}
     joint = axes[0].joint
     report: dict[str, tuple[float, str]] = {}
     matrix = _attitude(arm, joint, values)
-    if (BEARING, joint) in values:
-        bearing, distance = values[BEARING, joint], values[FROM_AXIS, joint]
+    if (IMU_BEARING, joint) in values:
+        bearing, distance = values[IMU_BEARING, joint], values[IMU_DISTANCE, joint]
         report["imu_x"] = distance * float(np.cos(bearing)), "m"
         report["imu_y"] = distance * float(np.sin(bearing)), "m"
         matrix = rotation(np.array([0.0, 0.0, bearing])) @ matrix

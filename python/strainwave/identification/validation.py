@@ -33,18 +33,18 @@ _MIN_PERIODS = 2.5
 _STIFFNESS_FACTOR = 1.2
 """Factor on the stiffness that validation should detect, to test the effect of the stiffness."""
 
-MAX_ERROR = 0.1
+MAX_ERROR_SHARE = 0.1
 """Maximum RMS error of a prediction, as a share of the channel's motion. Smaller errors are
 accepted whatever their cause."""
 
-MIN_MOTION = 0.25
+MIN_MOTION_SHARE = 0.25
 """Minimum motion of a channel, as a share of its largest motion in a fitted record. At standstill,
 friction determines any small motion."""
 
-MAX_UNEXPLAINED = 3.0
+MAX_UNEXPLAINED_STDS = 3.0
 """Error above which a prediction is unexplained, in standard deviations of all known causes."""
 
-FRICTION_VARIATION = 0.05
+FRICTION_VARIATION_SHARE = 0.05
 """Relative change of Coulomb friction between records of a good drive, due to temperature and
 position."""
 
@@ -78,17 +78,17 @@ def _unexplained_errors(
     typical = [usual.get(name, no_motion) for name in prediction.channels]
     motion = np.maximum(
         np.std(prediction.measured, axis=0),
-        MIN_MOTION * np.array([each.motion for each in typical]),
+        MIN_MOTION_SHARE * np.array([each.motion for each in typical]),
     )
     moves = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
     explained = noise**2 + np.array([each.error for each in typical]) ** 2
-    is_large = moves & (error > MAX_ERROR * motion)
-    if not np.any(is_large & (error > MAX_UNEXPLAINED * np.sqrt(explained))):
+    is_large = moves & (error > MAX_ERROR_SHARE * motion)
+    if not np.any(is_large & (error > MAX_UNEXPLAINED_STDS * np.sqrt(explained))):
         return {}
     for change in varied():
         explained = explained + np.mean(change**2, axis=0)
     ratio = np.divide(error, np.sqrt(explained), out=np.zeros_like(error), where=explained > 0.0)
-    unexplained = np.flatnonzero(is_large & (ratio > MAX_UNEXPLAINED))
+    unexplained = np.flatnonzero(is_large & (ratio > MAX_UNEXPLAINED_STDS))
     return {prediction.channels[k]: float(ratio[k]) for k in unexplained}
 
 
@@ -170,7 +170,7 @@ def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
     for k, p in enumerate(model.parameters):
         if p.name == _COULOMB:
             solution = model.solution.copy()
-            solution[k] *= 1.0 + FRICTION_VARIATION
+            solution[k] *= 1.0 + FRICTION_VARIATION_SHARE
             yield solution
     covariance = np.nan_to_num(model.covariance, nan=0.0, posinf=0.0)
     rng = np.random.default_rng(0)
@@ -240,7 +240,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
     values = dict(model.values)
     for key, value in values.items():
         if key[0] == _COULOMB:
-            yield {**values, key: value * (1.0 + FRICTION_VARIATION)}
+            yield {**values, key: value * (1.0 + FRICTION_VARIATION_SHARE)}
     indices = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
     covariance = model.covariance[np.ix_(indices, indices)]
     rng = np.random.default_rng(0)

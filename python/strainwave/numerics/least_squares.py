@@ -11,11 +11,11 @@ from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
 from strainwave.numerics.banded import Banded
 
-HUBER = 4.0
+HUBER_LIMIT_STDS = 4.0
 """Huber limit, in standard deviations. It reduces the influence of gross errors only. A lower limit
 would cut the heavy tails of friction residuals on one side of each velocity reversal."""
 
-KNOWN = -1
+PRIOR_GROUP = -1
 """Group of rows with prior knowledge, each divided by its standard deviation."""
 
 _MIN_SINGULAR_VALUE_TO_NOISE = (
@@ -51,7 +51,7 @@ class Equations:
     local: tuple[Local, ...]  # regressors of the nuisance parameters z, part by part
     local_deviation: FloatArray  # (n_local,) standard deviations of z
     target: FloatArray  # (n_rows,)
-    group: IntArray  # (n_rows,) rows of a group have errors of one variance; or KNOWN
+    group: IntArray  # (n_rows,) rows of a group have errors of one variance; or PRIOR_GROUP
     block: IntArray  # (n_rows,) rows of a block may have correlated errors
 
 
@@ -225,12 +225,14 @@ def residual_of(equations: Equations, factor: Factor) -> FloatArray:
 def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     """Square roots (n_rows,) of Huber's weights with a robust standard deviation for each group.
 
-    w = min(1, HUBER / |r / s|) / s^2,   s = 1.4826 median |r / sqrt(1 - h)|,   h the leverage
+    w = min(1, HUBER_LIMIT_STDS / |r / s|) / s^2,   s = 1.4826 median |r / sqrt(1 - h)|
+
+    with the leverage h.
     """
     residual = residual_of(equations, factor)
     residual_share = 1.0 - factor.leverage
     root = np.ones_like(residual)
-    for g in np.unique(equations.group[equations.group != KNOWN]):
+    for g in np.unique(equations.group[equations.group != PRIOR_GROUP]):
         rows = equations.group == g
         informative = rows & (residual_share > _MIN_RESIDUAL_SHARE)
         informative = informative if informative.any() else rows
@@ -241,14 +243,14 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
         std = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
         normalised = np.abs(residual[rows]) / std
-        root[rows] = np.sqrt(HUBER / np.maximum(normalised, HUBER)) / std
+        root[rows] = np.sqrt(HUBER_LIMIT_STDS / np.maximum(normalised, HUBER_LIMIT_STDS)) / std
     return root
 
 
 def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
     """Square roots of the initial weights: the reciprocal rms of the target in each group."""
     root = np.ones_like(target)
-    for g in np.unique(group[group != KNOWN]):
+    for g in np.unique(group[group != PRIOR_GROUP]):
         rms = float(np.sqrt(np.mean(target[group == g] ** 2)))
         root[group == g] = 1.0 / rms if rms > 0.0 else 1.0
     return root
@@ -294,7 +296,7 @@ class _NormalEquations:
         rows = np.column_stack(columns) * root[:, None]
         n = rows.shape[1]
         gram, priors = np.zeros((n, n)), np.zeros((n, n))
-        has_no_local = equations.group != KNOWN
+        has_no_local = equations.group != PRIOR_GROUP
         lost: dict[int, FloatArray] = {}
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
@@ -311,7 +313,7 @@ class _NormalEquations:
             lost[label] = lost.get(label, 0.0) + block_rows.T @ block_rows
             gram += block_rows.T @ block_rows
         n_own = n - 1 - common.shape[1]
-        prior_rows = np.vstack([rows[equations.group == KNOWN], np.eye(n)[n_own:-1]])
+        prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
         gram += prior_rows.T @ prior_rows
         priors += prior_rows.T @ prior_rows
         return _NormalEquations(gram[:-1], lost, priors[:-1, :-1])

@@ -47,13 +47,13 @@ class Linearised:
 class Space(Protocol):
     """Domain of the unknowns: bounds, and the range in which the problem is nearly linear."""
 
-    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+    def move(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Point (n,) after a step from x; to first order x + step."""
 
-    def bounded(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
+    def at_bounds(self, x: FloatArray, gradient: FloatArray) -> BoolArray:
         """Which coordinates (n,) are at a bound that the negative gradient points beyond."""
 
-    def trusted(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
+    def limit_step(self, x: FloatArray, step: FloatArray, share: float) -> FloatArray:
         """Step (n,) limited to the bounds and to a share of the range in which it is linear."""
 
 
@@ -61,21 +61,21 @@ class Space(Protocol):
 class Flat:
     """Domain without bounds or step limits."""
 
-    def moved(self, x: FloatArray, step: FloatArray) -> FloatArray:
+    def move(self, x: FloatArray, step: FloatArray) -> FloatArray:
         """Sum x + step."""
         return np.asarray(x + step)
 
-    def bounded(self, x: FloatArray, _: FloatArray) -> BoolArray:
+    def at_bounds(self, x: FloatArray, _: FloatArray) -> BoolArray:
         """No coordinate is at a bound."""
         return np.zeros(len(x), dtype=bool)
 
-    def trusted(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
+    def limit_step(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
         """The unchanged step."""
         return step
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Minimum:
     """Result of `minimise`."""
 
     x: FloatArray  # (n,)
@@ -93,7 +93,7 @@ def minimise(
     relative: float = 0.0,
     damping: float = 1e-3,
     max_evaluations: int,
-) -> Found | None:
+) -> Minimum | None:
     """Minimise by the Levenberg-Marquardt method in scaled coordinates with limited steps.
 
     `linearise`: Cost and least-squares problem at a point (n,), or None if it is not defined there.
@@ -118,12 +118,12 @@ def minimise(
     evaluations = 1
     costs: list[float] = []
     while True:
-        is_free = ~space.bounded(x, current.factor[:, :-1].T @ current.factor[:, -1])
+        is_free = ~space.at_bounds(x, current.factor[:, :-1].T @ current.factor[:, -1])
         gain, _ = _step(current.factor, 0.0, is_free)
         costs.append(current.cost)
         gain_tolerance = tolerance + relative * current.cost
         if gain < gain_tolerance:
-            return Found(x, current, evaluations, True)
+            return Minimum(x, current, evaluations, True)
         stalled = (
             len(costs) > _STALL_EVALUATIONS
             and costs[-_STALL_EVALUATIONS - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
@@ -137,13 +137,13 @@ def minimise(
             _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
         )
         if is_discontinuous or (stalled and is_small_gain):
-            return Found(x, current, evaluations, True)
+            return Minimum(x, current, evaluations, True)
         if evaluations >= max_evaluations:
-            return Found(x, current, evaluations, False)
+            return Minimum(x, current, evaluations, False)
         predicted, step = _trusted_step(
             current.factor, damping, is_free, _StepLimit(space, x, trusted_share)
         )
-        trial = space.moved(x, step)
+        trial = space.move(x, step)
         candidate = linearise(trial)
         evaluations += 1
         gain_ratio = (
@@ -153,7 +153,7 @@ def minimise(
             damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
             trusted_share *= _STEP_REDUCTION
             if abs(predicted) < tolerance:  # no step decreases the cost
-                return Found(x, current, evaluations, is_small_gain)
+                return Minimum(x, current, evaluations, is_small_gain)
             continue
         if gain_ratio > _MIN_GOOD_GAIN_RATIO:
             damping = max(damping / 5.0, _MIN_DAMPING)
@@ -186,7 +186,7 @@ def _trusted_step(
     fixed_step = np.zeros(len(free))
     while True:
         predicted, step = _step(factor, damping, free, fixed_step)
-        limited = trust.space.trusted(trust.x, step, trust.share)
+        limited = trust.space.limit_step(trust.x, step, trust.share)
         is_limited = free & (limited != step)
         if not np.any(is_limited):
             return predicted, step

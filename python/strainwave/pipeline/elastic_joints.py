@@ -175,7 +175,9 @@ def _fit_joints(
         response = _response(records, options.responses)
         responses |= {} if response is None else {joint.joint: response}
     ratios = [each.gear_ratio for each in run.arm.joints]
-    joints = [physical.compared(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints]
+    joints = [
+        physical.compare_response(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints
+    ]
     record_models = partial(
         _record_models, run.arm, the_study.options, model, decoupled_records, fits
     )

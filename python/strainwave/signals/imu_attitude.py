@@ -15,11 +15,11 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
-    BEARING,
-    FROM_AXIS,
-    PLACE,
-    START,
-    TURN,
+    IMU_BEARING,
+    IMU_DISTANCE,
+    IMU_POSITION,
+    IMU_ROTATION,
+    IMU_START_ATTITUDE,
     Axis,
     attitude_of,
     factors,
@@ -75,17 +75,18 @@ def imu_candidates(
 
 def _with_positive_distance(values: dict[Key, float], joint: int) -> dict[Key, float]:
     """The equivalent mounting with a positive distance: half a turn about the joint axis."""
-    distance = values.get((FROM_AXIS, joint), 1.0)
+    distance = values.get((IMU_DISTANCE, joint), 1.0)
     if distance >= 0.0:
         return values
     start = np.diag([-1.0, -1.0, 1.0]) @ attitude_of(values, joint)
-    flipped = {**values, (FROM_AXIS, joint): -distance}
-    flipped |= {(name, joint): 0.0 for name in TURN if (name, joint) in flipped}
+    flipped = {**values, (IMU_DISTANCE, joint): -distance}
+    flipped |= {(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in flipped}
     flipped |= {
-        (name, joint): angle for name, angle in zip(START, angles(start).tolist(), strict=True)
+        (name, joint): angle
+        for name, angle in zip(IMU_START_ATTITUDE, angles(start).tolist(), strict=True)
     }
-    if (BEARING, joint) in flipped:
-        flipped[BEARING, joint] += np.pi
+    if (IMU_BEARING, joint) in flipped:
+        flipped[IMU_BEARING, joint] += np.pi
     return flipped
 
 
@@ -97,11 +98,12 @@ def in_mirror(values: Mapping[Key, float], joint: int) -> dict[Key, float]:
     """
     flipped = dict(values)
     start = np.diag([-1.0, 1.0, -1.0]) @ attitude_of(values, joint)
-    flipped |= {(name, joint): 0.0 for name in TURN if (name, joint) in flipped}
+    flipped |= {(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in flipped}
     flipped |= {
-        (name, joint): angle for name, angle in zip(START, angles(start).tolist(), strict=True)
+        (name, joint): angle
+        for name, angle in zip(IMU_START_ATTITUDE, angles(start).tolist(), strict=True)
     }
-    for name in (PLACE[1], BEARING):
+    for name in (IMU_POSITION[1], IMU_BEARING):
         if (name, joint) in flipped:
             flipped[name, joint] = -flipped[name, joint]
     return flipped
@@ -129,19 +131,22 @@ def _search_minima(
 ) -> list[tuple[float, dict[Key, float]]]:
     """Local minima as (objective, mounting), in ascending order of the objective."""
     joint, keys = axes[0].joint, unknowns_of(axes, arm)
-    has_rotation = any(key[0] in TURN for key in keys)
+    has_rotation = any(key[0] in IMU_ROTATION for key in keys)
     if flat:
-        keys = [key for key in keys if key[0] not in TURN[:2]]
-    has_bearing = (BEARING, joint) in keys
+        keys = [key for key in keys if key[0] not in IMU_ROTATION[:2]]
+    has_bearing = (IMU_BEARING, joint) in keys
     starts = []
     for rotation in _starting_rotations(flat=flat) if has_rotation else [np.eye(3)]:
         for k in range(_N_BEARINGS if has_bearing else 1):
             values = dict.fromkeys(keys, 0.0)
             if has_rotation:
                 rpy = angles(rotation).tolist()
-                values |= {(name, joint): angle for name, angle in zip(START, rpy, strict=True)}
+                values |= {
+                    (name, joint): angle
+                    for name, angle in zip(IMU_START_ATTITUDE, rpy, strict=True)
+                }
             if has_bearing:
-                values[BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
+                values[IMU_BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
             candidate = _with_optimal_position(wanted, values, keys, arm)
             starts.append((_cost(wanted, candidate, arm), candidate))
     starts.sort(key=lambda one: one[0])
@@ -194,8 +199,10 @@ def _with_optimal_position(
 
     The readings are linear in these unknowns.
     """
-    linear = [key for key in keys if key[0] in (FROM_AXIS, *PLACE) or key[0].endswith("_z")]
-    linear = [key for key in linear if key[0] not in TURN]
+    linear = [
+        key for key in keys if key[0] in (IMU_DISTANCE, *IMU_POSITION) or key[0].endswith("_z")
+    ]
+    linear = [key for key in linear if key[0] not in IMU_ROTATION]
     if not linear:
         return values
     jacobian = _jacobian(wanted, values, linear, arm)
@@ -203,8 +210,8 @@ def _with_optimal_position(
     placed = {**values, **dict(zip(linear, optimum.tolist(), strict=True))}
     joint = linear[0][1]
     # A negative distance belongs to the opposite bearing.
-    if placed.get((FROM_AXIS, joint), 1.0) < 0.0:
-        placed[FROM_AXIS, joint] = 0.0
+    if placed.get((IMU_DISTANCE, joint), 1.0) < 0.0:
+        placed[IMU_DISTANCE, joint] = 0.0
     return placed
 
 

@@ -23,7 +23,7 @@ from strainwave.domain import (
     Place,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import LONGEST_DELAY, moved
+from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import (
     Between,
@@ -69,7 +69,7 @@ def both_sides(
 
     A delay belongs to a sensor and is the same in all records. It is estimated from all of them,
     see `strainwave.signals.alignment`. The channel is shifted by the delay if it exceeds four
-    standard deviations and if no delay exceeds `LONGEST_DELAY`.
+    standard deviations and if no delay exceeds `MAX_SENSOR_DELAY`.
 
     Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
     InvalidInput under the same conditions as `link_side`.
@@ -91,8 +91,8 @@ def both_sides(
 
 
 def _exceeds_longest_delay(delays: Sequence[Delay]) -> bool:
-    """Whether any delay exceeds `LONGEST_DELAY`. Such a delay is reported but not corrected."""
-    return any(abs(delay.value) > LONGEST_DELAY for delay in delays)
+    """Whether any delay exceeds `MAX_SENSOR_DELAY`. Such a delay is reported but not corrected."""
+    return any(abs(delay.value) > MAX_SENSOR_DELAY for delay in delays)
 
 
 def link_side(
@@ -157,7 +157,7 @@ def _remove_delays(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
     for i, delay in enumerate(delays, start=1):
         name = _CHANNEL.get(_source(log, arm, i))
         if delay and name:
-            channels[f"{name}{i}"] = moved(channels[f"{name}{i}"], delay / log.sample_time)
+            channels[f"{name}{i}"] = shift_samples(channels[f"{name}{i}"], delay / log.sample_time)
     return replace(log, channels=channels)
 
 

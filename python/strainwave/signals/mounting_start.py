@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Imu, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import DISTANCE, Axis, axes_of, unknowns_of
+from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import imu_starts
@@ -36,7 +36,7 @@ def kinematics(
 
     Inputs are link angles [rad], velocities [rad/s] and accelerations [rad/s^2], each (n_samples,
     n_joints) and relative to the preceding link. The result is (n_samples, n_joints, 4): f_x, f_y
-    [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2], as in `strainwave.dynamics.mounting.BASIS`.
+    [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2], as in `ACCELEROMETER_BASIS`.
     """
     g, length = arm.gravity or 0.0, arm.link_length or 0.0
     absolute_angle, rate, angular_acceleration = (
@@ -69,7 +69,7 @@ def mounting_starts(
         if unknowns_of(axes, arm):
             tables = _axis_tables(logs, arm, axes)
             if axes[0].kind == "tangential":
-                starting_values[DISTANCE, joint] = distance_of(tables[0])
+                starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(tables[0])
             else:
                 starting_values |= imu_starts(axes, tables, arm)
     return starting_values

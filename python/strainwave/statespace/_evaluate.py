@@ -17,10 +17,10 @@ from strainwave.statespace._stack import Stack
 # Relative variance that regularises the innovations' covariance. It corresponds to innovations of
 # 1e-10 of the channel's root mean square, far below the resolution of any sensor, and keeps the
 # determinant finite for noise-free data.
-FLOOR = 1e-20
+MIN_VARIANCE_SHARE = 1e-20
 
 # Innovations that exceed this multiple of the channel's root mean square indicate divergence.
-DIVERGED = 1e3
+DIVERGENCE_RATIO = 1e3
 
 
 class Evaluator:
@@ -44,7 +44,7 @@ class Evaluator:
     def cost(self, values: FloatArray) -> float:
         """Cost (N/2) log det of the innovations' covariance; infinite for divergent innovations."""
         residuals = self.core.residuals(values)
-        if not np.abs(residuals).max() < DIVERGED:
+        if not np.abs(residuals).max() < DIVERGENCE_RATIO:
             return np.inf
         covariance = floored_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
@@ -91,7 +91,7 @@ class Evaluator:
             if solution + 1 < solutions:
                 residuals = self.residuals(self.unpack(values))
                 # If the predictor diverges, keep the first solution.
-                if not np.abs(residuals).max() < DIVERGED:
+                if not np.abs(residuals).max() < DIVERGENCE_RATIO:
                     break
                 whitener = np.asarray(np.linalg.cholesky(floored_covariance(residuals)))
         return self.unpack(values)
@@ -115,9 +115,9 @@ class Evaluator:
 
 
 def floored_covariance(residuals: FloatArray) -> FloatArray:
-    """Covariance E'E / N, regularised by `FLOOR`."""
+    """Covariance E'E / N, regularised by `MIN_VARIANCE_SHARE`."""
     covariance = residuals.T @ residuals / len(residuals)
-    return covariance + FLOOR * np.eye(len(covariance))
+    return covariance + MIN_VARIANCE_SHARE * np.eye(len(covariance))
 
 
 def fit_percent(measured: FloatArray, modelled: FloatArray) -> tuple[float, ...]:

@@ -11,10 +11,10 @@ from strainwave.statespace._stack import Stack
 # Smallest ratio of pivots for which the Gram matrix is used instead of a QR decomposition. The
 # relative error of the weakest direction is then about 1e-16 / 1e-12, below the noise of measured
 # data.
-SMALLEST_PIVOT = 1e-6
+MIN_PIVOT_RATIO = 1e-6
 
 # Rows of each block of the QR decomposition; the full Hankel matrix is never stored.
-BLOCK = 2048
+ROWS_PER_BLOCK = 2048
 
 
 def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[FloatArray, int]:
@@ -34,7 +34,7 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
     except np.linalg.LinAlgError:
         return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
     pivots = np.diagonal(R)
-    if pivots.min() < SMALLEST_PIVOT * pivots.max():
+    if pivots.min() < MIN_PIVOT_RATIO * pivots.max():
         return _qr_factor(_blocked_qr(data, z, depth)[:, order]), rows
     return np.asarray(R), rows
 
@@ -42,7 +42,7 @@ def triangular_factor(data: Stack, depth: int, order: FloatArray) -> tuple[Float
 def solve_upper(R: FloatArray, right: FloatArray) -> FloatArray:
     """Solution of R x = right for triangular R; the minimum-norm solution if R is singular."""
     pivots = np.abs(np.diagonal(R))
-    if pivots.min() > SMALLEST_PIVOT * pivots.max():
+    if pivots.min() > MIN_PIVOT_RATIO * pivots.max():
         return np.asarray(np.linalg.solve(R, right))
     return np.asarray(np.linalg.lstsq(R, right, rcond=1e-12)[0], dtype=np.float64)
 
@@ -53,8 +53,8 @@ def _blocked_qr(data: Stack, z: FloatArray, depth: int) -> FloatArray:
     for record in data.rows():
         windows = np.lib.stride_tricks.sliding_window_view(z[record].ravel(), depth * width)
         windows = windows[::width]
-        for start in range(0, len(windows), BLOCK):
-            R = _qr_factor(np.vstack([R, windows[start : start + BLOCK]]))
+        for start in range(0, len(windows), ROWS_PER_BLOCK):
+            R = _qr_factor(np.vstack([R, windows[start : start + ROWS_PER_BLOCK]]))
     return R
 
 

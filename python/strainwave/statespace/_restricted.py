@@ -35,7 +35,9 @@ _MAX_GRADIENT_SAMPLES = 1024
 _MAX_STEP_HALVINGS = 5
 
 
-def restricted(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray | None) -> Matrices:
+def restrict_steps(
+    evaluator: Evaluator, matrices: Matrices, covariance: FloatArray | None
+) -> Matrices:
     """Model that minimises the sum of cost and (1/2) log det I_m, by one Newton step.
 
     `matrices`: Scaled model at the minimum of the cost.

@@ -13,11 +13,11 @@ from strainwave.numerics.linalg import exponential
 from strainwave.statespace.propagation import propagate
 
 # Fraction of the Nyquist frequency above which a pole may be an alias of a faster pole.
-NEAR_NYQUIST = 0.8
+MAX_NYQUIST_SHARE = 0.8
 
 # Largest condition number of the eigenvectors for which the eigendecomposition of A is used. For
 # nearly multiple poles, the slower inverse scaling-and-squaring method is used.
-WELL_CONDITIONED = 1e6
+MAX_EIGENVECTOR_CONDITION = 1e6
 
 # Coefficients of (e^x - 1 - x)/x^2 = sum of x^k / (k + 2)!, highest power first. The truncation
 # error is below rounding for |x| < _SMALL.
@@ -82,7 +82,7 @@ def _continuous_matrices(A: FloatArray, T: float) -> tuple[FloatArray, FloatArra
             f"the sampled model has a pole at {bad[0].real:.3g}, which no continuous-time model of "
             "the same order has: lower the order"
         )
-    if np.linalg.cond(vectors).max() >= WELL_CONDITIONED:
+    if np.linalg.cond(vectors).max() >= MAX_EIGENVECTOR_CONDITION:
         if A.ndim > 2:
             stacked = np.stack([np.stack(_continuous_matrices(matrix, T)) for matrix in A], axis=1)
             return stacked[0], stacked[1], stacked[2]
@@ -115,7 +115,7 @@ def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
 
 def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
     fastest = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0))
-    if fastest < NEAR_NYQUIST * np.pi / T:
+    if fastest < MAX_NYQUIST_SHARE * np.pi / T:
         return ()
     return (
         Diagnostic(

@@ -14,7 +14,7 @@ ComplexArray = NDArray[np.complex128]
 
 # Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise
 # in D make finite.
-FAR = 100.0
+MAX_ZERO_TO_POLE = 100.0
 
 # Shift of the inverted pencil, relative to the fastest pole. A shift on the unstable real axis that
 # is not a round number is unlikely to coincide with a zero.
@@ -43,7 +43,7 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
     continuous = to_continuous(model) if isinstance(model, StateSpace) else model
     poles = _poles(continuous)
     zeros = _zeros(continuous, input, output)
-    highest = FAR * float(np.abs(poles).max())
+    highest = MAX_ZERO_TO_POLE * float(np.abs(poles).max())
     if isinstance(model, StateSpace):
         highest = min(highest, np.pi / model.sample_time)
     poles, zeros = _upper_half(poles), _upper_half(zeros[np.abs(zeros) < highest])

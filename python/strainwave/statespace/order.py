@@ -15,19 +15,19 @@ from strainwave.statespace.pem import PemOptions, pem
 from strainwave.statespace.residuals import on_data, whiteness
 
 # Fraction of each record that is held out, at its end.
-HELD_OUT = 0.25
+HELD_OUT_SHARE = 0.25
 
 # Minimum number of held-out samples per state: the fit of the initial state also uses them.
-LEAST_HELD_OUT = 10
+MIN_HELD_OUT_SAMPLES_PER_STATE = 10
 
 # An order is a candidate if its unexplained part of the held-out outputs exceeds the smallest one
 # by at most this fraction plus this number of percentage points. The second term applies to nearly
 # noise-free data.
-SHARE = 0.05
-POINTS = 0.1
+MAX_EXCESS_SHARE = 0.05
+MAX_EXCESS_POINTS = 0.1
 
 
-ORDERS = (2, 3, 4, 5, 6)
+DEFAULT_ORDERS = (2, 3, 4, 5, 6)
 """Default orders: a joint has three states, and filters add a few."""
 
 
@@ -37,7 +37,7 @@ FitOrders = Callable[[Sequence[InputOutput]], Callable[[int], StateSpace]]
 
 def select_order(
     data: Data,
-    orders: Sequence[int] = ORDERS,
+    orders: Sequence[int] = DEFAULT_ORDERS,
     options: PemOptions | None = None,
     fit: FitOrders | None = None,
 ) -> OrderSelection:
@@ -71,7 +71,8 @@ def select_order(
     unexplained_percent = np.array([100.0 - np.mean(percentages) for percentages in fits])
     if np.isfinite(unexplained_percent[is_sound]).any():
         is_candidate = is_sound & (
-            unexplained_percent <= (1.0 + SHARE) * np.min(unexplained_percent[is_sound]) + POINTS
+            unexplained_percent
+            <= (1.0 + MAX_EXCESS_SHARE) * np.min(unexplained_percent[is_sound]) + MAX_EXCESS_POINTS
         )
         candidate_reason, single_reason = (
             "as good as any on held-out data",
@@ -105,8 +106,8 @@ def _split_records(data: Data, highest: int) -> tuple[list[InputOutput], list[In
     kept, held_out = [], []
     for record in records_of(data):
         samples = len(record.inputs)
-        cut = samples - int(HELD_OUT * samples)
-        if samples - cut >= LEAST_HELD_OUT * highest:
+        cut = samples - int(HELD_OUT_SHARE * samples)
+        if samples - cut >= MIN_HELD_OUT_SAMPLES_PER_STATE * highest:
             kept.append(record.window(0, cut))
             held_out.append(record.window(cut, samples))
         else:
@@ -125,7 +126,7 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
 def _choose_order(
     candidates: Sequence[StateSpace], data: Data, among: str, rest: str
 ) -> tuple[int, str]:
-    """Chosen order and the reason."""
+    """SelectedOrder order and the reason."""
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
         return candidates[0].order, f"order {names}: {rest}"

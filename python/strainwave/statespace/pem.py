@@ -17,13 +17,13 @@ from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import stop_if_asked
 from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
-from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
-from strainwave.statespace._restricted import restricted
+from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
+from strainwave.statespace._restricted import restrict_steps
 from strainwave.statespace._riccati import is_stable, reflected, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (
-    HIGHEST_ORDER,
+    MAX_ORDER,
     Factors,
     check_feedthrough,
     choose_horizon,
@@ -119,7 +119,7 @@ def _restricted(
     evaluator: Evaluator, best: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> _Fit:
     """Fit with the gain of the restricted likelihood, and its covariance."""
-    restricted_matrices = restricted(evaluator, best.matrices, best.covariance)
+    restricted_matrices = restrict_steps(evaluator, best.matrices, best.covariance)
     if restricted_matrices is best.matrices:
         return best
     refit = _fit(evaluator, restricted_matrices, feedthrough, replace(options, max_iterations=0))
@@ -149,7 +149,7 @@ def _starts(
     """Starting values with stable predictors."""
     if start is None:
         methods: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
-        horizon, factors = choose_horizon(data, order or HIGHEST_ORDER), Factors(data)
+        horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [
             realise(factors, order, method, horizon, feedthrough).matrices for method in methods
         ]
@@ -184,7 +184,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
     converted = _resampled(start, data.sample_time, states)
     scaled = rescale(converted, data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
-    noise = noise + FLOOR * np.eye(len(noise))
+    noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
     K = stabilising_gain(scaled.A, scaled.C, scaled.K, noise)
     return replace(scaled, K=K)
 
@@ -226,7 +226,7 @@ def _fit(
             gain=options.disturbance == "innovations",
             feedthrough=list(feedthrough),
             initial_states=options.initial_state == "estimate",
-            floor=[FLOOR] * evaluator.data.n_outputs,
+            floor=[MIN_VARIANCE_SHARE] * evaluator.data.n_outputs,
             max_iterations=options.max_iterations,
             tolerance=options.tolerance,
         )

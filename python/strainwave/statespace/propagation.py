@@ -14,10 +14,10 @@ Model = TypeVar("Model", StateSpace, ContinuousStateSpace)
 
 # Step of the central differences, in standard deviations. Their relative error is about the square
 # of the step, and the step is far above rounding for data with noise.
-STEP = 0.01
+DIFFERENCE_STEP_STDS = 0.01
 
 # Relative eigenvalue of the correlation matrix below which a direction is rounding error.
-NEGLIGIBLE = 1e-13
+MIN_EIGENVALUE_RATIO = 1e-13
 
 
 def propagate(
@@ -45,13 +45,13 @@ def propagate(
         return function(_with_changes(model, np.zeros((1, _n_entries(model)))))[0], None
     if model.covariance is None:
         return each(model), None
-    steps = STEP * _directions(model.covariance).T
+    steps = DIFFERENCE_STEP_STDS * _directions(model.covariance).T
     changes = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
     if stacked:
         values = function(_with_changes(model, changes))
     else:
         values = np.stack([each(_with_changes(model, change)) for change in changes])
-    J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * STEP)
+    J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * DIFFERENCE_STEP_STDS)
     return values[0], J @ J.T
 
 
@@ -66,7 +66,7 @@ def _directions(covariance: FloatArray) -> FloatArray:
         return np.zeros((len(covariance), 0))
     correlation = covariance[np.ix_(nonzero, nonzero)] / np.outer(std[nonzero], std[nonzero])
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
-    is_significant = values > NEGLIGIBLE * values[-1]
+    is_significant = values > MIN_EIGENVALUE_RATIO * values[-1]
     factor = np.zeros((len(covariance), int(is_significant.sum())))
     factor[nonzero] = (
         std[nonzero, None] * vectors[:, is_significant] * np.sqrt(values[is_significant])

@@ -14,15 +14,15 @@ from strainwave.statespace._evaluate import Evaluator, fit_percent
 from strainwave.statespace._stack import Data, Stack, stack
 
 # Significance level of the tests.
-LEVEL = 0.01
+SIGNIFICANCE_LEVEL = 0.01
 
 # Number of lags, as in MATLAB's `resid`.
-LAGS = 25
+DEFAULT_LAGS = 25
 
 Name = Literal["white", "independent-of-past-inputs", "no-feedback"]
 
 
-def check_model(model: StateSpace, data: Data, *, lags: int = LAGS) -> ModelCheck:
+def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> ModelCheck:
     """Test a model on data, preferably on data that were not used for the fit.
 
     The initial states are fitted to `data`. The tests treat the model as known, so they reject too
@@ -64,7 +64,7 @@ def on_data(model: StateSpace, data: Stack) -> tuple[Evaluator, Matrices]:
 
 
 def whiteness(
-    residuals: FloatArray, data: Stack, fitted: int = 0, lags: int = LAGS
+    residuals: FloatArray, data: Stack, fitted: int = 0, lags: int = DEFAULT_LAGS
 ) -> HypothesisTest:
     """Multivariate portmanteau test (Hosking, JASA 75, 1980).
 
@@ -179,5 +179,5 @@ def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
 
 def _test_result(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
     p_value = chi_square_tail(statistic, degrees)
-    passed = p_value >= LEVEL
+    passed = p_value >= SIGNIFICANCE_LEVEL
     return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

@@ -22,7 +22,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._entries import Matrices, balanced
-from strainwave.statespace._evaluate import FLOOR, Evaluator, assemble
+from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor
 from strainwave.statespace._riccati import innovations_gain, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
@@ -31,10 +31,10 @@ Method = Literal["auto", "moesp", "n4sid", "predictor"]
 
 # Longest horizon. Lightly damped joints ring longer, but a longer horizon improves the starting
 # value less than the prediction-error method does.
-LONGEST_HORIZON = 40
+MAX_HORIZON = 40
 
 # Highest order that the singular values can select.
-HIGHEST_ORDER = 10
+MAX_ORDER = 10
 
 
 _DIVERGENCE_WARNING = Diagnostic(
@@ -172,7 +172,7 @@ def realise(
     """Realisation with the smaller cost, in balanced coordinates."""
     data = factors.data
     methods = ("moesp", "predictor") if method == "auto" else (method,)
-    length = horizon or choose_horizon(data, order or HIGHEST_ORDER)
+    length = horizon or choose_horizon(data, order or MAX_ORDER)
     _check_length(data, order or 1, length)
     best: tuple[float, Realisation] | None = None
     for way in methods:
@@ -208,7 +208,7 @@ def choose_horizon(data: Stack, order: int) -> int:
     width = data.n_inputs + data.n_outputs
     longest_record = max(len_ for len_ in data.lengths)
     # Each past sample adds `width` regressors and requires five rows for each of them.
-    max_horizon = min(LONGEST_HORIZON, data.n_samples // (5 * width), (longest_record - 1) // 3)
+    max_horizon = min(MAX_HORIZON, data.n_samples // (5 * width), (longest_record - 1) // 3)
     min_horizon = min(max(order + 1, 2), max(max_horizon, 1))
     if max_horizon <= min_horizon:
         return min_horizon
@@ -216,7 +216,7 @@ def choose_horizon(data: Stack, order: int) -> int:
     output_columns = R[:, -data.n_outputs :]
     products = np.einsum("ki,kj->kij", output_columns, output_columns)[::-1].cumsum(axis=0)[::-1]
     starts = data.n_inputs + width * np.arange(1, max_horizon + 1)
-    covariance = products[starts] / rows + FLOOR * np.eye(data.n_outputs)
+    covariance = products[starts] / rows + MIN_VARIANCE_SHARE * np.eye(data.n_outputs)
     criterion = rows * np.linalg.slogdet(covariance)[1]
     criterion += 2.0 * width * data.n_outputs * np.arange(1, max_horizon + 1)
     return max(min_horizon, 1 + int(np.argmin(criterion)))
@@ -360,7 +360,7 @@ def _realise_from_states(
         D[:, has_feedthrough] = _regression(u[:, has_feedthrough], y - x @ C.T)
     residuals = np.hstack([next_x - x @ A.T - u @ B.T, y - x @ C.T - u @ D.T])
     noise = residuals.T @ residuals / max(data.n_samples, 1)
-    noise[n:, n:] += FLOOR * np.eye(p)
+    noise[n:, n:] += MIN_VARIANCE_SHARE * np.eye(p)
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
     states = np.zeros((len(data.lengths), n))
@@ -375,7 +375,7 @@ def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:
 
 def _largest_gap(singular_values: FloatArray) -> int:
     """Order after which the ratio of successive singular values is largest."""
-    s = singular_values[: HIGHEST_ORDER + 1]
+    s = singular_values[: MAX_ORDER + 1]
     s = np.maximum(s, 1e-14 * s[0])
     return 1 + int(np.argmax(s[:-1] / s[1:])) if len(s) > 1 else 1
 

@@ -172,7 +172,7 @@ def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
     """Uncertain friction at reversals within an encoder count increases standard deviations."""
     joint_case = case(*CASES[0])
     reference = np.sqrt(np.diag(found_in(joint_case).covariance))
-    monkeypatch.setattr(grey_box, "_TAKEN", grey_box._STANDING)
+    monkeypatch.setattr(grey_box, "_SIGN_FRICTION_STD", grey_box._STICTION_STD)
     alike = np.sqrt(np.diag(found_in(joint_case).covariance))
     assert np.all(reference > 0.99 * alike)
     assert np.max(reference / alike) > 1.02
@@ -334,7 +334,7 @@ def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
         return reference(signals, *rest)
 
     monkeypatch.setattr(grey_box, "_piece", counted)
-    monkeypatch.setattr(grey_box, "_SEARCHED", 2 * n // 3)
+    monkeypatch.setattr(grey_box, "_MAX_SEARCH_SAMPLES", 2 * n // 3)
     fit = found_in(joint_case)
     # the complete record is used for the selected band and its neighbours only
     assert lengths.count(2 * n // 3) == len(lengths) - 3 > 0
@@ -347,8 +347,8 @@ def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
 ) -> None:
     joint_case, full_model = models[0]
     n = len(joint_case.signals.time)
-    monkeypatch.setattr(grey_box, "_SEARCHED", n - 1)
-    reference = grey_box._found
+    monkeypatch.setattr(grey_box, "_MAX_SEARCH_SAMPLES", n - 1)
+    reference = grey_box._search_band
 
     def misled(records: Any, study: Any, known: Any, search: Any) -> Any:
         if len(records[0][0].time) == n:
@@ -356,7 +356,7 @@ def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
         band = (9.0, 18.0)
         return band, grey_box._equations(records, study, known, band)
 
-    monkeypatch.setattr(grey_box, "_found", misled)
+    monkeypatch.setattr(grey_box, "_search_band", misled)
     fit = found_in(joint_case)
     assert fit.band_hz == full_model.band_hz
     assert fit.values == full_model.values

@@ -22,7 +22,7 @@ from strainwave.identification.joint_model.motor_side import (
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of, posture_of
 from strainwave.identification.joint_model.motor_side.impedance import LinearArm, velocities
 from strainwave.identification.joint_model.motor_side.search import minima
-from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thinned
+from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.virtual.experiments import derived
 
 BASE = ("alpha", "beta", "gamma")
@@ -150,7 +150,7 @@ def test_the_search_finds_the_gears_of_drawn_arms(seed: int) -> None:
     rng = np.random.default_rng(seed)
     family = known_family(study, values)
     records = [exact_piece(family, values, row, rng) for row in (0, 1)]
-    best = minima(family, records, [thinned(piece, 40) for piece in records])[0]
+    best = minima(family, records, [thin_lines(piece, 40) for piece in records])[0]
     parts = family.parts(best.point)
     for i in (0, 1):
         # all parameters are exact, except the fixed ratio of the viscous frictions
@@ -165,7 +165,7 @@ def test_a_stiffness_that_hardly_shows_stays_in_question() -> None:
     rng = np.random.default_rng(0)
     family = known_family(study, values)
     records = [exact_piece(family, values, row, rng) for row in (0, 1)]
-    thinned_records = [thinned(piece, 40) for piece in records]
+    thinned_records = [thin_lines(piece, 40) for piece in records]
     sharp = minima(family, records, thinned_records)
     noisy = [
         replace(p, velocity=p.velocity + rng.normal(0.0, 30.0 * np.abs(p.velocity)))
@@ -181,7 +181,7 @@ def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
     signals = _signals(study, still, n)
     with pytest.raises(NotIdentifiable, match="joint 1 slide"):
         models_from_motors([signals], None, Arm.of(study.arm))
-    assert not next(pieces(signals, Arm.of(study.arm).gear_ratios, most_lines=40)).rows
+    assert not next(pieces(signals, Arm.of(study.arm).gear_ratios, max_lines=40)).rows
 
 
 def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:

@@ -91,11 +91,11 @@ def test_steps_are_straight_in_the_values(seed: int) -> None:
     _, _, space = mixed()
     z = 0.5 * somewhere(space, seed)
     rng = np.random.default_rng(seed)
-    step = space.trusted(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
-    path = [space.parameters(space.moved(z, t * step)) for t in (0.0, 0.5, 1.0)]
+    step = space.limit_step(z, rng.uniform(-0.5, 1.0, len(z)), 1.0)
+    path = [space.parameters(space.move(z, t * step)) for t in (0.0, 0.5, 1.0)]
     np.testing.assert_allclose(path[1], 0.5 * (path[0] + path[2]), rtol=1e-12, atol=1e-15)
     # the direction at the start is that of the coordinates
-    nearby = space.moved(z, 1e-7 * step)
+    nearby = space.move(z, 1e-7 * step)
     np.testing.assert_allclose(nearby, z + 1e-7 * step, atol=1e-13)
 
 
@@ -104,14 +104,14 @@ def test_trusted_steps_stay_in_reach(seed: int) -> None:
     _, _, space = mixed()
     z = somewhere(space, seed)
     large_step = np.random.default_rng(seed).uniform(-50.0, 50.0, len(z))
-    step = space.trusted(z, large_step, 1.0)
-    values, after = space.parameters(z), space.parameters(space.moved(z, step))
-    assert np.all(np.abs(space.moved(z, step)) <= space.upper)
+    step = space.limit_step(z, large_step, 1.0)
+    values, after = space.parameters(z), space.parameters(space.move(z, step))
+    assert np.all(np.abs(space.move(z, step)) <= space.upper)
     assert np.all(np.sign(step) * np.sign(large_step) >= 0.0)
     positive = [k for k, u in enumerate(space.unknowns) if not u.signed and u.name != KNEES[1]]
     assert np.all(after[positive] < 2.6 * values[positive])
     # limiting is idempotent
-    np.testing.assert_array_equal(space.trusted(z, step, 1.0), step)
+    np.testing.assert_array_equal(space.limit_step(z, step, 1.0), step)
 
 
 def test_coordinates_stay_in_reach() -> None:

@@ -13,7 +13,7 @@ from strainwave.domain import ArmModel, Log, Study, TuningOptions
 from strainwave.domain.parameter_table import of_record
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import moved
+from strainwave.dynamics.link_sensors import shift_samples
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.preparation import dataset_of
@@ -29,7 +29,7 @@ def read_so(log: Log, late: tuple[float, float], scale: tuple[float, float]) -> 
     channels = dict(log.channels)
     for i in (1, 2):
         ahead = -late[i - 1] / log.sample_time
-        channels[f"a{i}"] = scale[i - 1] * moved(channels[f"a{i}"], ahead)
+        channels[f"a{i}"] = scale[i - 1] * shift_samples(channels[f"a{i}"], ahead)
     return replace(log, channels=channels)
 
 

@@ -150,7 +150,7 @@ def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
     servo = replace(study.arm.servo, kp=gains)
     wrong = validation.predict_elastic(model, log, Arm.of(replace(study.arm, servo=servo)))
     assert {"omega_m1", "a1"} <= set(wrong.unexplained)
-    assert min(wrong.unexplained.values()) > validation.MAX_UNEXPLAINED
+    assert min(wrong.unexplained.values()) > validation.MAX_UNEXPLAINED_STDS
     assert wrong.is_servo_at_fault
     soft = {
         key: 0.6 * value if key[0] == "gear_stiffness" else value

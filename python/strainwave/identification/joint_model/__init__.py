@@ -35,7 +35,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import StrainwaveError
-from strainwave.identification.joint_model.agreement import compared
+from strainwave.identification.joint_model.agreement import compare_response
 from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
 from strainwave.identification.joint_model.grey_box import (
     FIRST_BAND_HZ,
@@ -69,7 +69,7 @@ __all__ = [
     "PhysicalOptions",
     "RecordFit",
     "RecordOptions",
-    "compared",
+    "compare_response",
     "fit_joint",
     "fit_linear",
     "fit_record",

@@ -17,7 +17,7 @@ from strainwave.domain import (
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 
-OUTSIDE = 3.0
+BAND_EXTENSION_FACTOR = 3.0
 """Factor by which the compared and plotted frequency range exceeds the band of the fit."""
 
 _MIN_COHERENCE = 0.8  # coherence below which a line is not compared
@@ -54,7 +54,7 @@ def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> C
     return np.asarray(real + 1j * imaginary)
 
 
-def trusted(measured: FrequencyResponse) -> BoolArray:
+def is_reliable(measured: FrequencyResponse) -> BoolArray:
     """Mask (n_frequencies,) of the lines with high coherence and a small standard deviation.
 
     The variance is the sum of the noise and distortion variances, where these are estimated.
@@ -69,7 +69,7 @@ def trusted(measured: FrequencyResponse) -> BoolArray:
     return np.asarray(mask)
 
 
-def compared(
+def compare_response(
     joint: JointModel, gear_ratio: float, measured: FrequencyResponse | None
 ) -> JointModel:
     """Return the joint, with a warning `response-apart` if model and measured response differ.
@@ -86,9 +86,9 @@ def compared(
 
 def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyResponse) -> str | None:
     """Message with the share of differing lines and the largest difference; None if they agree."""
-    low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
+    low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
     f = measured.frequencies_hz
-    lines = (f >= low) & (f <= high) & trusted(measured)
+    lines = (f >= low) & (f <= high) & is_reliable(measured)
     vector = vector_of(joint)
     if not lines.any() or not np.isfinite(vector).all():
         return None

@@ -43,7 +43,7 @@ from strainwave.numerics.filters import band_pass, band_passes, unaliased
 from strainwave.numerics.parallel import stop_if_asked
 from strainwave.signals.standstill import free_friction, responses
 
-Seen = TypeVar("Seen", LinkSignals, Decoupled)
+Columns = TypeVar("Columns", LinkSignals, Decoupled)
 
 COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
 """Unknowns of the regression: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
@@ -59,7 +59,7 @@ _MIN_PERIODS = 6.0  # minimum number of periods of the lower edge in the shortes
 _MAX_BANDS = 6  # maximum number of bands in the search
 _BAND_TOLERANCE = 0.05  # relative difference of the edges up to which two bands are the same
 # number of samples used to search for the band; shorter records are used completely
-_SEARCHED = 1 << 16
+_MAX_SEARCH_SAMPLES = 1 << 16
 _BAND_CHANGE = 1.3  # factor on the band edges for the estimate of the model error
 _MAX_ITERATIONS = 8  # maximum number of iterations of weights and linearisation in one band
 # convergence tolerances in standard deviations: for the final estimate, and for the search for the
@@ -72,9 +72,9 @@ _KNOTS_PER_PERIOD = 8.0  # knots of the free friction per period of the upper ed
 # minimum relative standard deviation of values from the rigid model, which keeps weights finite
 _MIN_RELATIVE_STD = 1e-6
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
-_STANDING = 0.58
+_STICTION_STD = 0.58
 # the same for friction that follows the sign of the measured velocity: a tenth
-_TAKEN = 0.058
+_SIGN_FRICTION_STD = 0.058
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +96,7 @@ class RigidKnowledge:
     coulomb_friction: tuple[float, float] | None  # f [N m]
     errors: tuple[RigidError, ...] = ()  # independent error directions of tau
 
-    def moved(self, error: RigidError) -> RigidKnowledge:
+    def add_error(self, error: RigidError) -> RigidKnowledge:
         """The values changed by one error."""
         return RigidKnowledge(
             _add_change(self.total_inertia, error.total_inertia),
@@ -203,7 +203,7 @@ def solve(
         band, equations = band_hz, _equations(records, arm, known, band_hz)
     else:
         search_result = _search_band_in_middle(records, arm, known, search_from_hz)
-        band, equations = search_result or _found(records, arm, known, search_from_hz)
+        band, equations = search_result or _search_band(records, arm, known, search_from_hz)
     weighted = _iterate(equations, known, _TOLERANCE)
     with_sign_friction = _iterate(
         _with_sign_friction(weighted, known), known, _MODEL_ERROR_TOLERANCE
@@ -217,7 +217,7 @@ def solve(
     )
 
 
-def _found(
+def _search_band(
     records: Sequence[tuple[LinkSignals, Decoupled]],
     arm: Arm,
     known: RigidKnowledge,
@@ -247,10 +247,10 @@ def _search_band_in_middle(
     None if no record is long, or if the complete records need another band: the middle of a sweep,
     for example, need not contain the resonances.
     """
-    if all(len(signals.time) <= _SEARCHED for signals, _ in records):
+    if all(len(signals.time) <= _MAX_SEARCH_SAMPLES for signals, _ in records):
         return None
     middle = [(_middle(signals), _middle(joint)) for signals, joint in records]
-    band, middle_equations = _found(middle, arm, known, search_from_hz)
+    band, middle_equations = _search_band(middle, arm, known, search_from_hz)
     equations = _iterate(
         _equations(records, arm, known, band, middle_equations), known, _SEARCH_TOLERANCE
     )
@@ -258,19 +258,19 @@ def _search_band_in_middle(
     return (band, equations) if same_band(band, confirmed_band, _BAND_TOLERANCE) else None
 
 
-def _middle(seen: Seen) -> Seen:
-    """The `_SEARCHED` samples in the middle of a record, or the whole record if it is shorter."""
-    n = len(seen.time)
-    if n <= _SEARCHED:
-        return seen
-    start = (n - _SEARCHED) // 2
-    columns = {f.name: getattr(seen, f.name) for f in fields(seen)}
+def _middle(record: Columns) -> Columns:
+    """The middle `_MAX_SEARCH_SAMPLES` samples of a record; a shorter record is unchanged."""
+    n = len(record.time)
+    if n <= _MAX_SEARCH_SAMPLES:
+        return record
+    start = (n - _MAX_SEARCH_SAMPLES) // 2
+    columns = {f.name: getattr(record, f.name) for f in fields(record)}
     middle: dict[str, Any] = {
-        name: column[start : start + _SEARCHED]
+        name: column[start : start + _MAX_SEARCH_SAMPLES]
         for name, column in columns.items()
         if isinstance(column, np.ndarray) and len(column) == n
     }
-    return replace(seen, **middle)
+    return replace(record, **middle)
 
 
 def _other_bands(band: tuple[float, float]) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -315,7 +315,7 @@ class _WeightedEquations:
     equations: ls.Equations
     root: FloatArray  # (n_rows,) square roots of the weights
     x: FloatArray  # point of linearisation
-    standing: float = _STANDING  # prior standard deviation of the free friction, in f
+    standing: float = _STICTION_STD  # prior standard deviation of the free friction, in f
 
     def of_record(self, k: int, known: RigidKnowledge) -> _WeightedEquations:
         """The equations of record `k` alone, with the values from the rigid step."""
@@ -447,7 +447,11 @@ def _with_sign_friction(own: _WeightedEquations, known: RigidKnowledge) -> _Weig
     torque is an additional unknown. How well the data determine it, and its effect on the other
     estimates, depend on their noise.
     """
-    return replace(own, equations=_assemble(own.pieces, known, own.x, _TAKEN), standing=_TAKEN)
+    return replace(
+        own,
+        equations=_assemble(own.pieces, known, own.x, _SIGN_FRICTION_STD),
+        standing=_SIGN_FRICTION_STD,
+    )
 
 
 def _rigid_errors(
@@ -464,7 +468,7 @@ def _rigid_errors(
             tau_change = p.passed(tau)
             changes += [p.ratio * tau_change, x[_COMPLIANCE] * tau_change]
         _, prior = _prior_equations(known, pieces[0].ratio)
-        _, changed_prior = _prior_equations(known.moved(error), pieces[0].ratio)
+        _, changed_prior = _prior_equations(known.add_error(error), pieces[0].ratio)
         columns.append(np.concatenate([*changes, changed_prior - prior]))
     return ls.moves(weighted.equations, factor, np.column_stack(columns))
 
@@ -483,7 +487,7 @@ def _starting_values(pieces: Sequence[_Piece]) -> FloatArray:
 
 
 def _assemble(
-    pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STANDING
+    pieces: Sequence[_Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STICTION_STD
 ) -> ls.Equations:
     """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
     shared, local, target, group, block, free_friction_std = [], [], [], [], [], []
@@ -519,8 +523,8 @@ def _assemble(
         local=tuple(local),
         local_deviation=np.array(free_friction_std),
         target=np.concatenate([*target, prior_values]),
-        group=np.concatenate([*group, np.full(len(prior_values), ls.KNOWN)]),
-        block=np.concatenate([*block, np.full(len(prior_values), ls.KNOWN)]),
+        group=np.concatenate([*group, np.full(len(prior_values), ls.PRIOR_GROUP)]),
+        block=np.concatenate([*block, np.full(len(prior_values), ls.PRIOR_GROUP)]),
     )
 
 
@@ -569,7 +573,7 @@ def _result(
     residual = ls.residual_of(equations, factor)
     fits = []
     for parity in (0, 1):
-        rows = (equations.group != ls.KNOWN) & (equations.group % 2 == parity)
+        rows = (equations.group != ls.PRIOR_GROUP) & (equations.group % 2 == parity)
         norm = _size(weighted.pieces, parity)
         fits.append(100.0 * (1.0 - np.linalg.norm(residual[rows]) / norm))
     order = [_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION, _COULOMB]
@@ -582,7 +586,7 @@ def _result(
         torque_fit_percent=float(fits[0]),
         torsion_fit_percent=float(fits[1]),
         condition_number=factor.condition_number,
-        n_rows=int(np.count_nonzero(equations.group != ls.KNOWN)),
+        n_rows=int(np.count_nonzero(equations.group != ls.PRIOR_GROUP)),
     )
 
 

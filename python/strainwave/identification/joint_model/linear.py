@@ -49,9 +49,9 @@ from strainwave.statespace import (
     subspace_orders,
 )
 
-BELOW = 3.0  # ratio of the anti-resonance to the lower edge of the band
+ANTI_RESONANCE_TO_LOW_EDGE = 3.0  # ratio of the anti-resonance to the lower edge of the band
 # ratio of the upper edge of the band to the resonance; with less, the data do not determine d_G
-ABOVE = 3.0
+HIGH_EDGE_TO_RESONANCE = 3.0
 # initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
 _FIRST_BAND_HZ = (3.0, 60.0)
 _MIN_PERIODS = 6.0  # minimum number of periods of the lower edge in the longest stretch
@@ -174,7 +174,9 @@ def other_bands(
     """A narrower and a wider band [Hz], to measure the model error by the change of estimates."""
     low, high = band_hz
     return tuple(
-        band_around(low * BELOW * by, high / ABOVE / by, records)
+        band_around(
+            low * ANTI_RESONANCE_TO_LOW_EDGE * by, high / HIGH_EDGE_TO_RESONANCE / by, records
+        )
         for by in (_BAND_CHANGE, 1.0 / _BAND_CHANGE)
     )
 
@@ -258,7 +260,10 @@ def band_around(
     anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
 ) -> tuple[float, float]:
     """Filter band [Hz] around the resonances, limited to the frequencies in the records."""
-    low, high = anti_resonance_hz / BELOW, resonance_hz * ABOVE
+    low, high = (
+        anti_resonance_hz / ANTI_RESONANCE_TO_LOW_EDGE,
+        resonance_hz * HIGH_EDGE_TO_RESONANCE,
+    )
     for record in records:
         longest = max((stop - start for start, stop in _stretches(record)), default=1)
         low = max(low, _MIN_PERIODS / (longest * record.sample_time))
@@ -406,7 +411,11 @@ def _decimated(
 
 def _search_band(records: Sequence[Decoupled]) -> tuple[float, float]:
     """Band around the resonances, from fast subspace estimates without starting values."""
-    band = band_around(_FIRST_BAND_HZ[0] * BELOW, _FIRST_BAND_HZ[1] / ABOVE, records)
+    band = band_around(
+        _FIRST_BAND_HZ[0] * ANTI_RESONANCE_TO_LOW_EDGE,
+        _FIRST_BAND_HZ[1] / HIGH_EDGE_TO_RESONANCE,
+        records,
+    )
     for _ in range(_MAX_BANDS):
         estimated_modes = modes_of(subspace(_data(records, band, LinearOptions()), 3))
         if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:

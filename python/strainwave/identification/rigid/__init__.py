@@ -48,7 +48,7 @@ from strainwave.numerics import least_squares as ls
 from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-__all__ = ["OTHER_SHARE", "RigidOptions", "fit"]
+__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "fit"]
 
 _ROUNDS = 20  # maximum number of iterations
 # change in standard deviations for white errors, which are smaller than those of the jackknife
@@ -67,7 +67,7 @@ _MAX_BANDWIDTHS_WITHOUT_GAIN = (
 # significance of load-dependent friction in standard deviations: 1e-4 false alarms
 _MIN_LOAD_FRICTION_STDS = 4.0
 _MIN_LOAD_FRICTION = 0.01  # of the load; smaller shares are below the error of the torque constant
-OTHER_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
+ALTERNATIVE_MOTOR_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
 _MAX_STICTION_SHARE = 0.3  # share of a record in possible stiction that causes a warning
 _MAX_CONDITION_NUMBER = 300.0  # condition number that causes a warning; good motion gives 10 to 50
 _REMEDY = "record both joints moving together, in both directions, at varied speeds and postures"
@@ -404,7 +404,7 @@ def _elastic_model_error(arm: Arm, best: _Trial) -> FloatArray:
     rigid_trial, other_share_trial = run_parallel(
         [
             partial(_trial, rigid_arm, best.stretches, best.estimate),
-            partial(_trial, arm, best.stretches, best.estimate, OTHER_SHARE),
+            partial(_trial, arm, best.stretches, best.estimate, ALTERNATIVE_MOTOR_SHARE),
         ]
     )
     next_order = (solution - rigid_trial.estimate.solution) * ratio**2

@@ -29,7 +29,7 @@ from strainwave.dynamics.link_sensors import (
 )
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.mounting import (
-    TILT,
+    ACCELEROMETER_TILT,
     Axis,
     factors,
     is_mounting,
@@ -316,7 +316,7 @@ class Dataset:
             if scale in constants and not is_separate:
                 constants.remove(scale)
             if axis.kind == "tangential":
-                constants.append((TILT, axis.joint))
+                constants.append((ACCELEROMETER_TILT, axis.joint))
         drifts = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels if c.shifted)
         return [*constants, *(key for key in drifts if key is not None)]
 

@@ -14,7 +14,13 @@ import numpy as np
 from strainwave.domain import FloatArray, TuningOptions
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import DISTANCE, START, TURN, Axis, unknowns_of
+from strainwave.dynamics.mounting import (
+    ACCELEROMETER_DISTANCE,
+    IMU_ROTATION,
+    IMU_START_ATTITUDE,
+    Axis,
+    unknowns_of,
+)
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
@@ -61,7 +67,10 @@ def _choose_mounting(
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, objective.space.values(z)
-    mounting_keys: list[Key] = [*unknowns_of(axes, arm), *((name, joint) for name in START)]
+    mounting_keys: list[Key] = [
+        *unknowns_of(axes, arm),
+        *((name, joint) for name in IMU_START_ATTITUDE),
+    ]
     mountings: list[Mapping[Key, float]] = [
         {key: values[key] for key in mounting_keys if key in values}
     ]
@@ -69,7 +78,7 @@ def _choose_mounting(
         mountings += _simulated_mountings(objective, values, axes, arm)
     except (InvalidInput, NumericalFailure):
         return objective, z
-    has_attitude = (TURN[0], joint) in objective.space.keys
+    has_attitude = (IMU_ROTATION[0], joint) in objective.space.keys
     if has_attitude:
         mountings += [in_mirror(one, joint) for one in mountings]
     starts = [_with_mounting(objective, values, one) for one in mountings]
@@ -78,7 +87,7 @@ def _choose_mounting(
         and {a.kind for a in axes} == {"accelerometer"}
         and {0, 1} == {a.number for a in axes}
     ):
-        held: dict[Key, float] = {(name, joint): 0.0 for name in TURN[:2]}
+        held: dict[Key, float] = {(name, joint): 0.0 for name in IMU_ROTATION[:2]}
         lying = _simulated_mountings(objective, values, axes, arm, flat=True)
         lying += [in_mirror(one, joint) for one in lying]
         starts += [
@@ -121,7 +130,7 @@ def cost_of(objective: Objective, z: FloatArray) -> float:
 
 def _is_in_plane(space: ParameterSpace, joint: int) -> bool:
     """Whether the IMU of a joint is assumed to lie in the plane of motion."""
-    return (TURN[2], joint) in space.keys and (TURN[0], joint) not in space.keys
+    return (IMU_ROTATION[2], joint) in space.keys and (IMU_ROTATION[0], joint) not in space.keys
 
 
 def improve_mountings(fit: Fit, selection: Selection) -> Fit:
@@ -133,7 +142,10 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     for joint in range(1, arm.n_joints + 1):
         space, values = fit.objective.space, fit.objective.space.values(fit.z)
         axes = _axes_on(fit.objective, joint)
-        has_attitude = (TURN[2], joint) in space.keys and (TURN[2], joint) in unknowns_of(axes, arm)
+        has_attitude = (IMU_ROTATION[2], joint) in space.keys and (
+            IMU_ROTATION[2],
+            joint,
+        ) in unknowns_of(axes, arm)
         if not has_attitude or fit.iterations >= options.max_iterations:
             continue
         flat = _is_in_plane(space, joint)
@@ -171,7 +183,7 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
         # about a fixed axis, tilt and distance are nearly collinear without gravity
         if not _is_in_plane(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
             continue
-        tilts: list[Key] = [(name, joint) for name in TURN[:2]]
+        tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
         values = fit.objective.space.values(fit.z)
         trials = []
         for side in (1.0, -1.0):
@@ -200,7 +212,7 @@ def _with_mounting(
     objective: Objective, values: Values, mounting: Mapping[Key, float]
 ) -> tuple[Objective, FloatArray]:
     """Objective and point with another mounting."""
-    fixed = {key: value for key, value in mounting.items() if key[0] in START}
+    fixed = {key: value for key, value in mounting.items() if key[0] in IMU_START_ATTITUDE}
     space = replace(objective.space, fixed={**objective.space.fixed, **fixed})
     return objective.replace_unknowns(space), space.coordinates({**values, **mounting})
 
@@ -220,5 +232,5 @@ def _simulated_mountings(
     per_record = [record.tables(values, axes) for record in objective.records]
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if axes[0].kind == "tangential":
-        return [{(DISTANCE, axes[0].joint): distance_of(tables[0])}]
+        return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(tables[0])}]
     return imu_candidates(axes, tables, arm, flat=flat)[:_MAX_STARTS]

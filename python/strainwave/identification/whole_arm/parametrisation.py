@@ -217,7 +217,7 @@ class ParameterSpace:
             jacobian[upper] += jacobian[lower]
         return np.asarray(jacobian)
 
-    def moved(self, z: FloatArray, step: FloatArray) -> FloatArray:
+    def move(self, z: FloatArray, step: FloatArray) -> FloatArray:
         """Apply a step that is linear in the values instead of the coordinates: (n_unknowns,).
 
         The data determine sums best, such as link inertia plus motor inertia, or the total viscous
@@ -227,12 +227,12 @@ class ParameterSpace:
         moved[positive] = z[positive] + np.log1p(step[positive])
         return np.asarray(np.clip(moved, self.lower, self.upper))
 
-    def bounded(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
+    def at_bounds(self, z: FloatArray, gradient: FloatArray) -> BoolArray:
         """Which unknowns (n_unknowns,) are at a bound that a descent step would cross."""
         low, high = (z <= self.lower) & (gradient > 0.0), (z >= self.upper) & (gradient < 0.0)
         return np.asarray(low | high)
 
-    def trusted(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
+    def limit_step(self, z: FloatArray, step: FloatArray, share: float) -> FloatArray:
         """Limit a step to the bounds and to a maximum relative change of positive values.
 
         `share` scales the maximum relative change.

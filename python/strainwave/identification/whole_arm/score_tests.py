@@ -203,7 +203,7 @@ def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
     """Values of the unknowns after the linear step of an effect."""
     change = columns.answer(step.candidate, step.size, step.shift)
     space = fit.objective.space
-    return space.values(space.moved(fit.z, space.trusted(fit.z, change, 1.0)))
+    return space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
 
 
 def _fit_start(columns: EffectColumns, step: _Step, fit: Fit) -> Values:

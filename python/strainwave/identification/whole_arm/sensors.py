@@ -25,8 +25,8 @@ from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
-    LONGEST_DELAY,
     MAX_SCALE_ERROR,
+    MAX_SENSOR_DELAY,
     bandwidth_of,
     delay_of,
     drift_of,
@@ -37,12 +37,12 @@ from strainwave.dynamics.link_sensors import (
     nominal,
 )
 from strainwave.dynamics.mounting import (
-    DISTANCE,
-    FROM_AXIS,
-    PLACE,
-    START,
-    TILT,
-    TURN,
+    ACCELEROMETER_DISTANCE,
+    ACCELEROMETER_TILT,
+    IMU_DISTANCE,
+    IMU_POSITION,
+    IMU_ROTATION,
+    IMU_START_ATTITUDE,
     is_hidden,
     is_mounting,
 )
@@ -89,7 +89,7 @@ def with_sensors(
     bandwidths and mount resonances.
     """
     starts = starts or {}
-    fixed = {key: value for key, value in starts.items() if key[0] in START}
+    fixed = {key: value for key, value in starts.items() if key[0] in IMU_START_ATTITUDE}
     added = [_unknown_of(key, starts) for key in keys]
     rows = np.pad(space.prior.rows, ((0, 0), (0, len(added))))
     known_values = {**space.fixed, **fixed}
@@ -101,22 +101,28 @@ def _unknown_of(key: Key, starts: Values) -> Unknown:
     name, joint = key
     if is_mounting(key) and not is_optional(key):
         start = starts[key]
-        if name == FROM_AXIS:
+        if name == IMU_DISTANCE:
             start = max(start, _MIN_START_DISTANCE)
             return Unknown(name, joint, "m", start, start, False, _LOG_RANGE)
-        unit = "m" if name in (DISTANCE, FROM_AXIS, *PLACE) else "1" if is_hidden(key) else "rad"
+        unit = (
+            "m"
+            if name in (ACCELEROMETER_DISTANCE, IMU_DISTANCE, *IMU_POSITION)
+            else "1"
+            if is_hidden(key)
+            else "rad"
+        )
         return Unknown(
             name, joint, unit, start, max(abs(start), _MIN_MOUNTING_SCALE), True, _MOUNTING_RANGE
         )
     if is_bandwidth(key) or is_of_mount(key):
         unit = "1" if name.endswith("_damping") else "Hz"
         return Unknown(name, joint, unit, starts[key], starts[key], False, _LOG_RANGE)
-    if name == TILT:
+    if name == ACCELEROMETER_TILT:
         return Unknown(name, joint, "rad", 0.0, _TILT_RANGE, True, 1.0)
     if is_drift(key):
         unit = "m/s^3" if name.startswith(("accelerometer", "imu_a")) else "rad/s^2"
         return Unknown(name, joint, unit, 0.0, 1.0, True, _DRIFT_RANGE)
-    unit, scale = ("s", LONGEST_DELAY) if name.endswith("_delay") else ("1", MAX_SCALE_ERROR)
+    unit, scale = ("s", MAX_SENSOR_DELAY) if name.endswith("_delay") else ("1", MAX_SCALE_ERROR)
     return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
 
 
@@ -328,7 +334,7 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
         return False
     axes = {c.axis for record in fit.objective.records for c in record.channels}
     count = sum(a.kind == "accelerometer" and a.joint == joint for a in axes if a is not None)
-    return count == 2 and (TURN[0], joint) in fit.objective.space.keys
+    return count == 2 and (IMU_ROTATION[0], joint) in fit.objective.space.keys
 
 
 def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:

@@ -12,7 +12,7 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_optional, nominal
-from strainwave.dynamics.mounting import START
+from strainwave.dynamics.mounting import IMU_START_ATTITUDE
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import (
     velocity_band,
@@ -105,7 +105,9 @@ def start_of(
 
     def extended_space(joints: Sequence[JointModel]) -> ParameterSpace:
         extended = _space(records, model, joints, arm, options)
-        return with_sensors(extended, [key for key in placed if key[0] not in START], given)
+        return with_sensors(
+            extended, [key for key in placed if key[0] not in IMU_START_ATTITUDE], given
+        )
 
     def objective_of(joints: Sequence[JointModel]) -> Objective:
         return Objective.of(extended_space(joints), long_steps)

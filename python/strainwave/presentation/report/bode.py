@@ -18,7 +18,7 @@ from strainwave.domain import (
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
-    OUTSIDE,
+    BAND_EXTENSION_FACTOR,
     motor_response,
     response_jacobian,
     trusted,
@@ -86,7 +86,7 @@ def bode(
 
     State-space models, by the names of their records, are drawn within the band of the fit only.
     """
-    low, high = joint.band_hz[0] / OUTSIDE, joint.band_hz[1] * OUTSIDE
+    low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
     panels = _Panels()
     if measured is not None:
         _add_measured(panels, measured, low, high)

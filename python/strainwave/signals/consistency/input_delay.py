@@ -23,7 +23,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import band_passes, noise_deviation, signal_band, unaliased
 from strainwave.signals.channels import directions, torque_channel
 
-LONGEST_DELAY = 0.024
+MAX_SENSOR_DELAY = 0.024
 """Largest delay of the search, in either direction [s]."""
 # Step of the delay grid [s]; 0.25 rad of phase at 200 Hz. A parabola refines the estimate.
 _DELAY_STEP = 2e-4
@@ -56,7 +56,7 @@ class DelayProfile:
 
 def delay_grid() -> FloatArray:
     """Delay grid of a profile [s]."""
-    count = round(LONGEST_DELAY / _DELAY_STEP)
+    count = round(MAX_SENSOR_DELAY / _DELAY_STEP)
     return np.asarray(_DELAY_STEP * np.arange(-count, count + 1), dtype=np.float64)
 
 

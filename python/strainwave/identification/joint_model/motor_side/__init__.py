@@ -20,8 +20,8 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
 from strainwave.identification.joint_model.motor_side.catalogue import models_from_catalogue
-from strainwave.identification.joint_model.motor_side.search import Found, minima
-from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thinned
+from strainwave.identification.joint_model.motor_side.search import Minimum, minima
+from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = ["models_from_catalogue", "models_from_motors"]
@@ -54,7 +54,7 @@ def models_from_motors(
     """
     ratio = arm.gear_ratios
     spectra_pieces = [
-        piece for r in records for piece in pieces(r, ratio, most_lines=_FIT_LINES) if piece.rows
+        piece for r in records for piece in pieces(r, ratio, max_lines=_FIT_LINES) if piece.rows
     ]
     for i in range(arm.n_joints):
         if not any(i in piece.rows for piece in spectra_pieces):
@@ -65,7 +65,7 @@ def models_from_motors(
     family = family_of(model, arm)
     with one_blas_thread():
         fits = minima(
-            family, spectra_pieces, [thinned(piece, _GRID_LINES) for piece in spectra_pieces]
+            family, spectra_pieces, [thin_lines(piece, _GRID_LINES) for piece in spectra_pieces]
         )
         names = [
             tuple(dict.fromkeys(p.experiment for p in spectra_pieces if i in p.rows))
@@ -75,7 +75,7 @@ def models_from_motors(
 
 
 def _models(
-    found: Found,
+    found: Minimum,
     family: Family,
     arm: Arm,
     seen: Sequence[Piece],
@@ -118,7 +118,7 @@ def _models(
     return tuple(models)
 
 
-def _covariance(found: Found, family: Family, i: int) -> FloatArray:
+def _covariance(found: Minimum, family: Family, i: int) -> FloatArray:
     """Covariance (6, 6) of one joint's physical parameters, without the errors of the rigid model.
 
     Only the sum of the viscous frictions is determined, so their split has a variance of its full

@@ -20,7 +20,7 @@ from strainwave.dynamics.interaction_torque import base_parameters, total_inerti
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 
-PER_JOINT = 3
+COORDINATES_PER_JOINT = 3
 """Number of coordinates of each joint: log k, log d_G, log odds of the motor's share of c_1."""
 
 _DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
@@ -68,7 +68,7 @@ class Family:
     @property
     def n_coordinates(self) -> int:
         """Number of coordinates of an arm."""
-        return self.n_joints * (PER_JOINT + (2 if self.total_inertia is None else 0))
+        return self.n_joints * (COORDINATES_PER_JOINT + (2 if self.total_inertia is None else 0))
 
     def point(
         self, ring: FloatArray, share: FloatArray, damping: float, total: FloatArray | None = None
@@ -90,7 +90,9 @@ class Family:
     def parts(self, points: FloatArray) -> dict[str, FloatArray]:
         """Physical parameters at points, (..., n_joints) per name of `TwoInertia`."""
         n = self.n_joints
-        gears = points[..., : PER_JOINT * n].reshape(*points.shape[:-1], n, PER_JOINT)
+        gears = points[..., : COORDINATES_PER_JOINT * n].reshape(
+            *points.shape[:-1], n, COORDINATES_PER_JOINT
+        )
         share = 1.0 / (1.0 + np.exp(-gears[..., 2]))
         total, viscous = self.total_inertia, self.total_viscous
         if total is None or viscous is None:

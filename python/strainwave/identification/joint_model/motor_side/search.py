@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import (
-    PER_JOINT,
+    COORDINATES_PER_JOINT,
     Family,
     Posture,
     posture_of,
@@ -45,7 +45,7 @@ _TOLERANCE, _MAX_EVALUATIONS = 1e-4, 30
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Minimum:
     """A minimum, or an alternative point with a similar objective."""
 
     point: FloatArray  # (n_coordinates,)
@@ -58,7 +58,7 @@ _PieceInPosture = tuple[Piece, Posture]
 """A piece of a record with the posture of the arm."""
 
 
-def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) -> list[Found]:
+def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) -> list[Minimum]:
     """Minima of the motor velocity error, the best first, then the alternatives.
 
     `few_lines` are the pieces with fewer lines, for the grid. Raises `NotIdentifiable` if the
@@ -89,7 +89,7 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     cost = sum((_costs(family, points, each) for each in records), np.zeros(len(points)))
     unknown = np.full((len(best), len(best)), np.nan)
     alternatives = [
-        Found(point, float(point_cost), unknown, _fits(family, point, records))
+        Minimum(point, float(point_cost), unknown, _fits(family, point, records))
         for point_cost, point in zip(cost[1:], points[1:], strict=True)
         if point_cost < _MAX_COST_RATIO * cost[0]
     ]
@@ -116,9 +116,14 @@ def _alternatives(
             _N_ANTI_RESONANCES,
         ):
             point = best.copy()
-            point[PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
-            point[PER_JOINT * i + 1] = np.log(2.0 * _DAMPING_RATIO * ring * link_inertia[i])
-            if abs(point[PER_JOINT * i] - best[PER_JOINT * i]) > _MIN_DISTANCE:
+            point[COORDINATES_PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
+            point[COORDINATES_PER_JOINT * i + 1] = np.log(
+                2.0 * _DAMPING_RATIO * ring * link_inertia[i]
+            )
+            if (
+                abs(point[COORDINATES_PER_JOINT * i] - best[COORDINATES_PER_JOINT * i])
+                > _MIN_DISTANCE
+            ):
                 yield point
 
 
@@ -234,7 +239,7 @@ def _minimize(
     from scipy.optimize import least_squares
 
     bound = np.full(len(start), np.log(10.0))
-    bound[: PER_JOINT * family.n_joints] = np.tile(_COORDINATE_BOUNDS, family.n_joints)
+    bound[: COORDINATES_PER_JOINT * family.n_joints] = np.tile(_COORDINATE_BOUNDS, family.n_joints)
     solution = least_squares(
         lambda point: _residual(family, point, records, tilt),
         start,
@@ -265,7 +270,7 @@ def _jacobian(
 
 def _with_covariance(
     family: Family, point: FloatArray, cost: float, records: Sequence[_PieceInPosture]
-) -> Found:
+) -> Minimum:
     """Add the covariance: scatter of the gradient over frequency bands, and the model error.
 
     The model error is the change of the estimates with other frequency weights.
@@ -284,7 +289,7 @@ def _with_covariance(
     covariance = bread @ meat @ bread
     changes = [_minimize(family, point, records, tilt)[0] - point for tilt in _WEIGHT_POWERS]
     covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
-    return Found(point, cost, covariance, _fits(family, point, records))
+    return Minimum(point, cost, covariance, _fits(family, point, records))
 
 
 def _bands(records: Sequence[_PieceInPosture]) -> Iterator[FloatArray]:

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import ComplexArray, FloatArray, LinkSignals
 from strainwave.numerics.spectra import window_spectra
 
-LONGEST_PIECE = 4.1
+MAX_PIECE_SECONDS = 4.1
 """Maximum duration [s] of a piece: line spacing is below the width of the anti-resonance."""
 
 _MAX_PIECES = 8  # maximum number of pieces of a record
@@ -34,15 +34,15 @@ class Piece:
     rows: tuple[int, ...]  # joints, from 0, that are driven and slide
 
 
-def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Iterator[Piece]:
+def pieces(signals: LinkSignals, ratio: FloatArray, *, max_lines: int) -> Iterator[Piece]:
     """Yield spectra of one record, in pieces of a few seconds.
 
-    `ratio` (n_joints,) has the gear ratios. A piece has at most `most_lines` lines: the line with
+    `ratio` (n_joints,) has the gear ratios. A piece has at most `max_lines` lines: the line with
     the largest torque of each band on a logarithmic scale. If the experiment names a joint, only
     that joint is driven; otherwise all joints are.
     """
     T, n = signals.sample_time, len(signals.time)
-    length = min(n, round(LONGEST_PIECE / T))
+    length = min(n, round(MAX_PIECE_SECONDS / T))
     count = min(_MAX_PIECES, max(1, n // length))
     named_joint = signals.experiment.joint
     excited = range(len(ratio)) if named_joint is None else (named_joint - 1,)
@@ -65,17 +65,17 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, most_lines: int) -> Itera
             (ratio * signals.motor_angle[chunk]).mean(axis=0),
             tuple(i for i in excited if sliding_share[i] >= _MIN_SLIDING_SHARE),
         )
-        yield thinned(piece, most_lines)
+        yield thin_lines(piece, max_lines)
 
 
-def thinned(piece: Piece, most_lines: int) -> Piece:
-    """Reduce a piece to `most_lines` bands, with the line of largest torque in each."""
+def thin_lines(piece: Piece, max_lines: int) -> Piece:
+    """Reduce a piece to `max_lines` bands, with the line of largest torque in each."""
     torque_sum, n = np.abs(piece.torque[:, list(piece.rows)]).sum(axis=1), len(piece.s)
-    edges = np.geomspace(piece.s[0].imag, 1.001 * piece.s[-1].imag, most_lines + 1)
+    edges = np.geomspace(piece.s[0].imag, 1.001 * piece.s[-1].imag, max_lines + 1)
     band = np.searchsorted(edges, piece.s.imag, side="right")
     order = np.lexsort((-torque_sum, band))
     first_of_band = np.unique(band[order], return_index=True)[1]
-    chosen = np.sort(order[first_of_band]) if n > most_lines else np.arange(n)
+    chosen = np.sort(order[first_of_band]) if n > max_lines else np.arange(n)
     return replace(
         piece,
         s=piece.s[chosen],
