@@ -19,9 +19,9 @@ from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
     BAND_EXTENSION_FACTOR,
+    is_reliable,
     motor_response,
     response_jacobian,
-    trusted,
     vector_of,
 )
 from strainwave.presentation.figures import (
@@ -121,7 +121,7 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
     if measured is not None:
         f = measured.frequencies_hz
         inside = (f >= joint.band_hz[0]) & (f <= joint.band_hz[1])
-        share = float(np.mean(trusted(measured)[inside])) if inside.any() else 0.0
+        share = float(np.mean(is_reliable(measured)[inside])) if inside.any() else 0.0
         parts.append(f"{100.0 * share:.0f} % of the measured lines in the fit band are reliable")
     text = "; ".join(parts)
     text = f"{text[:1].upper()}{text[1:]}. Shaded: 95 % bands." if text else ""
@@ -133,7 +133,7 @@ def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high
     """Points with their 95 % band, grey where they are unreliable, and the coherence."""
     rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
     f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
-    reliable = trusted(measured)[rows]
+    reliable = is_reliable(measured)[rows]
     kinds = (("measured", MEASURED, reliable), ("measured, unreliable", RESIDUAL, ~reliable))
     std = relative_std(measured)
     if std is not None and reliable.any():
