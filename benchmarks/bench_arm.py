@@ -30,7 +30,7 @@ STEPS = round(SECONDS / STEP)
 
 
 def rows() -> list[Row]:
-    single, few, many = _ours(), _with_derivatives(15), _with_derivatives(25)
+    single, few, many = _time_step(), _time_derivatives(15), _time_derivatives(25)
     return [
         Row("a step of one arm", single, "C, gcc, best of its flags", _c_peer()),
         Row("a step of one arm", single, "SciPy solve_ivp RK45, rtol 1e-6", _scipy()),
@@ -41,17 +41,17 @@ def rows() -> list[Row]:
 
 
 def _voltage() -> FloatArray:
-    one = excitation.prbs(Prbs(10, 1e-3, 1, 10.0))
-    return np.column_stack([np.append(one, 0.0), np.zeros(len(one) + 1)])
+    period = excitation.prbs(Prbs(10, 1e-3, 1, 10.0))
+    return np.column_stack([np.append(period, 0.0), np.zeros(len(period) + 1)])
 
 
-def _ours() -> float:
+def _time_step() -> float:
     rig = Arm.of(scara.study(Path()).arm)
     values = rig.parameter_vector(scara.parameters())[None, :]
     return best_of(lambda: rig.core.simulate(values, **_experiment())) / STEPS
 
 
-def _with_derivatives(count: int) -> float:
+def _time_derivatives(count: int) -> float:
     rig = Arm.of(scara.study(Path()).arm)
     values = rig.parameter_vector(scara.parameters())
     names = [name for name in rig.parameter_names if not name[0].startswith("gravity")][:count]

@@ -58,7 +58,7 @@ control = ["servo", "servo"]
 
 
 def rows() -> list[Row]:
-    """Our time at each size; the peer is the first time, scaled by the number of rows."""
+    """Time at each size; the peer is the first time, scaled by the number of rows."""
     runs = [measure(size) for size in SIZES]
     per_row = runs[0]["seconds"] / SIZES[0]
     return [

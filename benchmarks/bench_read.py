@@ -26,15 +26,15 @@ def rows() -> list[Row]:
         virtual.simulate_study(replace(study, experiments=csv), scara.parameters(), target)
         files = sorted(target.glob("*.csv"))
         size = sum(file.stat().st_size for file in files) / 1e6
-        what = f"reading a study of {size:.1f} MB of CSV"
-        ours = best_of(lambda: _ours(target), repeats=3)
+        task = f"reading a study of {size:.1f} MB of CSV"
+        time = best_of(lambda: _read_study(target), repeats=3)
         return [
-            Row(what, ours, "pyarrow, no checks", best_of(lambda: _pyarrow(files), repeats=3)),
-            Row(what, ours, "numpy.loadtxt", best_of(lambda: _loadtxt(files), repeats=1)),
+            Row(task, time, "pyarrow, no checks", best_of(lambda: _pyarrow(files), repeats=3)),
+            Row(task, time, "numpy.loadtxt", best_of(lambda: _loadtxt(files), repeats=1)),
         ]
 
 
-def _ours(folder: Path) -> None:
+def _read_study(folder: Path) -> None:
     logs.read_logs(read_study(folder / "study.toml"))
 
 

@@ -28,17 +28,15 @@ COMPARED = ("rigid_inertia", "beta", "gamma", "motor_inertia", "motor_coulomb_fr
 
 def rows() -> list[Row]:
     study, log, true_values = _record()
-    what, peer = "rigid step, 10 s of motion", "Pinocchio regressor, least squares"
-    ours, error = (
-        best_of(lambda: _ours(study, log), repeats=3),
-        _error(_ours(study, log), true_values),
-    )
+    task, peer = "rigid step, 10 s of motion", "Pinocchio regressor, least squares"
+    time = best_of(lambda: _fit_rigid(study, log), repeats=3)
+    error = _error(_fit_rigid(study, log), true_values)
     try:
-        peers = _error(pinocchio(study, log), true_values)
+        peer_error = _error(pinocchio(study, log), true_values)
     except ImportError:
-        return [Row(what, ours, peer, None, ours_error=error)]
-    time = best_of(lambda: pinocchio(study, log), repeats=3)
-    return [Row(what, ours, peer, time, ours_error=error, peers_error=peers)]
+        return [Row(task, time, peer, None, error=error)]
+    peer_time = best_of(lambda: pinocchio(study, log), repeats=3)
+    return [Row(task, time, peer, peer_time, error, peer_error)]
 
 
 def _record() -> tuple[Study, Log, Values]:
@@ -52,7 +50,7 @@ def _record() -> tuple[Study, Log, Values]:
         return written, read_log(written, written.experiments[0]), derived(values, written.arm)
 
 
-def _ours(study: Study, log: Log) -> Values:
+def _fit_rigid(study: Study, log: Log) -> Values:
     model = rigid.fit([signals.motor_side(log, Arm.of(study.arm))], Arm.of(study.arm))
     return {(p.name, p.joint): p.value for p in model.parameters if p.value is not None}
 

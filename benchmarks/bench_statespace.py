@@ -39,9 +39,9 @@ def rows() -> list[Row]:
         for samples, goal in ((512, 10e-3), (20_000, 150e-3)):
             for kind, gain in (("coloured", GAIN), ("white", np.zeros_like(GAIN))):
                 data = _data(samples, gain)
-                time, error = _timed(partial(_fit_pem, data))
+                time, error = _measure(partial(_fit_pem, data))
                 name = f"PEM, N = {samples}, {kind} noise"
-                table.append(Row(name, time, "goal", goal, ours_error=error))
+                table.append(Row(name, time, "goal", goal, error=error))
         for samples in (512, 20_000):
             table += _output_error(samples)
             table += _subspace(samples)
@@ -52,7 +52,7 @@ def _output_error(samples: int) -> list[Row]:
     """White noise, for which output error is the maximum-likelihood method."""
     data = _data(samples, np.zeros_like(GAIN))
     options = PemOptions(disturbance="none")
-    time, error = _timed(partial(_fit_pem, data, options))
+    time, error = _measure(partial(_fit_pem, data, options))
     return [
         _compare(
             f"output error, N = {samples}, white noise",
@@ -70,13 +70,13 @@ def _subspace(samples: int) -> list[Row]:
     data = _data(samples, GAIN)
     methods: tuple[Method, ...] = ("moesp", "predictor")
     names = [f"subspace step, {method}, N = {samples}, coloured noise" for method in methods]
-    ours = [_timed(partial(_fit_subspace, data, method)) for method in methods]
+    timings = [_measure(partial(_fit_subspace, data, method)) for method in methods]
     table = [
         _compare(name, *timing, "SLICOT, MOESP, Cholesky", slicot, data)
-        for name, timing in zip(names, ours, strict=True)
+        for name, timing in zip(names, timings, strict=True)
     ]
     for peer, peer_name in ((nfoursid, "nfoursid"), (sippy, "SIPPY, N4SID")):
-        table.append(_compare(names[1], *ours[1], peer_name, peer, data))
+        table.append(_compare(names[1], *timings[1], peer_name, peer, data))
     return table
 
 
@@ -90,18 +90,16 @@ def _fit_subspace(data: InputOutput, method: Method) -> Matrices:
     return model.A, model.B, model.C, model.D
 
 
-def _compare(
-    what: str, ours: float, ours_error: float, peer: str, tool: Tool, data: InputOutput
-) -> Row:
-    """A row with a peer's time and error, or without them if it is not installed."""
+def _compare(task: str, time: float, error: float, peer: str, tool: Tool, data: InputOutput) -> Row:
+    """Compare with a peer; its time and error are missing if it is not installed."""
     try:
-        time, error = _timed(lambda: tool(data.inputs, data.outputs, ORDER, HORIZON))
+        peer_time, peer_error = _measure(lambda: tool(data.inputs, data.outputs, ORDER, HORIZON))
     except ImportError:
-        return Row(what, ours, peer, None, ours_error=ours_error)
-    return Row(what, ours, peer, time, ours_error=ours_error, peers_error=error)
+        return Row(task, time, peer, None, error=error)
+    return Row(task, time, peer, peer_time, error, peer_error)
 
 
-def _timed(work: Callable[[], Matrices]) -> tuple[float, float]:
+def _measure(work: Callable[[], Matrices]) -> tuple[float, float]:
     """Time [s] and relative error of the frequency response."""
     error = response_error(work(), _true_model())
     return best_of(work), error

@@ -55,72 +55,70 @@ _JOINT = ("motor_inertia", "link_inertia", "gear_stiffness", "motor_coulomb_fric
 
 
 def rows() -> list[Row]:
-    found = []
+    table = []
     with one_blas_thread():
         for spring, n in CASES:
-            study, logs, values = _recorded(spring, periods=1)
-            what = f"whole-arm fit, {spring}, {n} records of 1 s"
-            ours, error = (
-                _timed(study, logs[:n], values),
-                _error(_fit(study, logs[:n], values), values),
-            )
+            study, logs, values = _record(spring, periods=1)
+            task = f"whole-arm fit, {spring}, {n} records of 1 s"
+            time_s = _measure(study, logs[:n], values)
+            error = _error(_fit(study, logs[:n], values), values)
             peer = partial(_scipy, study, logs[:n], values)
-            found.append(_beside(what, ours, error, "SciPy least_squares", peer, values))
+            table.append(_compare(task, time_s, error, "SciPy least_squares", peer, values))
             if spring == "linear":
-                found += _other_tools(
-                    what, ours, error, Problem(study, logs[:n], _start(values), CUTOFF), values
+                table += _other_tools(
+                    task, time_s, error, Problem(study, logs[:n], _start(values), CUTOFF), values
                 )
-        study, logs, values = _recorded("linear", periods=4)
+        study, logs, values = _record("linear", periods=4)
         short = [_first_second(log) for log in logs]
-        base = _timed(study, short[:2], values)
-        for some, name in ((short[:4], "1 s"), (short, "1 s"), (logs[:2], "4 s")):
-            what = f"the same, linear, {len(some)} records of {name}"
-            found.append(Row(what, _timed(study, some, values), "2 records of 1 s", base))
-    return found
+        base = _measure(study, short[:2], values)
+        for records, name in ((short[:4], "1 s"), (short, "1 s"), (logs[:2], "4 s")):
+            task = f"the same, linear, {len(records)} records of {name}"
+            table.append(Row(task, _measure(study, records, values), "2 records of 1 s", base))
+    return table
 
 
 def _other_tools(
-    what: str, ours: float, error: float, problem: Problem, values: Values
+    task: str, time_s: float, error: float, problem: Problem, values: Values
 ) -> list[Row]:
-    """Tools that simulate the arm themselves; C is generated and compiled before the clock runs."""
+    """Tools with their own simulation; C code is generated and compiled before the timing."""
     names = "CasADi's C, SciPy least_squares", "mujoco.sysid, 2 steps a sample"
     try:
         run = generated(problem.study)
     except (ImportError, FileNotFoundError):  # no CasADi, or no gcc
-        first = Row(what, ours, names[0], None, ours_error=error)
+        first = Row(task, time_s, names[0], None, error=error)
     else:
-        first = _beside(what, ours, error, names[0], partial(casadi, problem, run), values)
-    return [first, _beside(what, ours, error, names[1], partial(mujoco_sysid, problem), values)]
+        first = _compare(task, time_s, error, names[0], partial(casadi, problem, run), values)
+    return [first, _compare(task, time_s, error, names[1], partial(mujoco_sysid, problem), values)]
 
 
-def _beside(
-    what: str, ours: float, error: float, peer: str, fit: Callable[[], Values], values: Values
+def _compare(
+    task: str, time_s: float, error: float, peer: str, fit: Callable[[], Values], values: Values
 ) -> Row:
-    begun = time.perf_counter()
+    start = time.perf_counter()
     try:
-        peers = _error(fit(), values)
+        peer_error = _error(fit(), values)
     except (
         ImportError,
         AttributeError,
     ):  # mujoco without its extra has the module, but nothing in it
-        return Row(what, ours, peer, None, ours_error=error)
-    return Row(what, ours, peer, time.perf_counter() - begun, error, peers)
+        return Row(task, time_s, peer, None, error=error)
+    return Row(task, time_s, peer, time.perf_counter() - start, error, peer_error)
 
 
-def _error(found: Values, values: Values) -> float:
-    """Of inertias and stiffness, the largest."""
+def _error(estimates: Values, values: Values) -> float:
+    """Largest relative error of inertias and stiffness."""
     return max(
-        abs(found[key] / true - 1.0)
+        abs(estimates[key] / true - 1.0)
         for key, true in values.items()
         if key[0] in (*NAMES, "motor_inertia") or key[0].startswith("gear_stiffness")
     )
 
 
-def _timed(study: Study, logs: list[Log], values: Values) -> float:
+def _measure(study: Study, logs: list[Log], values: Values) -> float:
     return best_of(partial(_fit, study, logs, values), repeats=3)
 
 
-def _recorded(spring: Spring, periods: int) -> tuple[Study, list[Log], Values]:
+def _record(spring: Spring, periods: int) -> tuple[Study, list[Log], Values]:
     """Open-loop records of the built-in arm, joint by joint and in falling amplitudes."""
     free: tuple[Control, ...] = ("open", "open")
     experiments = tuple(
@@ -150,20 +148,30 @@ def _first_second(log: Log) -> Log:
 
 
 def _models(study: Study, values: Values) -> tuple[JointModel, ...]:
-    """Models that know the truth: a start is set on its own."""
+    """Joint models with the true values; the starting values are set separately."""
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
     links = (alpha + beta + 2.0 * gamma, beta)
     models = []
     for j in range(1, study.arm.n_joints + 1):
-        known = {(name, j): value for (name, own), value in values.items() if own == j}
+        known = {(name, j): value for (name, joint), value in values.items() if joint == j}
         stiffness = known.get(("gear_stiffness", j), known.get((SLOPES[1], j)))
-        own = {name: known.get((name, j), stiffness) for name in _JOINT}
-        own["link_inertia"] = links[j - 1]
-        plain = {name: float(value or 0.0) for name, value in own.items()}
-        off = np.eye(len(plain))
+        parameters = {name: known.get((name, j), stiffness) for name in _JOINT}
+        parameters["link_inertia"] = links[j - 1]
+        numbers = {name: float(value or 0.0) for name, value in parameters.items()}
+        covariance = np.eye(len(numbers))
         models.append(
             JointModel(
-                j, ("prbs",), "grey-box", (), plain, off, None, None, (1.0, 99.0), {}, "determined"
+                j,
+                ("prbs",),
+                "grey-box",
+                (),
+                numbers,
+                covariance,
+                None,
+                None,
+                (1.0, 99.0),
+                {},
+                "determined",
             )
         )
     return tuple(models)
@@ -173,15 +181,15 @@ def _start(values: Values) -> Values:
     rng = np.random.default_rng(5)
     start = {}
     for (name, joint), value in values.items():
-        up = 1.0 if rng.integers(2) else -1.0
+        sign = 1.0 if rng.integers(2) else -1.0
         if name in KNEES:
-            factor = 1.0 + 0.4 * up
+            factor = 1.0 + 0.4 * sign
         elif name in _FRICTION:
-            factor = _FRICTION[name] ** up
+            factor = _FRICTION[name] ** sign
         elif name in SLOPES:
             factor = values[SLOPES[1], joint] / value
         else:
-            factor = 1.4**up if "coulomb" in name else 1.0 + 0.05 * up
+            factor = 1.4**sign if "coulomb" in name else 1.0 + 0.05 * sign
         start[name, joint] = value * factor
     return start
 
@@ -189,12 +197,14 @@ def _start(values: Values) -> Values:
 def _fit(study: Study, logs: list[Log], values: Values) -> Values:
     options = TuningOptions(cutoff_hz=CUTOFF, settling=False)
     models = _models(study, values)
-    found = tune(logs, _nothing(values), models, Arm.of(study.arm), options, start=_start(values))
-    return dict(found.values)
+    model = tune(
+        logs, _uninformative_rigid(values), models, Arm.of(study.arm), options, start=_start(values)
+    )
+    return dict(model.values)
 
 
-def _nothing(values: Values) -> RigidModel:
-    """A rigid model that starts where the truth is and weighs next to nothing."""
+def _uninformative_rigid(values: Values) -> RigidModel:
+    """Rigid model with the true values and almost no weight."""
     names = [("gamma", None)] + [("motor_coulomb_friction", j) for j in (1, 2)]
     names += [("friction_offset", j) for j in (1, 2)]
     reported = np.array([values[name] for name in names])
@@ -202,15 +212,15 @@ def _nothing(values: Values) -> RigidModel:
         Parameter(name, joint, float(value), 1e3, "1", "rigid")
         for (name, joint), value in zip(names, reported, strict=True)
     )
-    vague = np.eye(len(names)) * 1e6
-    return RigidModel(parameters, reported, vague, 1.0, {}, 10.0, 1, 1, "determined")
+    covariance = np.eye(len(names)) * 1e6
+    return RigidModel(parameters, reported, covariance, 1.0, {}, 10.0, 1, 1, "determined")
 
 
 def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
-    """Soft L1 by SciPy's trust region from the same start, by weights as the truth shows them."""
+    """Soft L1 by SciPy's trust region, from the same start, with weights at the true values."""
     records = [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs]
     space = space_of(
-        _nothing(values),
+        _uninformative_rigid(values),
         _models(study, values),
         Arm.of(study.arm),
         largest_voltage=[10.0, 10.0],
@@ -219,7 +229,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     if study.arm.joints[0].spring == "three-slope":
         space = with_curves(space, Arm.of(study.arm), [60.0, 15.0])
     objective = Objective.of(space, records).update_weights(space.coordinates(values))
-    repeats = [np.sqrt(weights.repeats) for weights in objective.weights]
+    repeats = [np.sqrt(weights.rows_per_error) for weights in objective.weights]
 
     def residual(z: FloatArray) -> FloatArray:
         parts = zip(objective.rows(z), repeats, strict=True)

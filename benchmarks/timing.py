@@ -1,4 +1,4 @@
-"""Timing by the fastest, least disturbed of several runs."""
+"""Time of a task: the fastest of several runs."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from dataclasses import dataclass
 def best_of(
     work: Callable[[], object], *, repeats: int = 7, at_least: float = 0.3, at_most: float = 4.0
 ) -> float:
-    """Least time of `work` [s], over more repeats if it is fast and fewer if it is slow."""
+    """Shortest time of `work` [s], over more repeats if it is fast and fewer if it is slow."""
     begin = time.perf_counter()
     times: list[float] = []
-    spent = 0.0
-    while (len(times) < repeats or spent < at_least) and spent < at_most:
+    elapsed = 0.0
+    while (len(times) < repeats or elapsed < at_least) and elapsed < at_most:
         start = time.perf_counter()
         work()
         times.append(time.perf_counter() - start)
-        spent = time.perf_counter() - begin
+        elapsed = time.perf_counter() - begin
     return min(times)
 
 
@@ -26,19 +26,19 @@ def best_of(
 class Row:
     """Times and errors of strainwave and of a peer for the same work."""
 
-    what: str
-    ours: float  # [s]
+    task: str
+    time: float  # [s]
     peer: str
-    peers: float | None  # [s]; None if the peer is not installed
-    ours_error: float | None = None  # relative
-    peers_error: float | None = None
+    peer_time: float | None  # [s]; None if the peer is not installed
+    error: float | None = None  # relative
+    peer_error: float | None = None
 
     def cells(self) -> tuple[str, ...]:
-        ours, errors = seconds(self.ours), (percent(self.ours_error), percent(self.peers_error))
-        if self.peers is None:
-            return self.what, ours, self.peer, "not installed", "", *errors
-        ratio = f"{self.peers / self.ours:.3g} x"
-        return self.what, ours, self.peer, seconds(self.peers), ratio, *errors
+        time, errors = seconds(self.time), (percent(self.error), percent(self.peer_error))
+        if self.peer_time is None:
+            return self.task, time, self.peer, "not installed", "", *errors
+        ratio = f"{self.peer_time / self.time:.3g} x"
+        return self.task, time, self.peer, seconds(self.peer_time), ratio, *errors
 
 
 def percent(value: float | None) -> str:

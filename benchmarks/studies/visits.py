@@ -33,7 +33,7 @@ from strainwave.virtual.records import record_experiment
 _SERIES = 9000  # of the catalogue
 _VERTICAL_EVERY = 3  # arms
 _LEVEL = 0.05  # probability of a false difference
-_CHANGED = {"stiffness": "gear_stiffness", "friction": "motor_coulomb_friction"}
+_PARAMETER_PREFIXES = {"stiffness": "gear_stiffness", "friction": "motor_coulomb_friction"}
 
 Changes = dict[str, float]
 
@@ -46,9 +46,9 @@ def compare_visits(number: int, *, changes: Changes) -> dict[str, Any]:
     head: dict[str, Any] = {"seed": number, "spring": rig.study.arm.joints[0].spring}
     try:
         first = _visit(rig, rig.values, [number, 1])
-        second = _visit(rig, _changed(rig.values, changes), [number, 2])
-    except (InvalidInput, NumericalFailure) as refusal:
-        return head | {"failure": str(refusal)}
+        second = _visit(rig, _change_values(rig.values, changes), [number, 2])
+    except (InvalidInput, NumericalFailure) as error:
+        return head | {"failure": str(error)}
     result = compare([first, second], _LEVEL)
     pair, joint = result.pairs[0], result.pairs[0].joint
     return head | {
@@ -75,8 +75,11 @@ def _visit(rig: Rig, values: Values, seed: list[int]) -> Estimates:
     return estimates_of(to_document(identify(rig.study, data=logs, threads=1)), Path(f"{seed}"))
 
 
-def _changed(values: Values, changes: Changes) -> Values:
-    factors = {_CHANGED[what]: 1.0 + percent / 100.0 for what, percent in changes.items()}
+def _change_values(values: Values, changes: Changes) -> Values:
+    factors = {
+        _PARAMETER_PREFIXES[quantity]: 1.0 + percent / 100.0
+        for quantity, percent in changes.items()
+    }
     return {
         (name, joint): value
         * next((f for start, f in factors.items() if joint == 1 and name.startswith(start)), 1.0)
@@ -89,21 +92,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--arms", type=int, default=60)
     parser.add_argument("--at-once", type=int)
-    for what in _CHANGED:
-        parser.add_argument(f"--{what}", type=float, default=0.0, help="change of joint 1 [%%]")
+    for quantity in _PARAMETER_PREFIXES:
+        parser.add_argument(f"--{quantity}", type=float, default=0.0, help="change of joint 1 [%%]")
     parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
     options = parser.parse_args()
-    changes = {what: getattr(options, what) for what in _CHANGED if getattr(options, what)}
+    changes = {
+        quantity: getattr(options, quantity)
+        for quantity in _PARAMETER_PREFIXES
+        if getattr(options, quantity)
+    }
     work = partial(compare_visits, changes=changes)
     results = list(run_all(options.arms, work, options.out, options.at_once))
     Console(width=120).print(_summary(results, changes))
 
 
 def _summary(results: list[dict[str, Any]], changes: Changes) -> Table:
-    table = Table(box=None, title=f"Two visits, changed by {changes or 'nothing'}")
+    table = Table(box=None, title=f"Two visits, changes: {changes or 'none'}")
     for head in ("both visits", "pairs", "differ", "change named", "p below 5 %", "joint"):
         table.add_column(head)
-    starts = tuple(_CHANGED[what] for what in changes)
+    starts = tuple(_PARAMETER_PREFIXES[quantity] for quantity in changes)
     pairs = [result for result in results if "failure" not in result]
     determined = [pair for pair in pairs if set(pair["status"]) == {"determined"}]
     for title, group in (("determined", determined), ("of any status", pairs)):

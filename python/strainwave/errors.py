@@ -59,7 +59,7 @@ class Cancelled(StrainwaveError):  # noqa: N818
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Hint at the known name closest to a misspelled one: `; did you mean '...'?`, or ""."""
-    spellings = {each.casefold(): each for each in known}
+    spellings = {name.casefold(): name for name in known}
     matches = difflib.get_close_matches(name.casefold(), list(spellings), n=1, cutoff=0.6)
     return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
 

@@ -313,7 +313,7 @@ class _FlexibleLink(_FaultyArm):
         mass, inertia = float(inertial.attrib["mass"]), _first(inertial.attrib["diaginertia"])
         place = _first(inertial.attrib["pos"])
         away = _HINGE_POSITION * self._length()
-        moved = [each for each in link if each.tag not in ("inertial", "joint")]
+        moved = [element for element in link if element.tag not in ("inertial", "joint")]
         name = f"beyond{self.joint}"
         beyond = ET.SubElement(link, "body", name=name, pos=f"{_text(away)} 0 0")
         attributes = {"pos": f"{_text(place - away)} 0 0", "mass": _text(_OUTER_MASS * mass)}
@@ -326,10 +326,10 @@ class _FlexibleLink(_FaultyArm):
         hinge = {"name": "flexible", "type": "hinge", "axis": "0 0 1"}
         hinge |= {"stiffness": _text(stiffness), "damping": _text(damping)}
         ET.SubElement(beyond, "joint", hinge)
-        for each in moved:
-            link.remove(each)
-            beyond.append(each)
-            _shift(each, away)
+        for element in moved:
+            link.remove(element)
+            beyond.append(element)
+            _shift(element, away)
         return ET.tostring(root, encoding="unicode")
 
     def _length(self) -> float:

@@ -127,7 +127,7 @@ class Store:
             table = self._table(name, ["run", *Recorded._fields])
         except FileNotFoundError:
             return {}
-        rows = zip(*(table[each].to_pylist() for each in Recorded._fields), strict=True)
+        rows = zip(*(table[column].to_pylist() for column in Recorded._fields), strict=True)
         return dict(zip(table["run"].to_pylist(), map(Recorded._make, rows), strict=True))
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
@@ -162,7 +162,7 @@ class Store:
         schema = _SCHEMAS[kind]
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
-        tables = [_cast_to_schema(each, schema) for each in tables]
+        tables = [_cast_to_schema(part, schema) for part in tables]
         joined = pa.concat_tables([schema.empty_table(), *tables])
         return _drop_duplicates(joined, kind)
 
@@ -171,7 +171,7 @@ class Store:
             file = pq.ParquetFile(pa.BufferReader(self.place.get(name)))
             existing = None
             if columns is not None:
-                existing = [each for each in columns if each in file.schema_arrow.names]
+                existing = [column for column in columns if column in file.schema_arrow.names]
             return file.read(columns=existing, use_threads=False)
         except pa.ArrowInvalid as error:
             raise InvalidInput(

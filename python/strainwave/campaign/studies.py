@@ -54,7 +54,7 @@ def find(arguments: Sequence[str]) -> Selection:
 
 def _collect_studies(arguments: Sequence[str]) -> list[Case]:
     cases = [
-        StudyFile(name, _absolute(name)) for each in arguments for name in _expand_argument(each)
+        StudyFile(name, _absolute(name)) for item in arguments for name in _expand_argument(item)
     ]
     return list({case.location: case for case in cases}.values())
 
@@ -132,7 +132,7 @@ class _Local:
     def matches(self) -> list[str]:
         path = Path(self.text)
         pattern = str(path.relative_to(path.anchor))
-        return [str(each) for each in sorted(Path(path.anchor).glob(pattern))]
+        return [str(item) for item in sorted(Path(path.anchor).glob(pattern))]
 
     def read(self) -> bytes:
         return read_bytes(Path(self.text), "the list of studies")
@@ -159,11 +159,11 @@ class _Url:
     def search(self) -> list[str]:
         system, path = file_system(self.text)
         paths = sorted(p for p in system.find(path) if p.rsplit("/", 1)[-1] == _STUDY)
-        return [str(system.unstrip_protocol(each)) for each in paths]
+        return [str(system.unstrip_protocol(item)) for item in paths]
 
     def matches(self) -> list[str]:
         system, path = file_system(self.text)
-        return [str(system.unstrip_protocol(each)) for each in sorted(system.glob(path))]
+        return [str(system.unstrip_protocol(item)) for item in sorted(system.glob(path))]
 
     def read(self) -> bytes:
         system, path = file_system(self.text)
@@ -226,11 +226,11 @@ def _list_studies(table: Any, path: Path) -> list[Case]:
         raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
     if not _is_list_of_text(table["paths"]):
         raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
-    return _collect_studies([_resolve_path(str(path.parent), each) for each in table["paths"]])
+    return _collect_studies([_resolve_path(str(path.parent), item) for item in table["paths"]])
 
 
 def _is_list_of_text(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(each, str) for each in value)
+    return isinstance(value, list) and all(isinstance(item, str) for item in value)
 
 
 def _invalid_key(path: Path, key: str, wanted: str) -> InvalidInput:

@@ -72,9 +72,9 @@ def _list_inputs(text: bytes) -> list[str]:
         return []
     experiments = document.get("experiment")
     files = [
-        each.get("file")
-        for each in (experiments if isinstance(experiments, list) else [])
-        if isinstance(each, dict)
+        entry.get("file")
+        for entry in (experiments if isinstance(experiments, list) else [])
+        if isinstance(entry, dict)
     ]
     return list(dict.fromkeys(name for name in files if isinstance(name, str) and name))
 
@@ -99,7 +99,7 @@ def _fingerprint(location: str) -> str:
             return _version_at_url(location)
         path = Path(location)
         files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-        return "/".join(_sha256(each) for each in files)
+        return "/".join(_sha256(entry) for entry in files)
     except (OSError, ValueError):
         return ""
 

@@ -85,7 +85,9 @@ def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
         joint = None if p.joint is None else arm.joint(p.joint)
         part = _part_of(base_name(p.name), joint)
         effects = joint.named_effects if joint is not None else ()
-        is_named = any(base_name(p.name) in effect_named(each).names for each in effects)
+        is_named = any(
+            base_name(p.name) in effect_named(effect_name).names for effect_name in effects
+        )
         if p.value is not None and part is not None and not is_named:
             add(part, base_name(p.name), p.joint)
     for number, joint in enumerate(arm.study.arm.joints, start=1):

@@ -81,19 +81,23 @@ def compare_seeds(
     The result is sorted by figure, then by settings; only the first seed has plots.
     """
 
-    def job(seed: int, chosen: Settings) -> tuple[Comparison, ...]:
-        fit = tuned if seed == seeds[0] and chosen.protocol == "own" else None
-        run = compare(fit, seed=seed, settings=chosen, options=options, progress=progress)
+    def job(seed: int, run_settings: Settings) -> tuple[Comparison, ...]:
+        fit = tuned if seed == seeds[0] and run_settings.protocol == "own" else None
+        run = compare(fit, seed=seed, settings=run_settings, options=options, progress=progress)
         progress(f"seed {seed} is done")
-        return run if seed == seeds[0] else tuple(replace(each, plots=()) for each in run)
+        return (
+            run if seed == seeds[0] else tuple(replace(comparison, plots=()) for comparison in run)
+        )
 
     with one_blas_thread():  # for the duration of all runs
-        runs = run_parallel([partial(job, seed, chosen) for seed in seeds for chosen in settings])
+        runs = run_parallel(
+            [partial(job, seed, run_settings) for seed in seeds for run_settings in settings]
+        )
     by_key: dict[tuple[int, Protocol], list[Comparison]] = {}
     for run in runs:
-        for each in run:
-            by_key.setdefault((each.figure, each.protocol), []).append(each)
-    order = [chosen.protocol for chosen in settings]
+        for comparison in run:
+            by_key.setdefault((comparison.figure, comparison.protocol), []).append(comparison)
+    order = [run_settings.protocol for run_settings in settings]
     keys = sorted(by_key, key=lambda key: (key[0], order.index(key[1])))
     return tuple(Tally(tuple(by_key[key])) for key in keys)
 

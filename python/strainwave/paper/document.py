@@ -44,14 +44,14 @@ def _claim(tally: Tally) -> dict[str, Any]:
         "reasons": [list(run.reasons) for run in tally.runs],
         "criteria": [
             {
-                "name": each.name,
-                "bound": each.bound,
-                "limit": each.limit,
-                "reason": each.reason,
-                "values": [_value(run, each.name) for run in tally.runs],
-                "passed": [_passed(run, each.name) for run in tally.runs],
+                "name": criterion.name,
+                "bound": criterion.bound,
+                "limit": criterion.limit,
+                "reason": criterion.reason,
+                "values": [_value(run, criterion.name) for run in tally.runs],
+                "passed": [_passed(run, criterion.name) for run in tally.runs],
             }
-            for each in first.criteria
+            for criterion in first.criteria
         ],
         "values": {
             name: [_number(run.values.get(name, math.nan)) for run in tally.runs]

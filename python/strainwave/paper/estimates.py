@@ -143,8 +143,8 @@ def errors_of(model: Estimate, truth: TwoInertia) -> Errors:
 
 
 def distance_db(
-    one: ComplexArray,
-    other: ComplexArray,
+    first: ComplexArray,
+    second: ComplexArray,
     frequencies_hz: FloatArray = LINES_HZ,
     band_hz: tuple[float, float] = JUDGED_HZ,
 ) -> float:
@@ -153,7 +153,7 @@ def distance_db(
     All arrays have shape (n_frequencies,). The frequencies are evenly spaced in their logarithm.
     """
     in_band = (frequencies_hz >= band_hz[0]) & (frequencies_hz <= band_hz[1])
-    ratio = 20.0 * np.log10(np.abs(one[in_band]) / np.abs(other[in_band]))
+    ratio = 20.0 * np.log10(np.abs(first[in_band]) / np.abs(second[in_band]))
     return float(np.sqrt(np.mean(ratio**2)))
 
 

@@ -264,10 +264,10 @@ def _fit_rigid(
         ) in records.items():  # fitted records first: they determine the expected errors
             fitted = predictions.get("motion", ())
             predicted = run_parallel(
-                [partial(_predict, run, model, each, fitted) for each in of_use]
+                [partial(_predict, run, model, record, fitted) for record in of_use]
             )
-            predictions[use] = tuple(each for each in predicted if each is not None)
-    run.warnings.extend(w for each in predictions.values() for p in each for w in p.warnings)
+            predictions[use] = tuple(p for p in predicted if p is not None)
+    run.warnings.extend(w for group in predictions.values() for p in group for w in p.warnings)
     return model, predictions["motion"], predictions["check"]
 
 

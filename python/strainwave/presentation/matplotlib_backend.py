@@ -66,8 +66,8 @@ def draw(figure: Record) -> Figure:
             _mark(canvas, axes[k], mark)
         _vertical(axes[k], panel)
     _horizontal(axes, figure.x, categories=_has_categories(figure))
-    for one in figure.uprights:
-        _upright(axes, one)
+    for line in figure.uprights:
+        _upright(axes, line)
     _legend(canvas, axes, figure.legend)
     if figure.caption:
         canvas.suptitle(figure.caption, fontsize=_FONT_SIZE + 2.0, parse_math=False)
@@ -187,19 +187,21 @@ def _set_title(setter: Any, axis: Axis) -> None:
     setter(axis.title, fontsize=_FONT_SIZE + 1.0, parse_math=False)
 
 
-def _upright(axes: list[Axes], one: Upright) -> None:
+def _upright(axes: list[Axes], line: Upright) -> None:
     """A vertical line through all panels, with a label in one of them."""
-    dashes = _dashes(one.dash, 1.0)
-    for each in axes:
-        each.axvline(one.x, color=RESIDUAL, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1)
-    if one.text:
-        axes[one.panel].annotate(
-            one.text,
-            (one.x, one.height),
+    dashes = _dashes(line.dash, 1.0)
+    for panel_axes in axes:
+        panel_axes.axvline(
+            line.x, color=RESIDUAL, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1
+        )
+    if line.text:
+        axes[line.panel].annotate(
+            line.text,
+            (line.x, line.height),
             xycoords=("data", "axes fraction"),
-            xytext=(-3.0 if one.before else 3.0, -2.0),
+            xytext=(-3.0 if line.before else 3.0, -2.0),
             textcoords="offset points",
-            ha="right" if one.before else "left",
+            ha="right" if line.before else "left",
             va="top",
             fontsize=_FONT_SIZE - 1.0,
             parse_math=False,
@@ -209,8 +211,8 @@ def _upright(axes: list[Axes], one: Upright) -> None:
 def _legend(canvas: Figure, axes: list[Axes], names: list[str]) -> None:
     """One entry per name, above the figure."""
     handles: dict[str, Any] = {}
-    for each in axes:
-        for handle, name in zip(*each.get_legend_handles_labels(), strict=True):
+    for panel_axes in axes:
+        for handle, name in zip(*panel_axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(name, handle)
     if not names:
         return

@@ -67,9 +67,11 @@ def plotly(figure: Figure) -> dict[str, Any]:
         if panel.height < _LOW_PANEL_HEIGHT:
             axis["nticks"] = _LOW_PANEL_TICKS
     if figure.uprights:
-        layout["shapes"] = [_vertical_line(one) for one in figure.uprights]
+        layout["shapes"] = [_vertical_line(line) for line in figure.uprights]
         layout["annotations"] = [
-            _label(one, domains[one.panel], log=figure.x.log) for one in figure.uprights if one.text
+            _label(line, domains[line.panel], log=figure.x.log)
+            for line in figure.uprights
+            if line.text
         ]
     for mark in figure.marks:
         if isinstance(mark, HeatMap):
@@ -212,22 +214,22 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
     return domains
 
 
-def _vertical_line(one: Upright) -> dict[str, Any]:
-    look = {"color": RESIDUAL, "width": 1, "dash": _dash(one.dash)}
-    ends = {"x0": one.x, "x1": one.x, "y0": 0, "y1": 1}
+def _vertical_line(line: Upright) -> dict[str, Any]:
+    look = {"color": RESIDUAL, "width": 1, "dash": _dash(line.dash)}
+    ends = {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
     return {"type": "line", "xref": "x", "yref": "paper", **ends, "line": look}
 
 
-def _label(one: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
+def _label(line: Upright, domain: Sequence[float], *, log: bool) -> dict[str, Any]:
     """The label of a vertical line; Plotly places it at the logarithm on a logarithmic axis."""
     low, high = domain
     return {
         "xref": "x",
         "yref": "paper",
-        "x": float(np.log10(one.x)) if log else one.x,
-        "y": low + one.height * (high - low),
-        "text": one.text,
-        "xanchor": "right" if one.before else "left",
+        "x": float(np.log10(line.x)) if log else line.x,
+        "y": low + line.height * (high - low),
+        "text": line.text,
+        "xanchor": "right" if line.before else "left",
         "yanchor": "top",
         "showarrow": False,
     }

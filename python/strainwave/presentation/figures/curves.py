@@ -129,9 +129,11 @@ def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) ->
     """Points with 95 % error bars joined by thin lines; lines alone where `std` is None."""
     marks = []
     styles = _styles([p.true for p in points])
-    for one, (colour, dash, width) in zip(points, styles, strict=True):
-        error, size = (None, 0.0) if one.std is None else (CI95_STDS * one.std, _POINT_SIZE)
-        marks.append(Line(one.x, one.y, one.name, colour, dash, width, size=size, error=error))
+    for curve, (colour, dash, width) in zip(points, styles, strict=True):
+        error, size = (None, 0.0) if curve.std is None else (CI95_STDS * curve.std, _POINT_SIZE)
+        marks.append(
+            Line(curve.x, curve.y, curve.name, colour, dash, width, size=size, error=error)
+        )
     return Figure(Axis(axis), (Panel(Axis(quantity), tuple(marks)),), caption=caption)
 
 

@@ -22,7 +22,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import effect_named
 from strainwave.domain.formatting import plus_minus
-from strainwave.identification.whole_arm.score_tests import LEAST, MATTERS
+from strainwave.identification.whole_arm.score_tests import MIN_COST_SHARE, RELEVANT_COST_SHARE
 from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
     BRIEF,
@@ -164,8 +164,9 @@ def _score_table(tests: Sequence[ScoreTest]) -> Iterator[Block]:
     if rows:
         yield paragraph(
             "Significant: the standard deviations exceed the limit, which allows for the number of"
-            f" tests. Likely: significant, and explains over {100.0 * MATTERS:g} % of the cost,"
-            f" or more than {100.0 * LEAST:g} % while moving a parameter out of its 95 % interval."
+            f" tests. Likely: significant, and explains over {100.0 * RELEVANT_COST_SHARE:g} % of"
+            f" the cost, or more than {100.0 * MIN_COST_SHARE:g} % while shifting a parameter out"
+            " of its 95 % interval."
             " Negligible: significant, but below these shares."
         )
 

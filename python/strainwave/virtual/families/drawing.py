@@ -208,7 +208,7 @@ def _inject(
     if kind in INPUT_FAULTS:
         joint = int(rng.integers(1, study.arm.n_joints + 1))
         return INPUT_FAULTS[kind](logs, study, joint, rng)
-    defect: Kind = next(each for each in SIZES if each == kind)
+    defect: Kind = next(defect_kind for defect_kind in SIZES if defect_kind == kind)
     unit, sizes = SIZES[defect]
     for size in rng.permutation(sizes).tolist():  # a small defect may have no effect
         injection = injected(logs, Arm.of(study.arm), defect, size, rng)
