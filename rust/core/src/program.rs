@@ -17,7 +17,7 @@ use crate::scalar::lanes::{F64x4, F64x8, Fused};
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::Sensitivities;
 use crate::sensitivity::dual_simulation::by_duals;
-use crate::sensitivity::effect::without_effects;
+use crate::sensitivity::effect::without_plant_effects;
 use crate::sensitivity::forward::ForwardSensitivity;
 use crate::sensors::decimation::Decimation;
 
@@ -128,7 +128,7 @@ pub struct Programs<A: 'static, const N: usize> {
 pub struct FastPrograms<A: 'static, const N: usize> {
     /// Simulation without effects.
     pub simulation: Simulation<A, N>,
-    /// Derivatives, with effects of size zero.
+    /// Derivatives, with effects of the drive, and other effects of size zero.
     pub forward: Differentiation<A, N>,
     /// As `forward`, on AVX-512.
     pub forward_avx512: Differentiation<A, N>,
@@ -139,7 +139,7 @@ pub struct FastPrograms<A: 'static, const N: usize> {
 pub struct GeneralPrograms<A: 'static, const N: usize> {
     /// Simulation.
     pub simulation: Simulation<A, N>,
-    /// Derivatives by the variational equations, for elastic gears and effects of size zero.
+    /// As in [`FastPrograms`], for all elastic gears.
     pub forward: Differentiation<A, N>,
     /// Derivatives by dual numbers.
     pub duals: Differentiation<A, N>,
@@ -186,14 +186,15 @@ pub fn simulate<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 
 /// Simulates an arm with elastic gears, with derivatives by the variational equations.
 ///
-/// With `EFFECTS`, directions may be sizes of effects; all sizes must be zero.
+/// With `EFFECTS`, directions may be parameters of the drive's effects and sizes of other effects;
+/// the latter must be zero.
 ///
 /// # Errors
 /// The motion diverged.
 ///
 /// # Panics
-/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect has a nonzero
-/// size.
+/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect on motor, gear or
+/// link has a nonzero size.
 pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
@@ -207,7 +208,8 @@ pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 /// The motion diverged.
 ///
 /// # Panics
-/// The processor lacks AVX-512, a gear is not in the set, or an effect has a nonzero size.
+/// The processor lacks AVX-512, a gear is not in the set, or an effect on motor, gear or link has a
+/// nonzero size.
 #[cfg(target_arch = "x86_64")]
 pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
@@ -278,7 +280,7 @@ fn forward_on<
         return run(task, member);
     }
     let (config, parameters) =
-        without_effects(&task.config, member.parameters).expect("effects of size zero");
+        without_plant_effects(&task.config, member.parameters).expect("effects of size zero");
     let plain = Task {
         config,
         record: task.record.clone(),
@@ -315,7 +317,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
             };
             return Ok((self.baseline)(&request)?.values);
         }
-        if task.config.has_gears::<Slopes>() && !task.config.has_effects() {
+        if task.config.has_gears::<Slopes>() && !task.config.has_plant_effects() {
             (self.fast.simulation)(task, member)
         } else {
             (self.general.simulation)(task, member)
@@ -344,8 +346,8 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
             return (self.baseline)(request);
         }
         let has_forward = task.config.is_elastic()
-            && (!task.config.has_effects()
-                || without_effects(&task.config, member.parameters).is_some());
+            && (!task.config.has_plant_effects()
+                || without_plant_effects(&task.config, member.parameters).is_some());
         match width {
             _ if !has_forward => (self.general.duals)(request),
             _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),

@@ -139,6 +139,16 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         self
     }
 
+    /// The same arm with the sizes of all effects zero but those of the drive.
+    fn with_drive_effects_only(mut self) -> Self {
+        for (value, (name, _)) in zip(&mut self.parameters, self.task.config.parameter_names()) {
+            if crate::common::is_size(name) && !name.starts_with("drive_") {
+                *value = 0.0;
+            }
+        }
+        self
+    }
+
     /// All parameters and all initial states.
     fn directions(&self) -> Vec<Source> {
         // without a settling time a motor stops instantly, and its time has no derivative
@@ -710,6 +720,12 @@ proptest! {
                 for gear in [THREE_SLOPE, LINEAR] {
             check_ways(&Case::<OneLink, 1>::drawn([gear], seed, servo, 400));
         }
+    }
+
+    #[test]
+    fn both_ways_agree_on_effects_of_the_drive(seed in any::<u64>(), servo in any::<bool>()) {
+        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().with_drive_effects_only());
+        check_ways(&Case::<OneLink, 1>::drawn_with(ALL, [LINEAR], seed, servo, 400).with_drive_effects_only());
     }
 
     #[test]

@@ -115,12 +115,12 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let current = task.config.current_loop(task.clock.step);
         let motion = start(&plant, &current, &member.initial, lift);
         let voltage = member.initial.voltage.map(S::splat);
-        let driven = std::array::from_fn(|i| plant.joints[i].driven::<EFFECTS>(voltage[i]));
+        let driven = std::array::from_fn(|i| plant.joints[i].driven(voltage[i]));
         let lag = |joint: &Joint<S, G>| joint.effects.drive_lag.is_some();
         let mut simulation = Self {
             task,
             member,
-            lags: EFFECTS && plant.joints.iter().any(lag),
+            lags: plant.joints.iter().any(lag),
             plant,
             current,
             standing: is_any_standing(&motion),
@@ -152,7 +152,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event.servo_reads);
-        } else if EFFECTS && self.lags {
+        } else if self.lags {
             self.hold();
         }
         let now = self.instant();
@@ -201,7 +201,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             (None, _) => self.voltage = feed_forward.map(S::splat),
         }
         for i in 0..N {
-            self.driven[i] = self.plant.joints[i].driven::<EFFECTS>(self.voltage[i]);
+            self.driven[i] = self.plant.joints[i].driven(self.voltage[i]);
         }
         self.hold();
     }
@@ -212,7 +212,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         for i in 0..N {
             let (driven, memory) = (self.driven[i], &mut self.remembered[i]);
             let joint = &self.plant.joints[i];
-            let driven = joint.held::<EFFECTS>(driven, memory, self.task.clock.step);
+            let driven = joint.held(driven, memory, self.task.clock.step);
             let torque = S::splat(self.current.torque_per_volt[i]) * driven;
             self.target[i] = torque;
             if self.current.bandwidth[i].is_infinite() {

@@ -44,7 +44,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     plant.carry_parts(&mut state);
     plant.load_bases(&mut state);
     let torque = std::array::from_fn(|i| {
-        let driven = plant.joints[i].driven::<EFFECTS>(S::splat(initial.voltage[i]));
+        let driven = plant.joints[i].driven(S::splat(initial.voltage[i]));
         S::splat(current.torque_per_volt[i]) * driven
     });
     let modes = plant.modes_at(&state, &torque);

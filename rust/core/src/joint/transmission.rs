@@ -101,7 +101,7 @@ pub(crate) struct Gear<R> {
     pub(crate) lever: R,
 }
 
-/// `EFFECTS` states at compile time whether the joint may have effects.
+/// `EFFECTS` states at compile time whether the joint may have effects on motor, gear or link.
 impl<R: Real, G: Gears> Joint<R, G> {
     /// Friction limit [N m] at a motor velocity [rad/s] and a gear torque at the motor [N m]; the
     /// friction torque of a sliding motor.
@@ -116,25 +116,17 @@ impl<R: Real, G: Gears> Joint<R, G> {
 
     /// Effective voltage [V] for a commanded one.
     #[inline(always)]
-    pub(crate) fn driven<const EFFECTS: bool>(&self, voltage: R) -> R {
-        if EFFECTS {
-            self.effects.drive(voltage)
-        } else {
-            voltage
-        }
+    pub(crate) fn driven(&self, voltage: R) -> R {
+        self.effects.drive(voltage)
     }
 
     /// Mean effective voltage [V] over a time [s] for a constant voltage; updates the state of the
     /// drive.
     #[inline(always)]
-    pub(crate) fn held<const EFFECTS: bool>(&self, driven: R, memory: &mut R, time: f64) -> R {
-        if EFFECTS {
-            let [mean, end] = self.effects.held(driven, *memory, time);
-            *memory = end;
-            mean
-        } else {
-            driven
-        }
+    pub(crate) fn held(&self, driven: R, memory: &mut R, time: f64) -> R {
+        let [mean, end] = self.effects.held(driven, *memory, time);
+        *memory = end;
+        mean
     }
 
     /// Link angle [rad] at zero torsion: n theta_M + e(theta_M).

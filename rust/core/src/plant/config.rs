@@ -112,7 +112,12 @@ impl JointConfig {
             all.extend(numbered(self.gear.parameters, Role::Gear));
             all.extend([(Role::Damping, GEAR_DAMPING), (Role::Settling, SETTLING)]);
         }
-        let of_effects: Vec<_> = self.effects.parameters().iter().map(|own| own.0).collect();
+        let of_effects: Vec<_> = self
+            .effects
+            .parameters()
+            .iter()
+            .map(|one| one.parameter)
+            .collect();
         all.extend(numbered(&of_effects, Role::Effect));
         all
     }
@@ -212,7 +217,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         value: impl Fn(usize) -> R,
     ) -> Plant<A, R, G, N, EFFECTS> {
         assert!(self.has_gears::<G>());
-        assert!(EFFECTS || !self.has_effects());
+        assert!(EFFECTS || !self.has_plant_effects());
         assert!(!EFFECTS || R::LANES == 1);
         let mut next = 0;
         let mut take = || {
@@ -272,6 +277,12 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     /// Whether any joint has one of [`crate::joint::effects`].
     pub fn has_effects(&self) -> bool {
         self.joints.iter().any(|joint| joint.effects.any())
+    }
+
+    /// Whether any joint has an effect on motor, gear or link, not only on its drive.
+    pub fn has_plant_effects(&self) -> bool {
+        let is_on_plant = |joint: &JointConfig| joint.effects != joint.effects.of_drive();
+        self.joints.iter().any(is_on_plant)
     }
 
     /// Current loops for an integrator of step `h` [s].

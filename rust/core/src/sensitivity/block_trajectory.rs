@@ -53,8 +53,8 @@ pub(crate) struct BlockTrajectory<
     pub(crate) block: TangentBlock<V, N>,
     /// The simulation over dual numbers, for operations that are not smooth.
     dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS>,
-    /// Whether the torques have derivatives: with a servo, or for directions by sizes of effects of
-    /// the drive.
+    /// Whether the torques have derivatives: with a servo, or for directions by parameters of
+    /// effects of the drive.
     pub(crate) driven: bool,
     pub(crate) torque: [V; N],
     target: [V; N],
@@ -137,9 +137,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         self.take_torques();
     }
 
-    /// Applies a lagging drive in the step after a command.
-    ///
-    /// A lag of zero has settled by then, so later steps change nothing.
+    /// Applies a lagging drive in a step without a command.
     pub(crate) fn hold(&mut self, nominal: &Motion<S, N>) {
         if EFFECTS && self.driven && self.dual.lags {
             self.dual.motion = self.lifted(nominal);
@@ -295,7 +293,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     }
 }
 
-/// Whether a direction is the size of an effect of the drive.
+/// Whether a direction is a parameter of an effect of the drive.
 fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source]) -> bool {
     let roles = config.roles();
     directions.iter().any(|&direction| {
@@ -305,8 +303,7 @@ fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source
         let (Role::Effect(place), joint) = roles[k] else {
             return false;
         };
-        let size = config.joints[joint].effects.parameters()[place].1;
-        size.is_some_and(|size| size.enters.drive)
+        config.joints[joint].effects.parameters()[place].of_drive
     })
 }
 

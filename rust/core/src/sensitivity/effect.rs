@@ -181,8 +181,8 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         let (mut hysteresis, mut flexible, mut soft) = ([None; N], [None; N], [None; N]);
         for i in 0..N {
             let (kinds, values) = (config.joints[i].effects, values(i));
-            for (place, (_, size)) in kinds.parameters().into_iter().enumerate() {
-                let Some(size) = size else { continue };
+            for (place, parameter) in kinds.parameters().into_iter().enumerate() {
+                let Some(size) = parameter.size else { continue };
                 own[i].push(OneSize {
                     place,
                     size,
@@ -399,14 +399,15 @@ fn moved_on([place, rate]: Swing, &[a1, a2, a3, a4]: &Stages, h: f64) -> Swing {
     ]
 }
 
-/// The configuration and the parameters without effects, if all sizes are zero.
-pub(crate) fn without_effects<A: Arm<N>, const N: usize>(
+/// The configuration and the parameters without effects on motor, gear and link, if the sizes of
+/// all these effects are zero.
+pub(crate) fn without_plant_effects<A: Arm<N>, const N: usize>(
     config: &Config<A, N>,
     parameters: &[f64],
 ) -> Option<(Config<A, N>, Vec<f64>)> {
     let mut plain = *config;
     for joint in &mut plain.joints {
-        joint.effects = EffectKinds::default();
+        joint.effects = joint.effects.of_drive();
     }
     let mut values = Vec::with_capacity(parameters.len());
     for (&(role, i), &value) in config.roles().iter().zip(parameters) {
@@ -414,8 +415,10 @@ pub(crate) fn without_effects<A: Arm<N>, const N: usize>(
             values.push(value);
             continue;
         };
-        let is_size = config.joints[i].effects.parameters()[place].1.is_some();
-        if is_size && value != 0.0 {
+        let parameter = config.joints[i].effects.parameters()[place];
+        if parameter.of_drive {
+            values.push(value);
+        } else if parameter.size.is_some() && value != 0.0 {
             return None;
         }
     }

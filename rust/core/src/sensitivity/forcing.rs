@@ -119,7 +119,7 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         // it acts on held motors only
         Role::Settling => Vec::new(),
         // other parameters of an effect have no influence at size zero
-        Role::Effect(k) => match config.joints[i].effects.parameters()[k].1 {
+        Role::Effect(k) => match config.joints[i].effects.parameters()[k].size {
             Some(size) => {
                 let own = effect_places(size, bases);
                 let mut all: Vec<_> = own.map(|(quad, slot)| at(i, quad, slot)).collect();

@@ -9,6 +9,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::experiment::simulate::Simulation;
 use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
+use crate::joint::Joint;
 use crate::joint::gear::Gears;
 use crate::plant::friction::{Motion, Stretch};
 use crate::plant::{Instant, Watch};
@@ -28,8 +29,8 @@ use crate::sensors::decimation::Decimation;
 /// One arm with elastic gears, and derivatives in several directions: scalars `S`, `V::LANES`
 /// directions per block, and lanes `L` for the stages of a step.
 ///
-/// With `EFFECTS`, directions may be sizes of effects that the arm does not have: `asked` is the
-/// arm with these effects at size zero. Otherwise `asked` is the arm itself.
+/// With `EFFECTS`, directions may be sizes of effects on motor, gear and link that the arm does not
+/// have: `asked` is the arm with these effects at size zero. Otherwise `asked` is the arm itself.
 pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
@@ -76,6 +77,8 @@ struct Chain<
     nominal: Simulation<'a, A, S, G, N>,
     /// Whether voltages were commanded at the last step.
     commanded: bool,
+    /// Whether any drive has a lag other than zero.
+    lags: bool,
     /// Response without forcing by parameters.
     unforced: TangentBlock<S, N>,
     /// Current loops over a variable time.
@@ -102,6 +105,10 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             let directions = &of.directions[first..];
             BlockTrajectory::new(asked, member, directions, sensing.as_ref())
         };
+        let lags = |joint: &Joint<S, G>| {
+            let lag = joint.effects.drive_lag;
+            lag.is_some_and(|lag| lag.time_constant.lane(0) != 0.0)
+        };
         let linear = Linearised::new(
             &task.config,
             of.member.parameters,
@@ -112,6 +119,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         Self {
             task,
             asked,
+            lags: nominal.plant.joints.iter().any(lags),
             nominal,
             commanded: false,
             unforced: TangentBlock::new(&task.config, &[], Tangent::still()),
@@ -128,9 +136,13 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event);
-        } else if EFFECTS && self.commanded {
+        } else if EFFECTS && (self.commanded || self.lags) {
+            // a lag of zero has settled one step after the command
             for trajectory in &mut self.blocks {
                 trajectory.hold(&self.nominal.motion);
+            }
+            if self.lags {
+                self.nominal.hold();
             }
         }
         self.commanded = event.commands;

@@ -287,6 +287,13 @@ macro_rules! effects {
                 [$(self.$field),*].into_iter().zip(DECLARED)
             }
 
+            /// The selected effects of the drive.
+            pub(crate) fn of_drive(self) -> Self {
+                Self {
+                    $($field: self.$field && <$effect<f64> as Effect<f64>>::DECLARED.enters.drive),*
+                }
+            }
+
             /// Selects the effect of a name; false if there is none.
             pub fn add(&mut self, name: &str) -> bool {
                 $(
@@ -571,6 +578,17 @@ effects! {
     soft_base: SoftBase,
 }
 
+/// A parameter of a selected effect.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct EffectParameter {
+    /// Declaration.
+    pub(crate) parameter: Parameter,
+    /// Which size it is; `None` for others, such as velocities and exponents.
+    pub(crate) size: Option<Size>,
+    /// Whether the effect changes the drive.
+    pub(crate) of_drive: bool,
+}
+
 /// A size of an effect.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Size {
@@ -612,9 +630,8 @@ impl EffectKinds {
         own.map(|(_, declared)| declared.name)
     }
 
-    /// Parameters of the selected effects, and which size each is; `None` for others, such as
-    /// velocities and exponents.
-    pub(crate) fn parameters(self) -> Vec<(Parameter, Option<Size>)> {
+    /// Parameters of the selected effects.
+    pub(crate) fn parameters(self) -> Vec<EffectParameter> {
         let (mut all, mut index) = (Vec::new(), 0);
         for (has, declared) in self.each() {
             for (place, &parameter) in declared.parameters.iter().enumerate() {
@@ -623,7 +640,11 @@ impl EffectKinds {
                     enters: declared.enters,
                 });
                 if has {
-                    all.push((parameter, size));
+                    all.push(EffectParameter {
+                        parameter,
+                        size,
+                        of_drive: declared.enters.drive,
+                    });
                 }
             }
             index += declared.sizes;
