@@ -108,9 +108,9 @@ def test_data_in_memory_give_the_same_result_as_files(form: str, tmp_path: Path)
 def test_invalid_tables_are_refused() -> None:
     data = tables("arrays")
     first = next(iter(data))
-    with pytest.raises(sw.InvalidInput, match="is no table, but int"):
+    with pytest.raises(sw.InvalidInput, match="is not a table, but int"):
         sw.identify(STUDY, data={first: 3})
-    with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*no vector of numbers"):
+    with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*not a vector of numbers"):
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": ["a", "b"]}}, stages=("rigid",))
     with pytest.raises(sw.InvalidInput, match="differ in length"):
         sw.identify(STUDY, data={first: data[first] | {"u1_counts": np.ones(3)}}, stages=("rigid",))
@@ -121,7 +121,7 @@ def test_invalid_tables_are_refused() -> None:
     }
     with pytest.raises(sw.InvalidInput, match=rf"data\['{first}'\].*row 8"):
         sw.identify(STUDY, data={first: with_nan}, stages=("rigid",))
-    with pytest.raises(sw.InvalidInput, match="stands twice"):
+    with pytest.raises(sw.InvalidInput, match="occurs twice"):
         sw.identify(STUDY, data={first: pa.table([[1.0], [2.0]], names=["t", "t"])})
 
 

@@ -11,8 +11,8 @@ import numpy as np
 from strainwave.domain import Experiment, FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
-from strainwave.io.logs.clocks import FEWEST_ROWS, Track, one_clock
-from strainwave.io.logs.tables import LARGEST, first_impossible, open_table
+from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
+from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
 from strainwave.study_draft.names import MOST_JOINTS, UNITS, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
@@ -74,9 +74,9 @@ def _read_table(path: Path) -> Record:
     columns, value_faults = _valid_columns(columns)
     n_samples = max((len(values) for values in columns.values()), default=0)
     columns = {name: values for name, values in columns.items() if len(values) == n_samples}
-    if n_samples < FEWEST_ROWS:
+    if n_samples < MIN_SAMPLES:
         raise InvalidInput(
-            f"has {n_samples} row(s) of numbers; at least {FEWEST_ROWS} are needed",
+            f"has {n_samples} row(s) of numbers; at least {MIN_SAMPLES} are needed",
             where=str(path),
             remedy="give a log of an experiment, with a header line",
         )
@@ -119,28 +119,28 @@ def _joint_limit_remark(columns: Collection[str]) -> str:
 
 def _read_bag(path: Path) -> Record:
     bag = Bag(path)
-    wanted = [name for name in bag.names if parse(name).quantity not in (None, "time")]
-    if not wanted:
+    column_names = [name for name in bag.names if parse(name).quantity not in (None, "time")]
+    if not column_names:
         raise InvalidInput(
             "no topic has numbers that look like those of a robot arm",
             where=str(path),
             remedy="record joint states, commands and sensors; write [channels] by hand: "
             "docs/study.md",
         )
-    tracks, warnings = bag.tracks(wanted)
+    tracks, warnings = bag.tracks(column_names)
     notes, faults = [warning.message for warning in warnings], list[str]()
     usable: list[Track] = []
     for track in tracks:
         columns, value_faults = _valid_columns(track.columns)
         faults += value_faults
-        if columns and len(track.time) >= FEWEST_ROWS:
+        if columns and len(track.time) >= MIN_SAMPLES:
             usable.append(Track(track.name, track.time, columns, track.row_name))
     usable.sort(key=_without_angle)
     commanded = {n for t in usable for n in t.columns if parse(n).quantity in ("voltage", "torque")}
     if not usable:
         raise InvalidInput("the topics are too short", where=str(path), remedy="record for longer")
     whole_record = Experiment(path.name, path.name, "motion", ())
-    time, columns, clock_warnings = one_clock(usable, commanded, whole_record, path)
+    time, columns, clock_warnings = resample_tracks(usable, commanded, whole_record, path)
     notes += [warning.message for warning in clock_warnings]
     return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
 
@@ -157,11 +157,11 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
     """
     valid_columns, messages = {}, []
     for name, values in columns.items():
-        row = first_impossible(values)
+        row = find_invalid_value(values)
         if row is None:
             valid_columns[name] = values
             continue
-        is_valid = np.abs(values) < LARGEST
+        is_valid = np.abs(values) < MAX_MAGNITUDE
         n_invalid = len(values) - int(np.count_nonzero(is_valid))
         fault = (
             f"column {name!r} has {n_invalid} sample(s) that are no number, "

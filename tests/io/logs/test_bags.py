@@ -133,7 +133,8 @@ def test_topics_of_other_rates_come_to_the_motor_angles_stamps(tmp_path: Path) -
     # the stamps of /cmd include those of the motor angle
     assert "/cmd" not in warnings["resampled"]
     assert (
-        "/imu1 (250 Hz): brought to the stamps of /joint_states (1000 Hz)" in warnings["resampled"]
+        "/imu1 (250 Hz): resampled to the time stamps of /joint_states (1000 Hz)"
+        in warnings["resampled"]
     )
 
 
@@ -178,8 +179,8 @@ def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -
         bags.write(tmp_path / name, sorted(messages, key=lambda m: m[1]))
     log = read(tmp_path, "late")
     warnings = [w.message for w in log.warnings if w.code == "recorder-stamps"]
-    assert "3 ms after" in warnings[0]
-    with pytest.raises(InvalidInput, match=r"headers and recorder keep different time.* of /cmd"):
+    assert "lag by 3 ms" in warnings[0]
+    with pytest.raises(InvalidInput, match=r"the clocks of headers and recorder differ.* of /cmd"):
         read(tmp_path, "simulated")
 
 
@@ -289,8 +290,11 @@ FAULTS = {
         "the key 'column' is unknown",
     ),
     "time": ('t = "/imu1.header"\n', "no field 'header'"),
-    "own time": (line("t", "/imu1", "linear_acceleration.y"), "stamps of their own"),
-    "nothing mapped": (line("torque2", "/cmd", "data[1]"), "no 'theta_m1', which every log needs"),
+    "own time": (line("t", "/imu1", "linear_acceleration.y"), "contain their time stamps"),
+    "nothing mapped": (
+        line("torque2", "/cmd", "data[1]"),
+        "no 'theta_m1', which every log must contain",
+    ),
 }
 
 
@@ -329,7 +333,7 @@ def test_shows_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> Non
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     data = (tmp_path / "run" / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
-    with pytest.raises(InvalidInput, match=r"is no bag, or a damaged one.*mcap recover"):
+    with pytest.raises(InvalidInput, match=r"is not a bag, or is damaged.*mcap recover"):
         read(tmp_path, "cut.mcap")
     (tmp_path / "run" / "metadata.yaml").unlink()
     with pytest.raises(InvalidInput, match=r"directory without metadata.yaml.*the .mcap or .db3"):

@@ -205,7 +205,7 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
     ),
     "no header": (
         "\n".join(studies.csv_text(studies.columns()).splitlines()[1:]),
-        "holds numbers, not",
+        "contains numbers, not",
     ),
     "same name twice": (edited(1, "t,u1,u1,theta_m1,theta_m2,a1"), "two columns named 'u1'"),
     "missing column": (
@@ -214,7 +214,7 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
     ),
     "no input": (
         edited(1, "t,x,u2,theta_m1,theta_m2,a1"),
-        "no column 'u1', nor 'torque1', for the command of the drive",
+        "no column 'u1', and no column 'torque1'",
     ),
     "NaN": (edited(9, "0.007,nan,0,0.07,-0.03,1"), r"line 9, column 'u1': the value is nan"),
     "infinite": (
@@ -223,11 +223,11 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
     ),
     "text": (
         edited(9, "0.007,0,0,high,-0.03,1"),
-        r"line 9, column 'theta_m1': 'high' is no number",
+        r"line 9, column 'theta_m1': 'high' is not a number",
     ),
     "nothing": (edited(9, "0.007,0,,0.07,-0.03,1"), r"line 9, column 'u2': there is no value"),
     "too few values": (edited(9, "0.007,0,0"), r"line 9: 3 values where the header names 6"),
-    "cut off": (edited(41, "0.039,0.1,0.9,0.3"), r"line 41: the log is cut off: 4 values"),
+    "cut off": (edited(41, "0.039,0.1,0.9,0.3"), r"line 41: the log is truncated: 4 values"),
     "time stands": (
         edited(9, "0.006,0,0,0.07,-0.03,1"),
         r"line 9: time does not increase: 0.006 s after",
@@ -236,14 +236,17 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
         edited(9, "x").encode().replace(b"x", b"\xe9"),
         "line 9: is not UTF-8: byte 0xe9",
     ),
-    "null bytes": (edited(9, "0.007,0,0,\0,-0.03,1"), r"line 9, column 'theta_m1': .*is no number"),
+    "null bytes": (
+        edited(9, "0.007,0,0,\0,-0.03,1"),
+        r"line 9, column 'theta_m1': .*is not a number",
+    ),
     "still": (
         studies.csv_text(studies.columns() | {"theta_m1": np.ones(40), "theta_m2": np.ones(40)}),
         "'theta_m1' never changes",
     ),
     "no excitation": (
         studies.csv_text(studies.columns() | {"u1": np.ones(40), "u2": np.zeros(40)}),
-        "the drive's input never changes",
+        "no motor input changes",
     ),
 }
 
@@ -260,23 +263,23 @@ def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "data", "said"),
     [
-        ("log.parquet", b"t,u1\n1,2\n", "is no Parquet file"),
-        ("log.parquet", parquet(studies.columns())[:-40], "is no Parquet file"),
+        ("log.parquet", b"t,u1\n1,2\n", "is not a Parquet file"),
+        ("log.parquet", parquet(studies.columns())[:-40], "is not a Parquet file"),
         (
             "log.parquet",
             parquet(studies.columns() | {"u1": np.array(["x"] * 40)}),
-            "holds .*string",
+            "contains .*string",
         ),
-        ("log.parquet", b"", "is no Parquet file"),
+        ("log.parquet", b"", "is not a Parquet file"),
         ("log.csv.gz", b"t,u1\n", "cannot be unpacked"),
         (
             "log.csv.gz",
             gzip.compress(studies.csv_text(studies.columns()).encode())[:-20],
             "unpacked",
         ),
-        ("log.mat", b"MATLAB 5.0 MAT-file", "is no MAT file"),
-        ("log.h5", b"\x89HDF but not really", "is no HDF5 file"),
-        ("log.xlsx", b"PK", "is of no known kind"),
+        ("log.mat", b"MATLAB 5.0 MAT-file", "is not a MAT file"),
+        ("log.h5", b"\x89HDF but not really", "is not an HDF5 file"),
+        ("log.xlsx", b"PK", "has an unknown file type"),
     ],
 )
 def test_shows_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: Path) -> None:
@@ -304,7 +307,7 @@ def test_hdf5_without_its_library_says_how_to_get_it(
 
 def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nstart = 7.0')
-    with pytest.raises(InvalidInput, match=r"window 7 to inf s: the log runs from 0 to 0.039 s"):
+    with pytest.raises(InvalidInput, match=r"window from 7 to inf s: the log extends from 0 to 0.039 s"):
         read(tmp_path, None, text)
 
 
@@ -314,7 +317,7 @@ def test_a_channel_map_must_name_a_column(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=message):
         read(tmp_path, None, text)
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nadd = { u1 = "push" }')
-    with pytest.raises(InvalidInput, match="no column 'push', which is to be added to 'u1'"):
+    with pytest.raises(InvalidInput, match="no column 'push', which the study adds to 'u1'"):
         read(tmp_path, None, text)
     text = studies.STUDY + '[channels]\nu1 = "u_1"\n'
     with pytest.raises(

@@ -64,7 +64,7 @@ def test_elements_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["text", "struct", "turning"])
 def test_what_is_no_vector_of_numbers_is_named(name: str, tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(written(OTHERS))
-    with pytest.raises(InvalidInput, match="no vector of numbers") as error:
+    with pytest.raises(InvalidInput, match="not a vector of numbers") as error:
         open_table(tmp_path / "log.mat").read([name])
     assert name in str(error.value)
 

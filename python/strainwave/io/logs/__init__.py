@@ -12,9 +12,9 @@ import numpy as np
 from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, Study, channel_names
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.logs.bags import Bag, is_bag
-from strainwave.io.logs.clocks import Track, one_clock
-from strainwave.io.logs.in_memory import Data, is_path, table_of
-from strainwave.io.logs.tables import Table, open_table, release_readers_memory, write_table
+from strainwave.io.logs.clocks import Track, resample_tracks
+from strainwave.io.logs.in_memory import Data, is_path, open_memory_table
+from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
 from strainwave.numerics.parallel import run_parallel
 
 __all__ = ["read_log", "read_logs", "write_log"]
@@ -46,7 +46,7 @@ def read_logs(
             raise InvalidInput(
                 f"the study has no experiment {name!r}",
                 where="data",
-                remedy=f"name one of its experiments: {', '.join(names)}",
+                remedy=f"use the name of an experiment: {', '.join(names)}",
             )
     jobs = [partial(read_log, study, each, replacements.get(each.name)) for each in selected]
     logs = tuple(run_parallel(jobs))
@@ -65,7 +65,7 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     table, path = _open(study, experiment, data)
     sources = _sources(study, experiment, table, path)
     tracks, warnings = _tracks(table, sources, experiment)
-    time, columns, clock_warnings = one_clock(
+    time, columns, clock_warnings = resample_tracks(
         tracks, _command_columns(sources, experiment), experiment, path
     )
     channels = {
@@ -75,7 +75,7 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
     }
     warnings += clock_warnings + _check_constants(channels, study, experiment, path)
     del columns, tracks
-    release_readers_memory()
+    release_reader_memory()
     sample_time = float((time[-1] - time[0]) / (len(time) - 1))
     return Log(experiment, time, sample_time, channels, tuple(warnings))
 
@@ -84,7 +84,7 @@ def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag,
     """Return an experiment's table, and the path or name for messages."""
     if data is not None and not is_path(data):
         name = f"data[{experiment.name!r}]"
-        return table_of(data, name), Path(name)
+        return open_memory_table(data, name), Path(name)
     path = study.log_path(experiment) if data is None else Path(data)
     return (Bag(path) if is_bag(path) else open_table(path)), path
 
@@ -108,10 +108,10 @@ def _tracks(
 
 def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
     """Return the columns of commanded channels."""
-    held = {
+    command_columns = {
         channel.column for name, channel in sources.items() if name.startswith(_COMMAND_PREFIXES)
     }
-    return held | {
+    return command_columns | {
         column for name, column in experiment.add.items() if name.startswith(_COMMAND_PREFIXES)
     }
 
@@ -133,9 +133,11 @@ def _sources(
             sources[name] = channel or Channel(name)
     for channel_name, column in experiment.add.items():
         if column not in table.names:
-            raise _missing_column(column, f"which is to be added to '{channel_name}'", table, path)
+            raise _missing_column(column, f"which the study adds to '{channel_name}'", table, path)
         if channel_name not in sources:
-            raise _missing_column(channel_name, "to which another is to be added", table, path)
+            raise _missing_column(
+                channel_name, "to which the study adds another column", table, path
+            )
     _check_required(sources, study, table, path)
     return sources
 
@@ -170,20 +172,20 @@ def _check_required(
         required = ["t", *required]
     elif "t" in sources:
         raise InvalidInput(
-            "a bag's messages have stamps of their own",
+            "the channel t is mapped, but the messages of a bag contain their time stamps",
             where=str(study.path),
-            remedy="take t out of [channels]",
+            remedy="remove t from [channels]",
         )
     for name in required:
         if name not in sources:
-            raise _missing_column(name, "which every log needs", table, path)
+            raise _missing_column(name, "which every log must contain", table, path)
     for i, joint in enumerate(study.arm.joints, start=1):
         if f"u{i}" not in sources and f"torque{i}" not in sources:
             for name in (f"u{i}", f"torque{i}"):
                 if name in study.channels:
                     raise _missing_mapped_column(name, study.channels[name], table, path)
             raise _missing_column(
-                f"u{i}", f"nor 'torque{i}', for the command of the drive", table, path
+                f"u{i}", f"and no column 'torque{i}': the log has no motor input", table, path
             )
         if f"torque{i}" not in sources and joint.torque_per_volt is None:
             raise InvalidInput(
@@ -195,7 +197,7 @@ def _check_required(
 
 def _missing_column(column: str, what: str, table: Table | Bag, path: Path) -> InvalidInput:
     if isinstance(table, Bag):
-        return table.no_column(column, what)
+        return table.build_missing_column_error(column, what)
     available = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
     available += nearest(column, table.names)
     return InvalidInput(
@@ -224,12 +226,13 @@ def _check_constants(
     if not moving or (excited is not None and excited not in moving):
         name = f"theta_m{excited or 1}"
         problem = f"the channel '{name}' never changes: the joint did not move"
-        remedy = "check the encoder's wiring, the channel map and the amplitude"
+        remedy = "check the encoder wiring, the [channels] table and the amplitude"
         if moving:
             other = f"theta_m{moving[0]}"
-            problem += f", though '{other}' does and the record is to excite joint {excited}"
+            problem += f", but '{other}' changes, and the study excites joint {excited}"
             remedy = (
-                f"exchange '{name}' and '{other}' in [channels], or correct joint; else {remedy}"
+                f"exchange '{name}' and '{other}' in [channels], or correct joint; otherwise "
+                f"{remedy}"
             )
         raise InvalidInput(problem, where=str(path), remedy=remedy)
     inputs = [
@@ -237,9 +240,9 @@ def _check_constants(
     ]
     if all(np.ptp(values) == 0.0 for values in inputs):
         raise InvalidInput(
-            "the drive's input never changes in this log",
+            "no motor input changes in this log",
             where=str(path),
-            remedy="check the channel map: the column may be another signal",
+            remedy="check the [channels] table: the column may contain another signal",
         )
     return [
         Diagnostic(

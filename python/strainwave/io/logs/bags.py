@@ -18,12 +18,12 @@ import numpy as np
 from strainwave.domain import Diagnostic, IntArray
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.logs.clocks import Track
-from strainwave.io.logs.messages import number, numbers, parse, stamp
+from strainwave.io.logs.messages import list_numbers, parse_field, read_number, read_stamp
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
-BAGS = (".mcap", ".db3", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """Suffixes of bag files."""
 _MAX_INSPECTED_MESSAGES = (
     20  # messages per topic that are inspected; several nodes may share a topic
@@ -35,7 +35,7 @@ _MAX_CLOCK_DIFFERENCE = 1.0  # [s] between header and recorder stamps; network d
 
 def is_bag(path: Path) -> bool:
     """Whether a log is a bag: a directory, or a file with a suffix in BAGS."""
-    return path.is_dir() or path.name.lower().endswith(BAGS)
+    return path.is_dir() or path.name.lower().endswith(BAG_SUFFIXES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ class Bag:
                 unreadable = None
                 try:
                     for raw, kind in _first_messages(reader, info.connections):
-                        names |= dict.fromkeys(numbers(reader.deserialize(raw, kind)))
+                        names |= dict.fromkeys(list_numbers(reader.deserialize(raw, kind)))
                 # foreign definitions can be invalid in any way
                 except Exception as error:
                     unreadable = f"{type(error).__name__}: {error}".splitlines()[0][:100]
@@ -86,7 +86,7 @@ class Bag:
                 topics[name] = _Topic(info.msgtype or "mixed", info.msgcount, columns, unreadable)
         return topics
 
-    def tracks(self, wanted: Iterable[str]) -> tuple[list[Track], list[Diagnostic]]:
+    def tracks(self, column_names: Iterable[str]) -> tuple[list[Track], list[Diagnostic]]:
         """Return the requested columns; columns of the same messages form one track.
 
         Time stamps are those of the headers if all messages of a topic have one, else the
@@ -94,7 +94,7 @@ class Bag:
         recorder clocks differ.
         """
         topics: dict[str, list[str]] = {}
-        for column in wanted:
+        for column in column_names:
             topics.setdefault(topic_of(column), []).append(column)
         with _opened(self.path) as reader:
             contents = _read_messages(reader, topics)
@@ -111,11 +111,11 @@ class Bag:
         return tracks, warnings
 
     def _split(
-        self, topic: str, found: _TopicContent, stamps: IntArray, warnings: list[Diagnostic]
+        self, topic: str, contents: _TopicContent, stamps: IntArray, warnings: list[Diagnostic]
     ) -> list[Track]:
         """Split a topic into tracks of columns that share their messages, sorted by time stamp."""
         columns_by_rows: dict[tuple[int, ...], list[str]] = {}
-        for column, message_rows in found.rows.items():
+        for column, message_rows in contents.rows.items():
             columns_by_rows.setdefault(tuple(message_rows), []).append(column)
         tracks = []
         for row_tuple, columns in columns_by_rows.items():
@@ -124,29 +124,33 @@ class Bag:
             if message:
                 warnings.append(Diagnostic("reordered", self.path.name, message))
             time = stamps[rows][order] * _SECONDS_PER_NS
-            values = {column: np.array(found.values[column])[order] for column in columns}
+            values = {column: np.array(contents.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
         return tracks
 
-    def _check_clocks(self, found: dict[str, _TopicContent], stamped: set[str]) -> list[Diagnostic]:
-        unstamped = sorted(set(found) - stamped)
+    def _check_clocks(
+        self, contents: dict[str, _TopicContent], stamped: set[str]
+    ) -> list[Diagnostic]:
+        unstamped = sorted(set(contents) - stamped)
         if not unstamped or not stamped:
             return []
-        delays = [np.median(np.subtract(found[n].recorded, found[n].headers)) for n in stamped]
+        delays = [
+            np.median(np.subtract(contents[n].recorded, contents[n].headers)) for n in stamped
+        ]
         delay = float(np.median(delays)) * _SECONDS_PER_NS
         names = ", ".join(unstamped)
         if abs(delay) > _MAX_CLOCK_DIFFERENCE:
             raise InvalidInput(
-                f"headers and recorder keep different time, {delay:.6g} s apart, and the messages "
-                f"of {names} have no stamp of their own",
+                f"the clocks of headers and recorder differ by {delay:.6g} s, and the messages of "
+                f"{names} have no time stamp",
                 where=str(self.path),
-                remedy="record with --use-sim-time where the stamps are simulated, or publish "
+                remedy="record with --use-sim-time if the time stamps are simulated, or publish "
                 f"{names} with a header",
             )
         message = (
-            f"the messages of {names} have no header stamp: they count from when the recorder got "
-            f"them, {1e3 * delay:.3g} ms after their stamp for the others. Publish a stamp with "
-            "them if you can"
+            f"the messages of {names} have no header stamp: the time stamps of the recorder are "
+            f"used, which lag by {1e3 * delay:.3g} ms in the other topics. Publish {names} with a "
+            "header if possible"
         )
         return [Diagnostic("recorder-stamps", self.path.name, message)]
 
@@ -154,7 +158,7 @@ class Bag:
         """Whether the bag has the topic of a column."""
         return topic_of(column) in self._topics
 
-    def no_column(self, column: str, what: str) -> InvalidInput:
+    def build_missing_column_error(self, column: str, what: str) -> InvalidInput:
         """Return the error for a missing column.
 
         `what` states the purpose of the column.
@@ -172,7 +176,7 @@ class Bag:
             )
         elif topic.unreadable:
             problem = f"the topic '{name}' cannot be read: {topic.kind}, {topic.unreadable}"
-            remedy = "record the bag anew with the message's definition"
+            remedy = "record the bag again with the message definition"
         elif not topic.count:
             problem = f"the topic '{name}' has no messages"
             remedy = "check that its node was running, and record again"
@@ -206,9 +210,9 @@ def _opened(path: Path) -> Iterator[AnyReader]:
         ) from error
     if path.is_dir() and not (path / "metadata.yaml").exists():
         raise InvalidInput(
-            "is a directory without metadata.yaml, so no bag",
+            "is a directory without metadata.yaml, and therefore not a bag",
             where=str(path),
-            remedy="name the .mcap or .db3 file in it, or run `ros2 bag reindex`",
+            remedy="use the path of the .mcap or .db3 file in it, or run `ros2 bag reindex`",
         )
     # bags from before ROS 2 Iron do not contain message definitions
     typestore = get_typestore(Stores.ROS1_NOETIC if path.suffix == ".bag" else Stores.ROS2_HUMBLE)
@@ -220,9 +224,9 @@ def _opened(path: Path) -> Iterator[AnyReader]:
     except Exception as error:  # damaged bags raise arbitrary exceptions
         cause = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
         raise InvalidInput(
-            f"is no bag, or a damaged one ({cause})",
+            f"is not a bag, or is damaged ({cause})",
             where=str(path),
-            remedy="if the recorder was stopped hard, run `mcap recover` or `ros2 bag reindex`",
+            remedy="if the recorder was killed, run `mcap recover` or `ros2 bag reindex`",
         ) from error
 
 
@@ -236,7 +240,7 @@ def _first_messages(reader: AnyReader, connections: Any) -> Iterator[tuple[bytes
 def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _TopicContent]:
     """Read every message of the topics once; missing values are skipped."""
     paths = {
-        name: {column: parse(column[len(name) + 1 :]) for column in columns}
+        name: {column: parse_field(column[len(name) + 1 :]) for column in columns}
         for name, columns in topics.items()
     }
     contents = {
@@ -249,9 +253,9 @@ def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str,
         content = contents[connection.topic]
         row = len(content.recorded)
         content.recorded.append(recorded)
-        content.headers.append(stamp(message))
+        content.headers.append(read_stamp(message))
         for column, path in paths[connection.topic].items():
-            value = number(message, path)
+            value = read_number(message, path)
             if value is not None:
                 content.values[column].append(value)
                 content.rows[column].append(row)
@@ -272,7 +276,7 @@ def _sort_stamps(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
     is_last = np.append(np.diff(stamps[order]) > 0, True)
     n_equal = len(stamps) - int(np.count_nonzero(is_last))
     message = (
-        f"{n_late} message(s) of {topic} came late and {n_equal} had the stamp of another: they "
-        "were put in order, and of several with one stamp only the last was taken"
+        f"{n_late} message(s) of {topic} are out of order, and {n_equal} repeat a time stamp: the "
+        "messages were sorted, and only the last message of each time stamp is used"
     )
     return order[is_last], message if n_late or n_equal else ""

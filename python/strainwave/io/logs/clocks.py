@@ -15,26 +15,26 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, Experiment, FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.tables import first_impossible
+from strainwave.io.logs.tables import find_invalid_value
 from strainwave.numerics.filters import noise_deviation
 
-FEWEST_ROWS = 16
+MIN_SAMPLES = 16
 """Minimum number of samples that the filters need."""
-LARGEST_GAP = 10.0
+MAX_GAP_PERIODS = 10.0
 """[periods] Largest distance of two samples across which values are interpolated."""
-JITTER_STD = 0.2
+MAX_JITTER_STD_PERIODS = 0.2
 """[periods] Largest standard deviation of stamps about the ticks of a clock."""
-MOST_JITTER = 0.4
+MAX_END_OFFSET_PERIODS = 0.4
 """[periods] Largest distance between the ends of a track and of the grid."""
-NEARLY = 1e-3
+MAX_PERIOD_ROUNDING = 1e-3
 """Largest relative distance of an estimated period from a round number that may replace it."""
-NOMINAL = 0.02
+MAX_NOMINAL_PERIOD_ERROR = 0.02
 """Largest relative distance of the median step from the nominal period; random walks: 1 %."""
 _MAX_PERIOD_STDS = 4.0  # standard deviations of a period estimated from stamps
 _MIN_LOG_NOISE_RATIO = float(
     np.log(2.0)
 )  # log of a noise ratio; interpolation alone explains up to 0.3 of it
-ROUNDING = 0.02
+MAX_STAMP_ERROR_PERIODS = 0.02
 """[periods] Largest distance of rounded stamps from a uniform grid."""
 
 
@@ -48,24 +48,24 @@ class Track:
     row_name: Callable[[int], str]  # index of a sample, from 0 -> its location for messages
 
 
-def one_clock(
-    tracks: Sequence[Track], held: Collection[str], experiment: Experiment, path: Path
+def resample_tracks(
+    tracks: Sequence[Track], command_columns: Collection[str], experiment: Experiment, path: Path
 ) -> tuple[FloatArray, dict[str, FloatArray], list[Diagnostic]]:
     """Resample all columns to one uniform time base within the experiment's window.
 
     The first track sets the clock. Measured columns are interpolated by monotone cubics, which
-    neither overshoot nor flatten; commanded columns, `held`, are held constant between samples.
-    Returns time (n_samples,) [s], columns (n_samples,) and warnings. Raises InvalidInput if time
-    stamps or values are invalid.
+    neither overshoot nor flatten; `command_columns` are held constant between samples. Returns time
+    (n_samples,) [s], columns (n_samples,) and warnings. Raises InvalidInput if time stamps or
+    values are invalid.
     """
     for track in tracks:
         _check_time(track, path)
-    windowed = [_window(track, held, experiment, path) for track in tracks]
+    windowed = [_window(track, command_columns, experiment, path) for track in tracks]
     warnings = []
     for track in windowed:
-        if not set(track.columns) <= set(held):
+        if not set(track.columns) <= set(command_columns):
             _check_gaps(track, path)
-    windowed = _overlap(windowed, held, path)
+    windowed = _overlap(windowed, command_columns, path)
     grid, ticks, resampling = _grid(windowed[0].time)
     if resampling:
         warnings.append(Diagnostic("resampled", path.name, resampling))
@@ -76,36 +76,36 @@ def one_clock(
         if rows is None:
             off_grid.append(track)
             track_ticks = ticks if track is windowed[0] else None
-            columns |= _resample(grid, track, held, track_ticks)
+            columns |= _resample(grid, track, command_columns, track_ticks)
         else:
             columns |= _cut(track, rows).columns
     others = [track for track in off_grid if track is not windowed[0]]
     if others:
         warnings.append(_resampling_warning(windowed[0], others, path))
-        warnings += _silence_warnings(others, held, grid, path)
+        warnings += _silence_warnings(others, command_columns, grid, path)
     return grid, columns, warnings
 
 
 def _check_values(track: Track, inside: slice, path: Path) -> None:
     for name, values in track.columns.items():
-        row = first_impossible(values[inside])
+        row = find_invalid_value(values[inside])
         if row is not None:
             row += inside.start
             raise InvalidInput(
                 f"the value is {values[row]}",
                 where=f"{path}, {track.row_name(row)}, column {name!r}",
-                remedy="cut the log there, or set start and stop to leave it out",
+                remedy="truncate the log there, or exclude the sample with start and stop",
             )
 
 
 def _check_time(track: Track, path: Path) -> None:
     time = track.time
-    row = first_impossible(time)
+    row = find_invalid_value(time)
     if row is not None:
         raise InvalidInput(
             f"the time is {time[row]}",
             where=f"{path}, {track.row_name(row)}",
-            remedy="cut the log there",
+            remedy="truncate the log there",
         )
     backward = np.flatnonzero(np.diff(time) <= 0.0)
     if backward.size:
@@ -113,24 +113,26 @@ def _check_time(track: Track, path: Path) -> None:
         raise InvalidInput(
             f"time does not increase: {time[row]:.9g} s after {time[row - 1]:.9g} s",
             where=f"{path}, {track.row_name(row)}",
-            remedy="sort the log by time and leave out doubled rows",
+            remedy="sort the log by time and remove duplicate rows",
         )
 
 
-def _too_few(rows: int, path: Path, what: str) -> InvalidInput:
+def _too_few(rows: int, path: Path, source: str) -> InvalidInput:
     return InvalidInput(
-        f"{what} has {rows} row(s); at least {FEWEST_ROWS} are needed",
+        f"{source} has {rows} row(s); at least {MIN_SAMPLES} are required",
         where=str(path),
-        remedy="record for longer, or widen start and stop",
+        remedy="record a longer experiment, or widen start and stop",
     )
 
 
-def _window(track: Track, held: Collection[str], experiment: Experiment, path: Path) -> Track:
+def _window(
+    track: Track, command_columns: Collection[str], experiment: Experiment, path: Path
+) -> Track:
     """Return the samples between start and stop; for a command, also the last before start."""
     of = f" of {track.name}" if track.name else ""
-    commanded = set(track.columns) <= set(held)
+    commanded = set(track.columns) <= set(command_columns)
     time = track.time
-    if len(time) < FEWEST_ROWS and not commanded:
+    if len(time) < MIN_SAMPLES and not commanded:
         raise _too_few(len(time), path, track.name or "the log")
     start = -np.inf if experiment.start is None else experiment.start
     stop = np.inf if experiment.stop is None else experiment.stop
@@ -138,12 +140,12 @@ def _window(track: Track, held: Collection[str], experiment: Experiment, path: P
     inside = slice(max(int(first) - 1, 0) if commanded else int(first), int(last))
     if len(time[inside]) == 0:
         raise InvalidInput(
-            f"nothing{of} lies in the window {start:g} to {stop:g} s: the log runs from "
+            f"no sample{of} is in the window from {start:g} to {stop:g} s: the log extends from "
             f"{time[0]:g} to {time[-1]:g} s",
             where=str(path),
-            remedy=f"mend start and stop of experiment {experiment.name!r}",
+            remedy=f"correct start and stop of experiment {experiment.name!r}",
         )
-    if len(time[inside]) < FEWEST_ROWS and not commanded:
+    if len(time[inside]) < MIN_SAMPLES and not commanded:
         raise _too_few(len(time[inside]), path, f"the window{of}")
     _check_values(track, inside, path)
     return _cut(track, inside)
@@ -159,39 +161,39 @@ def _check_gaps(track: Track, path: Path) -> None:
     steps = np.diff(time)
     period = float(np.median(steps))
     widest = int(np.argmax(steps))
-    if steps[widest] > LARGEST_GAP * period:
+    if steps[widest] > MAX_GAP_PERIODS * period:
         of = f" in {track.name}" if track.name else ""
         raise InvalidInput(
             f"there is a gap{of} from {time[widest]:.6g} to {time[widest + 1]:.6g} s, "
             f"{steps[widest] / period:.0f} samples long",
             where=str(path),
-            remedy="set start and stop to one side of it",
+            remedy="set start and stop to a part of the log before or after the gap",
         )
 
 
-def _overlap(tracks: list[Track], held: Collection[str], path: Path) -> list[Track]:
+def _overlap(tracks: list[Track], command_columns: Collection[str], path: Path) -> list[Track]:
     """Cut the first track to the time span that all tracks cover."""
     clock, *others = tracks
     if not others:
         return tracks
-    tolerance = ROUNDING * float(np.median(np.diff(clock.time)))
+    tolerance = MAX_STAMP_ERROR_PERIODS * float(np.median(np.diff(clock.time)))
     start = max(track.time[0] for track in others) - tolerance
-    ends = [track.time[-1] for track in others if not set(track.columns) <= set(held)]
+    ends = [track.time[-1] for track in others if not set(track.columns) <= set(command_columns)]
     stop = min([clock.time[-1], *ends]) + tolerance
     inside = slice(*(int(k) for k in np.searchsorted(clock.time, [start, stop])))
-    if inside.stop - inside.start < FEWEST_ROWS:
+    if inside.stop - inside.start < MIN_SAMPLES:
         spans = ", ".join(f"{t.name} {t.time[0]:.6g} to {t.time[-1]:.6g} s" for t in tracks)
         raise InvalidInput(
             f"the topics do not overlap: {spans}",
             where=str(path),
-            remedy="record them together, or mend the clocks that stamp them",
+            remedy="record the topics together, or synchronise the clocks of their publishers",
         )
     return [_cut(clock, inside), *others]
 
 
 def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
     """Return the rows whose time stamps coincide with the grid, or None."""
-    tolerance = ROUNDING * float(grid[1] - grid[0])
+    tolerance = MAX_STAMP_ERROR_PERIODS * float(grid[1] - grid[0])
     first = int(np.searchsorted(time, grid[0] - tolerance))
     rows = slice(first, first + len(grid))
     if len(time[rows]) < len(grid) or np.max(np.abs(time[rows] - grid)) > tolerance:
@@ -210,7 +212,7 @@ def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
     jitter = _estimate_jittered_clock(time)
     if jitter is None:
         # interpolation allows any period; use the nominal period of the servo or drive
-        period = _round_period(float(np.median(np.diff(time))), NOMINAL)
+        period = _round_period(float(np.median(np.diff(time))), MAX_NOMINAL_PERIOD_ERROR)
         grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
         method = f"resampled to {len(grid)} samples every {period:.6g} s"
     else:
@@ -218,14 +220,14 @@ def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
         grid = start + period * np.arange(number[-1] + 1.0)
         ticks = start + period * number
         method = (
-            f"they lie up to {100.0 * offset:.2g} % of a period beside a clock of "
-            f"{period:.6g} s: resampled to its {len(grid)} ticks"
+            f"up to {100.0 * offset:.2g} % of a period from a clock of {period:.6g} s: resampled "
+            f"to its {len(grid)} ticks"
         )
     steps = np.diff(time) / period
     message = (
         f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): {method}; what happens faster than the widest step is lost. Log with a fixed "
-        "clock if you can"
+        f"periods): {method}; motion faster than the widest step is lost. Log with a fixed clock "
+        "if possible"
     )
     return grid, ticks, message
 
@@ -249,7 +251,7 @@ def _estimate_jittered_clock(time: FloatArray) -> tuple[float, float, FloatArray
         offsets = (time - start - period * number) / period
         # otherwise the rate varies
         is_white = float(offsets[1:] @ offsets[:-1]) < 0.5 * float(offsets @ offsets)
-        if np.std(offsets) < JITTER_STD and is_white and np.all(np.diff(number) >= 1.0):
+        if np.std(offsets) < MAX_JITTER_STD_PERIODS and is_white and np.all(np.diff(number) >= 1.0):
             return start, period, number, float(np.max(np.abs(offsets)))
     return None
 
@@ -265,7 +267,7 @@ def _fit_clock(time: FloatArray, number: FloatArray) -> tuple[float, float]:
     period = float(centred @ (time - time.mean())) / weight
     residuals = time - time.mean() - period * centred
     period_std = float(np.sqrt(residuals @ residuals / (len(time) * weight)))
-    rounded = _round_period(period, NEARLY)
+    rounded = _round_period(period, MAX_PERIOD_ROUNDING)
     if abs(rounded - period) < _MAX_PERIOD_STDS * period_std:
         period = rounded
     return float(np.mean(time - period * number)), period
@@ -285,7 +287,7 @@ def _round_period(period: float, tolerance: float) -> float:
 
 
 def _resample(
-    grid: FloatArray, track: Track, held: Collection[str], ticks: FloatArray | None
+    grid: FloatArray, track: Track, command_columns: Collection[str], ticks: FloatArray | None
 ) -> dict[str, FloatArray]:
     """Resample the columns of a track to a grid.
 
@@ -295,32 +297,38 @@ def _resample(
     """
     rates = {name: np.diff(v) / np.diff(track.time) for name, v in track.columns.items()}
     # a column of stamps is smooth by itself and is excluded
-    measured = [n for n, r in rates.items() if n not in held and np.ptp(r) > 1e-6 * abs(r.mean())]
-    interpolated = {name: _sample_at(grid, track, name, name in held) for name in track.columns}
+    measured = [
+        n for n, r in rates.items() if n not in command_columns and np.ptp(r) > 1e-6 * abs(r.mean())
+    ]
+    interpolated = {
+        name: _sample_at(grid, track, name, name in command_columns) for name in track.columns
+    }
     if ticks is None:
         return interpolated
     on_time = replace(track, time=ticks)
-    on_ticks = {name: _sample_at(grid, on_time, name, name in held) for name in track.columns}
+    on_ticks = {
+        name: _sample_at(grid, on_time, name, name in command_columns) for name in track.columns
+    }
     max_gain = 0.0
     for name in measured:
         noise = noise_deviation(interpolated[name]), noise_deviation(on_ticks[name])
         if min(noise) > 0.0:
             gain = float(np.log(noise[0] / noise[1]))
             max_gain = gain if abs(gain) > abs(max_gain) else max_gain
-    commands = {name: on_ticks[name] for name in track.columns if name in held}
+    commands = {name: on_ticks[name] for name in track.columns if name in command_columns}
     return interpolated | commands if max_gain < -_MIN_LOG_NOISE_RATIO else on_ticks
 
 
-def _sample_at(grid: FloatArray, track: Track, name: str, held: bool) -> FloatArray:
+def _sample_at(grid: FloatArray, track: Track, name: str, is_held: bool) -> FloatArray:
     values = track.columns[name]
-    if held:
+    if is_held:
         slack = 1e-6 * (grid[1] - grid[0])
         rows = np.searchsorted(track.time, grid + slack, side="right") - 1
         return np.asarray(values[np.maximum(rows, 0)])
     from scipy.interpolate import PchipInterpolator
 
     # jitter or rounding of stamps can move the track's ends off the grid's
-    slack = MOST_JITTER * (grid[1] - grid[0])
+    slack = MAX_END_OFFSET_PERIODS * (grid[1] - grid[0])
     inside = np.clip(grid, track.time[0] - slack, track.time[-1] + slack)
     return np.asarray(PchipInterpolator(track.time, values)(inside))
 
@@ -331,29 +339,29 @@ def _resampling_warning(clock: Track, others: list[Track], path: Path) -> Diagno
 
     topics = ", ".join(dict.fromkeys(f"{track.name} ({rate(track)})" for track in others))
     message = (
-        f"{topics}: brought to the stamps of {clock.name} ({rate(clock)}), measured values by "
-        "monotone cubics, commands held; what a slower topic missed is lost. Publish all from one "
-        "clock if you can"
+        f"{topics}: resampled to the time stamps of {clock.name} ({rate(clock)}), measured values "
+        "by monotone cubics, commands held; motion faster than the rate of a topic is lost. "
+        "Publish all topics from one clock if possible"
     )
     return Diagnostic("resampled", path.name, message)
 
 
 def _silence_warnings(
-    tracks: list[Track], held: Collection[str], grid: FloatArray, path: Path
+    tracks: list[Track], command_columns: Collection[str], grid: FloatArray, path: Path
 ) -> list[Diagnostic]:
     """Warn of commands that stop: the value may be held on purpose, or a node failed."""
     warnings = []
     for track in tracks:
-        if not set(track.columns) <= set(held):
+        if not set(track.columns) <= set(command_columns):
             continue
         ends = np.append(track.time, max(grid[-1], track.time[-1]))
         steps = np.diff(ends)
         usual_step = float(np.median(steps[:-1])) if len(steps) > 1 else float(grid[1] - grid[0])
         k = int(np.argmax(steps))
-        if steps[k] > LARGEST_GAP * usual_step:
+        if steps[k] > MAX_GAP_PERIODS * usual_step:
             message = (
-                f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: its last "
-                "value is held. Check that this is what the drive did"
+                f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: the last "
+                "value is held. Check that the drive held this value"
             )
             warnings.append(Diagnostic("silent-command", path.name, message))
     return warnings

@@ -21,7 +21,7 @@ def is_path(data: object) -> bool:
     return isinstance(data, str | Path)
 
 
-def table_of(data: Any, where: str) -> Table:
+def open_memory_table(data: Any, where: str) -> Table:
     """Open a table in memory: pandas, polars, Arrow, or a mapping of str to (n_samples,).
 
     `where` is the name for messages. Float64 columns are not copied. Raises InvalidInput if `data`
@@ -30,25 +30,25 @@ def table_of(data: Any, where: str) -> Table:
     names = _names(data)
     if names is None:
         raise InvalidInput(
-            f"is no table, but {type(data).__name__}",
+            f"is not a table, but {type(data).__name__}",
             where=where,
-            remedy="give a pandas, polars or Arrow table, a dictionary of arrays, or a path",
+            remedy="pass a pandas, polars or Arrow table, a dictionary of arrays, or a path",
         )
     for index, name in enumerate(names):
         if not isinstance(name, str) or name in names[:index]:
-            problem = "is no text" if not isinstance(name, str) else "stands twice"
+            problem = "is not a string" if not isinstance(name, str) else "occurs twice"
             raise InvalidInput(
                 f"the column name {name!r} {problem}", where=where, remedy="rename the column"
             )
 
-    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
-        columns = {name: _vector(data[name], f"{where}, column {name!r}") for name in wanted}
+    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
+        columns = {name: _vector(data[name], f"{where}, column {name!r}") for name in column_names}
         lengths = sorted({len(column) for column in columns.values()})
         if len(lengths) > 1:
             raise InvalidInput(
                 f"the columns differ in length: {lengths}",
                 where=where,
-                remedy="give all channels at the same instants",
+                remedy="pass one value of each channel per time stamp",
             )
         return columns
 
@@ -72,8 +72,8 @@ def _vector(column: Any, where: str) -> FloatArray:
         values = np.empty(0, dtype=object)
     if values.ndim != 1 or values.dtype.kind not in "fiu":
         raise InvalidInput(
-            f"is no vector of numbers, but {values.dtype} of shape {values.shape}",
+            f"is not a vector of numbers, but {values.dtype} of shape {values.shape}",
             where=where,
-            remedy="give one number per sample",
+            remedy="pass one number per sample",
         )
     return np.ascontiguousarray(values, dtype=np.float64)

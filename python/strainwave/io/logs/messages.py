@@ -18,12 +18,12 @@ _STEP = re.compile(r"([^.\[\]]+)|\[([^\]]*)\]")
 _ELEMENT = "["  # prefix of an index or joint name in a path
 
 
-def parse(text: str) -> Path:
+def parse_field(text: str) -> Path:
     """Parse a field such as "position[joint1]", "data[0]" or "linear_acceleration.y"."""
     return tuple(name or _ELEMENT + inside for name, inside in _STEP.findall(text))
 
 
-def number(message: Any, path: Path) -> float | None:
+def read_number(message: Any, path: Path) -> float | None:
     """Return the number at a path, or None if the message has none."""
     value = message
     try:
@@ -42,7 +42,7 @@ def _index(message: Any, array: Any, inside: str) -> int:
     return names.index(inside) if inside in names else int(inside)
 
 
-def numbers(message: Any) -> list[str]:
+def list_numbers(message: Any) -> list[str]:
     """Return the names of all numbers in a message."""
     return list(_number_names(message, "", joint_names(message)))
 
@@ -53,7 +53,7 @@ def joint_names(message: Any) -> list[str]:
     return [str(name) for name in names] if isinstance(names, (list, tuple)) else []
 
 
-def stamp(message: Any) -> int:
+def read_stamp(message: Any) -> int:
     """Return the stamp of the header [ns], or 0 if it is missing or not set."""
     header = getattr(message, "header", None)
     if header is None:

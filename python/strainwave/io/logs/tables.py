@@ -25,7 +25,7 @@ from strainwave.io.logs import mat
 
 DELIMITERS = (",", ";", "\t")
 """Delimiters of CSV files; the most frequent one in the header applies."""
-LARGEST = 1e60
+MAX_MAGNITUDE = 1e60
 """Largest valid magnitude in any unit; sums of squares of smaller numbers do not overflow."""
 _PROBE_BYTES = 1 << 16  # [bytes] that must contain the header and the first row
 
@@ -58,7 +58,7 @@ def open_table(path: Path) -> Table:
         if name.endswith(suffix):
             return opener(path)
     raise InvalidInput(
-        "is of no known kind",
+        "has an unknown file type",
         where=str(path),
         remedy=f"use a file whose name ends in {', '.join(_OPENERS)}, or a bag",
     )
@@ -88,7 +88,7 @@ def write_table(path: Path, columns: Mapping[str, FloatArray]) -> None:
     write_whole(path.parent, {path.name: gzip.compress(data) if name.endswith(".gz") else data})
 
 
-def release_readers_memory() -> None:
+def release_reader_memory() -> None:
     """Release the unused memory of Arrow's readers, which exceeds that of the columns."""
     arrow = sys.modules.get("pyarrow")
     if arrow is not None:
@@ -110,7 +110,7 @@ def _open_csv_gz(path: Path) -> Table:
         raise InvalidInput(
             f"cannot be unpacked ({error})",
             where=str(path),
-            remedy="the file is no gzip file or was cut off; copy it again",
+            remedy="the file is not a gzip file or is truncated; copy it again",
         ) from error
     return _csv_table(data, path)
 
@@ -125,8 +125,8 @@ def _csv_table(data: bytes, path: Path) -> Table:
     names = _split(header, delimiter)
     _check_header(names, path, skipped + 1)
 
-    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
-        return _read_csv(data, path, names, wanted, delimiter, skipped)
+    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
+        return _read_csv(data, path, names, column_names, delimiter, skipped)
 
     return Table(names, read, lambda row: f"line {_line_of_row(data, row, skipped)}")
 
@@ -138,7 +138,7 @@ def _header_line(data: bytes, path: Path) -> tuple[int, str]:
         if line.strip() and not line.lstrip().startswith(b"#"):
             return number, line.decode("utf-8", errors="replace")
     raise InvalidInput(
-        "has no header line", where=str(path), remedy="name the columns in the first line"
+        "has no header line", where=str(path), remedy="write the column names in the first line"
     )
 
 
@@ -154,7 +154,7 @@ def _check_header(names: Sequence[str], path: Path, line: int) -> None:
     where = f"{path}, line {line}"
     if all(_is_number(name) for name in names):
         raise InvalidInput(
-            "the first line holds numbers, not the columns' names",
+            "the first line contains numbers, not column names",
             where=where,
             remedy="add a header line",
         )
@@ -177,7 +177,7 @@ def _read_csv(
     data: bytes,
     path: Path,
     names: Sequence[str],
-    wanted: Sequence[str],
+    column_names: Sequence[str],
     delimiter: str,
     skipped: int,
 ) -> dict[str, FloatArray]:
@@ -193,17 +193,17 @@ def _read_csv(
             ),
             parse_options=pa.csv.ParseOptions(delimiter=delimiter),
             convert_options=pa.csv.ConvertOptions(
-                column_types={name: pa.float64() for name in wanted},
-                include_columns=list(wanted),
+                column_types={name: pa.float64() for name in column_names},
+                include_columns=list(column_names),
                 null_values=[],
                 decimal_point=point,
             ),
         )
-        return {name: _values(table[name]) for name in wanted}
+        return {name: _values(table[name]) for name in column_names}
     except (pa.ArrowException, ValueError) as error:
-        _raise_first_fault(data, path, names, wanted, delimiter, skipped, point)
+        _raise_first_fault(data, path, names, column_names, delimiter, skipped, point)
         raise InvalidInput(
-            f"cannot be read as CSV ({error})", where=str(path), remedy="write it anew"
+            f"cannot be read as CSV ({error})", where=str(path), remedy="write it again"
         ) from error
 
 
@@ -229,14 +229,14 @@ def _raise_first_fault(
     data: bytes,
     path: Path,
     names: Sequence[str],
-    wanted: Sequence[str],
+    column_names: Sequence[str],
     delimiter: str,
     skipped: int,
     point: str,
 ) -> None:
     """Read line by line, and raise InvalidInput at the first invalid line."""
     lines = data.decode("utf-8", errors="replace").splitlines()
-    columns = {name: names.index(name) for name in wanted}
+    columns = {name: names.index(name) for name in column_names}
     last = len(lines)
     while last and not lines[last - 1].strip():
         last -= 1
@@ -249,10 +249,10 @@ def _raise_first_fault(
         if len(fields) != len(names):
             is_cut_off = number == last
             raise InvalidInput(
-                f"{'the log is cut off: ' if is_cut_off else ''}{len(fields)} values where the "
+                f"{'the log is truncated: ' if is_cut_off else ''}{len(fields)} values where the "
                 f"header names {len(names)} columns",
                 where=where,
-                remedy="delete that line" if is_cut_off else "mend that line",
+                remedy="delete this line" if is_cut_off else "correct this line",
             )
         for name, index in columns.items():
             _check_number(fields[index].replace(point, "."), f"{where}, column {name!r}")
@@ -261,10 +261,14 @@ def _raise_first_fault(
 def _check_number(text: str, where: str) -> None:
     if not text:
         raise InvalidInput(
-            "there is no value", where=where, remedy="delete that line or leave out its time"
+            "there is no value",
+            where=where,
+            remedy="delete this line, or exclude it with start and stop",
         )
     if not _is_number(text) or "_" in text:
-        raise InvalidInput(f"{text[:40]!r} is no number", where=where, remedy="mend that value")
+        raise InvalidInput(
+            f"{text[:40]!r} is not a number", where=where, remedy="correct the value"
+        )
 
 
 def _line_of_row(data: bytes, row: int, skipped: int) -> int:
@@ -292,12 +296,12 @@ def _open_parquet(path: Path) -> Table:
     except (pa.ArrowException, OSError, ValueError) as error:
         raise _damaged_parquet(path, error) from error
 
-    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
+    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
         try:
-            table = file.read(columns=list(wanted))
+            table = file.read(columns=list(column_names))
         except (pa.ArrowException, OSError, ValueError) as error:
             raise _damaged_parquet(path, error) from error
-        return {name: _numbers(table[name], f"{path}, column {name!r}") for name in wanted}
+        return {name: _numbers(table[name], f"{path}, column {name!r}") for name in column_names}
 
     _check_header(names, path, 1)
     return Table(names, read)
@@ -305,9 +309,9 @@ def _open_parquet(path: Path) -> Table:
 
 def _damaged_parquet(path: Path, error: Exception) -> InvalidInput:
     return InvalidInput(
-        f"is no Parquet file, or a damaged one ({str(error).splitlines()[0][:100]})",
+        f"is not a Parquet file, or is damaged ({str(error).splitlines()[0][:100]})",
         where=str(path),
-        remedy="write it anew",
+        remedy="write it again",
     )
 
 
@@ -316,12 +320,12 @@ def _numbers(column: Any, where: str) -> FloatArray:
 
     if not (pa.types.is_integer(column.type) or pa.types.is_floating(column.type)):
         raise InvalidInput(
-            f"holds {column.type}, not numbers", where=where, remedy="store it as float64"
+            f"contains {column.type}, not numbers", where=where, remedy="store it as float64"
         )
     if column.null_count:
         row = np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0]
         raise InvalidInput(
-            "there is no value", where=f"{where}, row {row + 1}", remedy="leave out that row"
+            "there is no value", where=f"{where}, row {row + 1}", remedy="remove this row"
         )
     return _values(column)
 
@@ -346,12 +350,12 @@ def _open_mat(path: Path) -> Table:
     except (ValueError, zlib.error, struct.error) as error:
         raise _damaged_mat(error, path) from error
 
-    def read(wanted: Sequence[str]) -> dict[str, FloatArray]:
-        for name in wanted:
+    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
+        for name in column_names:
             if not names[name]:
                 raise _no_vector("not an array of real numbers", name, path)
         try:
-            variables = mat.read(data, wanted)
+            variables = mat.read(data, column_names)
         except Exception as error:  # SciPy's reader raises arbitrary exceptions on a damaged file
             raise _damaged_mat(error, path) from error
         return _vectors(variables, path)
@@ -361,9 +365,9 @@ def _open_mat(path: Path) -> Table:
 
 def _damaged_mat(error: Exception, path: Path) -> InvalidInput:
     return InvalidInput(
-        f"is no MAT file, or a damaged one ({str(error)[:100]})",
+        f"is not a MAT file, or is damaged ({str(error)[:100]})",
         where=str(path),
-        remedy="save it anew, with -v7 or -v7.3",
+        remedy="save it again with -v7 or -v7.3",
     )
 
 
@@ -388,9 +392,9 @@ def _open_hdf5(path: Path) -> Table:
             file.visititems(visit)
     except Exception as error:  # HDF5 raises arbitrary exceptions on a damaged file
         raise InvalidInput(
-            f"is no HDF5 file, or a damaged one ({str(error)[:100]})",
+            f"is not an HDF5 file, or is damaged ({str(error)[:100]})",
             where=str(path),
-            remedy="write it anew",
+            remedy="write it again",
         ) from error
     return Table(
         list(datasets), lambda names: _vectors({n: datasets[n] for n in names}, path), _element
@@ -403,7 +407,7 @@ def _element(row: int) -> str:
 
 def _no_vector(what: str, name: str, path: Path) -> InvalidInput:
     return InvalidInput(
-        f"is no vector of numbers, but {what}",
+        f"is not a vector of numbers, but {what}",
         where=f"{path}, variable {name!r}",
         remedy="store one vector for each channel",
     )
@@ -422,14 +426,14 @@ def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
         raise InvalidInput(
             f"the variables differ in length: {sorted(lengths)}",
             where=str(path),
-            remedy="store all channels at the same instants",
+            remedy="store one value of each channel per time stamp",
         )
     return columns
 
 
-def first_impossible(values: FloatArray) -> int | None:
+def find_invalid_value(values: FloatArray) -> int | None:
     """Return the index of the first NaN, infinity or value of at least LARGEST, or None."""
-    is_valid = np.abs(values) < LARGEST
+    is_valid = np.abs(values) < MAX_MAGNITUDE
     return None if is_valid.all() else int(np.argmin(is_valid))
 
 
