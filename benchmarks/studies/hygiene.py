@@ -29,7 +29,7 @@ from strainwave.io.study import read_study
 from strainwave.pipeline import identify
 from strainwave.signals import hygiene
 from strainwave.virtual.families import catalogue
-from strainwave.virtual.families.sensor_defects import SIZES, Injected, injected
+from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, Injected, injected
 
 _OF_INTEREST = ("inertia", "alpha", "beta", "gamma", "gear_stiffness")
 _MAX_CHANGE = 0.01  # harmless relative change of a value
@@ -96,7 +96,7 @@ def false_alarms(path: Path, _: Values) -> dict[str, Any]:
 
 def _inject(studies: Sequence[Clean], runs: int, seed: int) -> Iterator[tuple[Clean, Injected]]:
     """Defects of every kind and size, each in one of the studies."""
-    for kind, (_, sizes) in SIZES.items():
+    for kind, (_, sizes) in DEFECT_SIZES.items():
         for size in sizes:
             for run in range(runs):
                 rng = np.random.default_rng([seed, run, int(1000 * size)])
@@ -113,7 +113,7 @@ def _detection_table(studies: Sequence[Clean], runs: int, seed: int) -> Table:
     table = Table("defect", "size", "", "drawn", "named %", box=None)
     for (kind, size), detected in counts.items():
         share = f"{100.0 * np.mean(detected):.0f}"
-        table.add_row(kind, f"{size:g}", SIZES[kind][0], str(len(detected)), share)  # type: ignore[index]
+        table.add_row(kind, f"{size:g}", DEFECT_SIZES[kind][0], str(len(detected)), share)  # type: ignore[index]
     return table
 
 
@@ -137,7 +137,7 @@ def _changes(studies: Sequence[Clean], runs: int, seed: int) -> Iterator[tuple[s
         corrected, harms_with = _largest_change(clean_values, _identify(clean, defect.logs))
         yield (
             defect.kind,
-            f"{defect.size:g} {SIZES[defect.kind][0]}",
+            f"{defect.size:g} {DEFECT_SIZES[defect.kind][0]}",
             f"{clean.study.path.parent.name}, {defect.record}, {defect.channel}",
             without,
             corrected,

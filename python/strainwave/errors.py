@@ -13,7 +13,7 @@ class StrainwaveError(Exception):
 
 
 class InvalidInput(StrainwaveError):  # noqa: N818 - named after the condition
-    """The input is at fault (exit code 2).
+    """The input is invalid (exit code 2).
 
     `problem` and `remedy` are clauses without a full stop. `where` names the file and, within it,
     the row, column or key.
@@ -58,8 +58,8 @@ class Cancelled(StrainwaveError):  # noqa: N818
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Hint at the known name closest to a misspelled one: `; did you mean '...'?`, or ""."""
-    spellings = {name.casefold(): name for name in known}
+    """Suggest the known name closest to a misspelled name: `; did you mean '...'?`, or ""."""
+    spellings = {spelling.casefold(): spelling for spelling in known}
     matches = difflib.get_close_matches(name.casefold(), list(spellings), n=1, cutoff=0.6)
     return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
 

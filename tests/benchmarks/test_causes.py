@@ -19,7 +19,7 @@ from benchmarks.studies.causes.tables import tables
 
 from strainwave.domain import FloatArray
 from strainwave.dynamics.arm import Arm
-from strainwave.virtual.families.causes import NOTHING, OwnPlant
+from strainwave.virtual.families.causes import NO_CAUSE, OwnPlant
 from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.plans import Plan
 from strainwave.virtual.records import Simulator
@@ -28,7 +28,7 @@ SAMPLES = 400
 FINE_COUNTS = 1e12  # per motor turn, so that quantisation does not matter
 DIFFERENT = ("tilt", "flexible-link", "drive-lag")
 """Causes with other parameters in MuJoCo (angle, stiffness, current loop) than our effects."""
-SHARED = tuple(name for name in causes("own") if name not in (NOTHING, *DIFFERENT))
+SHARED = tuple(name for name in causes("own") if name not in (NO_CAUSE, *DIFFERENT))
 
 
 def horizontal(name: str, joint: int | None = None) -> Run:
@@ -80,7 +80,7 @@ def test_both_simulators_agree_on_a_cause(name: str) -> None:
         sizes = {**run.cause.sizes, "sliding_frequency": 1000.0}
         run = replace(run, cause=replace(run.cause, sizes=sizes))
     k, plan = excitation(run)
-    none = replace(run.cause, name=NOTHING)
+    none = replace(run.cause, name=NO_CAUSE)
     ours, ours_clean = (encoder(run, OwnPlant(cause, k), plan) for cause in (run.cause, none))
     theirs, theirs_clean = (encoder(run, InMujoco(cause, k), plan) for cause in (run.cause, none))
     effect = ours - ours_clean
@@ -98,7 +98,7 @@ def test_a_slow_drive_is_a_current_loop_of_low_bandwidth() -> None:
     joints = list(arm.joints)
     joints[index] = replace(joints[index], current_loop_hz=run.cause.sizes["bandwidth"])
     study = replace(run.rig.study, arm=replace(arm, joints=tuple(joints)))
-    slow, none = replace(run, rig=replace(run.rig, study=study)), replace(run.cause, name=NOTHING)
+    slow, none = replace(run, rig=replace(run.rig, study=study)), replace(run.cause, name=NO_CAUSE)
     ours, ours_clean = (encoder(each, OwnPlant(none, k), plan) for each in (slow, run))
     theirs, theirs_clean = (encoder(run, InMujoco(cause, k), plan) for cause in (run.cause, none))
     difference = np.linalg.norm(theirs - theirs_clean - (ours - ours_clean))
@@ -113,7 +113,7 @@ def relative_change(run: Run, stiffness: float) -> float:
     k, plan = excitation(run)
     sizes = {**run.cause.sizes, "stiffness": stiffness}
     flexible = encoder(run, InMujoco(replace(run.cause, sizes=sizes), k), plan)
-    rigid = encoder(run, InMujoco(replace(run.cause, name=NOTHING), k), plan)
+    rigid = encoder(run, InMujoco(replace(run.cause, name=NO_CAUSE), k), plan)
     return float(np.linalg.norm(flexible - rigid) / np.linalg.norm(rigid - rigid[0]))
 
 
@@ -125,7 +125,7 @@ def test_every_cause_changes_the_motion_of_a_vertical_arm(name: str) -> None:
     k, plan = excitation(replace(run, cause=replace(run.cause, joint=2)))
     with_cause, clean = (
         encoder(run, InMujoco(cause, k), plan)
-        for cause in (run.cause, replace(run.cause, name=NOTHING))
+        for cause in (run.cause, replace(run.cause, name=NO_CAUSE))
     )
     assert np.all(np.isfinite(with_cause))
     assert np.ptp(with_cause - clean) > 0.0 or name in ("encoder-zero", "sensor-mount")
@@ -139,7 +139,7 @@ def test_a_stiff_flexible_link_is_a_rigid_one(joint: int) -> None:
 
 
 def test_a_clean_arm_is_determined_without_a_named_effect() -> None:
-    result = evaluate(draw_run(NOTHING, 3), engine="own", series=0)
+    result = evaluate(draw_run(NO_CAUSE, 3), engine="own", series=0)
     assert result["plain"]["status"] == "determined"
     assert result["plain"]["named"] is None
     assert not matters(result)
@@ -220,7 +220,7 @@ def test_tables_count_named_effects() -> None:
     runs = [
         result_of("backlash", 1.03, ["backlash", 1]),
         result_of("backlash", 1.03, ["stribeck", 1]),
-        result_of(NOTHING, 1.0, None),
+        result_of(NO_CAUSE, 1.0, None),
     ]
     naming, accuracy, confusion, alarms = tables(runs)
     assert naming.rows[0][:6] == ("backlash", "2", "2", "2", "1", "0")

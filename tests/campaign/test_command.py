@@ -14,7 +14,7 @@ from campaign_rigs import log, rig, rigs
 from command_line import run_here
 from strainwave.campaign import Settings, _undetermined
 from strainwave.campaign import run as run_campaign
-from strainwave.campaign.progress import MAX_LISTED, Tally, _display, cause
+from strainwave.campaign.progress import MAX_LISTED_RUNS, Tally, _display, cause
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import Outcome
 
@@ -175,7 +175,7 @@ def test_many_undetermined_runs_are_summarised(tmp_path: Path) -> None:
         tally.add(outcome("failed", f"/rigs/{number}/motion.csv: has {number} rows. Remedy: more"))
     lines = list(_undetermined(tally, Store.at(tmp_path)))
     assert lines[0] == "  50 failed: ... has # rows."
-    assert len(lines) == 1 + MAX_LISTED + 1
+    assert len(lines) == 1 + MAX_LISTED_RUNS + 1
     assert lines[1].startswith("  s: failed (exit code 3): /rigs/0/motion.csv: has 0 rows. [")
     assert lines[-1] == "  ... and 30 more: see sw.read_runs"
 

@@ -26,7 +26,7 @@ from hypothesis import strategies as st
 import strainwave as sw
 from campaign_records import DAY, record, write_many
 from strainwave.campaign.places import Folder
-from strainwave.campaign.schema import PARAMETERS, RUNS
+from strainwave.campaign.schema import PARAMETERS_SCHEMA, RUNS_SCHEMA
 from strainwave.campaign.store import Record, Store
 
 
@@ -172,7 +172,7 @@ def test_duckdb_pandas_and_polars_read_the_same_rows(tmp_path: Path) -> None:
     store.write(record("c", 2.0))
     store.merge()
     store.write(Record({"run": "d", "started": DAY, "warnings": ["clipped"], "tuned_s": 1.0}))
-    for kind, schema in (("runs", RUNS), ("parameters", PARAMETERS)):
+    for kind, schema in (("runs", RUNS_SCHEMA), ("parameters", PARAMETERS_SCHEMA)):
         pattern = str(tmp_path / kind / "*.parquet")
         own: pa.Table = store.table(kind)
         assert own.schema.equals(schema)
@@ -193,17 +193,19 @@ def test_columns_that_an_earlier_version_lacks_are_null(tmp_path: Path) -> None:
     assert runs(tmp_path) == ["new", "old"]
     Store.at(tmp_path).merge()
     assert runs(tmp_path) == ["new", "old"]
-    assert sw.read_runs(tmp_path).schema.equals(RUNS)
+    assert sw.read_runs(tmp_path).schema.equals(RUNS_SCHEMA)
 
 
 def test_ten_thousand_runs_are_listed_in_a_second(tmp_path: Path) -> None:
     """Merged except for the last thousand, as after a campaign."""
     rows = [record(f"run-{number:05d}", number).row for number in range(9000)]
     (tmp_path / "runs").mkdir()
-    pq.write_table(pa.Table.from_pylist(rows, schema=RUNS), tmp_path / "runs" / "part-0.parquet")
+    pq.write_table(
+        pa.Table.from_pylist(rows, schema=RUNS_SCHEMA), tmp_path / "runs" / "part-0.parquet"
+    )
     store = Store.at(tmp_path)
     for number in range(9000, 9990):
-        row = pa.Table.from_pylist([record(f"run-{number:05d}").row], schema=RUNS)
+        row = pa.Table.from_pylist([record(f"run-{number:05d}").row], schema=RUNS_SCHEMA)
         pq.write_table(row, tmp_path / "runs" / f"run-{number:05d}.parquet")
     begin = time.perf_counter()
     found = store.table("runs", ["run", "study", "status"])

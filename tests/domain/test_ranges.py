@@ -8,7 +8,7 @@ from strainwave.domain import ArmDescription, Joint, Parameter
 from strainwave.domain.ranges import implausible_joints, is_physical
 from strainwave.virtual.families.catalogue import drawn
 
-GEARS = {
+GEAR_CATALOGUE = {
     8: (440.0, 1200.0),
     11: (2200.0, 4400.0),
     14: (3400.0, 7100.0),
@@ -30,9 +30,9 @@ def value(name: str, size: float, unit: str = "N m/rad") -> Parameter:
     return Parameter(name, 1, size, 0.01 * size, unit, "tuned")
 
 
-@pytest.mark.parametrize("size", GEARS)
+@pytest.mark.parametrize("size", GEAR_CATALOGUE)
 def test_every_gear_of_the_catalogue_is_plausible(size: int) -> None:
-    for stiffness in GEARS[size]:
+    for stiffness in GEAR_CATALOGUE[size]:
         assert not list(implausible_joints(arm(), [value("gear_stiffness", stiffness)]))
 
 

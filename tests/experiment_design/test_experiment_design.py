@@ -22,12 +22,12 @@ from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
-from strainwave.experiment_design.band import LINES, band_of
+from strainwave.experiment_design.band import MIN_RESONANCE_LINES, band_of
 from strainwave.experiment_design.plan import LimitBroken, Limits, limits_of
 from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.summary import print_design
 from strainwave.experiment_design.voltages import voltage_record
-from strainwave.experiment_design.written import HEADER, write
+from strainwave.experiment_design.written import HEADER_FILE, write
 from strainwave.io import logs
 from strainwave.io.logs.tables import open_table
 from strainwave.io.study import read_study
@@ -193,7 +193,7 @@ def test_a_prbs_covers_the_band(designed: design.Design, joint: int) -> None:
     frequency = np.fft.rfftfreq(len(held), prbs.clock / 10.0)
     inside = (frequency >= band.low_hz) & (frequency <= band.high_hz)
     assert power[inside].min() > 0.5 * power[inside].max()
-    assert frequency[1] <= band.width_hz / LINES
+    assert frequency[1] <= band.width_hz / MIN_RESONANCE_LINES
     assert frequency[1] <= band.low_hz
 
 
@@ -512,7 +512,7 @@ def test_written_designs_read_back(designed: design.Design, tmp_path: Path) -> N
     again = read_study(tmp_path / "study.toml", logs_exist=False)
     assert again.experiments == designed.study.experiments
     assert again.arm.joints == STUDY.arm.joints
-    header = (tmp_path / HEADER).read_text()
+    header = (tmp_path / HEADER_FILE).read_text()
     for record in designed.records:
         table = open_table(tmp_path / command_table.table_name(record.experiment))
         columns = table.read(table.names)

@@ -17,7 +17,7 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.export import IdentifiedArm
-from strainwave.export.flat import PREFIX, entries, to_c_header, to_json
+from strainwave.export.flat import HEADER_PREFIX, entries, to_c_header, to_json
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def compiled(header: bytes, source: str, folder: Path) -> str:
 def test_a_program_with_the_header_has_the_numbers(arm: IdentifiedArm, tmp_path: Path) -> None:
     assert "gamma" in dict(name for name, _ in arm.values.items())  # a function of <math.h>
     reported = [entry for entry in entries(arm) if entry.value is not None]
-    prints = "".join(f'printf("%.17g\\n", {PREFIX}{entry.name});' for entry in reported)
+    prints = "".join(f'printf("%.17g\\n", {HEADER_PREFIX}{entry.name});' for entry in reported)
     source = f"int main(void) {{ {prints} return 0; }}\n"
     printed = compiled(to_c_header(arm).data, source, tmp_path)
     assert [float(line) for line in printed.split()] == [entry.value for entry in reported]

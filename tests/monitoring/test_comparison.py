@@ -16,7 +16,7 @@ import strainwave as sw
 from compared_results import NAMES, covariance, drawn, estimates, write
 from strainwave.domain import Parameter
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.monitoring.comparison import DIFFERS, SAME, ResultComparison, compare
+from strainwave.monitoring.comparison import AGREES, DIFFERS, ResultComparison, compare
 from strainwave.monitoring.estimates import (
     Estimates,
     degrees_of_freedom,
@@ -58,7 +58,7 @@ def test_a_loss_of_two_percent_of_stiffness_is_detected() -> None:
     comparison = pair(np.random.default_rng(5), factor=0.98)
     assert comparison.differs
     verdicts = {one.first.label: comparison.verdict(one) for one in comparison.pairs[0].parameters}
-    assert verdicts == {name: DIFFERS if name == "gear_stiffness 1" else SAME for name in NAMES}
+    assert verdicts == {name: DIFFERS if name == "gear_stiffness 1" else AGREES for name in NAMES}
     one = comparison.pairs[0].parameters[1]
     assert one.percent == pytest.approx(-2.0, abs=0.8)
     assert one.z == pytest.approx(one.change / one.std)
@@ -72,7 +72,7 @@ def test_changes_are_detected_by_their_sum() -> None:
     for one, two in zip(first["parameters"], second["parameters"], strict=True):
         one["value"], two["value"] = 10.0, 10.5
     comparison = compare([estimates(first, "a"), estimates(second, "b")])
-    assert all(comparison.verdict(one) == SAME for one in comparison.pairs[0].parameters)
+    assert all(comparison.verdict(one) == AGREES for one in comparison.pairs[0].parameters)
     assert comparison.pairs[0].joint is not None
     assert comparison.verdict(comparison.pairs[0].joint) == DIFFERS
     assert comparison.differs

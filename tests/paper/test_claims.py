@@ -13,7 +13,7 @@ from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model import linear
 from strainwave.paper import (
-    PUBLISHED,
+    PUBLISHED_SETTINGS,
     ComparisonOptions,
     amplitude,
     compare,
@@ -25,7 +25,7 @@ from strainwave.paper import (
 )
 from strainwave.paper.estimates import LINES_HZ, distance_db, response_of
 from strainwave.paper.rig import Rig, Tuned
-from strainwave.paper.settings import CLASSICAL
+from strainwave.paper.settings import CLASSICAL_METHOD
 from strainwave.paper.truth import joint_with
 from strainwave.virtual import scara
 
@@ -210,7 +210,7 @@ def test_outcomes_do_not_depend_on_blas_threads() -> None:
 
 
 def test_the_published_settings_match_the_source() -> None:
-    rig = Rig(1, PUBLISHED)
+    rig = Rig(1, PUBLISHED_SETTINGS)
     run = rig.prbs(1)
     assert run.log.sample_time == 2.5e-5
     assert len(run.log) == 40920  # one period of 1.023 s
@@ -218,12 +218,12 @@ def test_the_published_settings_match_the_source() -> None:
     assert model is not None
     assert (model.order, model.method) == (4, "pem")
     assert model.sample_time == pytest.approx(2e-3)
-    assert rig.estimate(run, method=CLASSICAL).evidence.status == "estimated"
+    assert rig.estimate(run, method=CLASSICAL_METHOD).evidence.status == "estimated"
 
 
 def test_the_published_claims_can_be_shown_and_fail() -> None:
     options = ComparisonOptions(figures=(2, 10), amplitudes=(10.0,))
-    stiffest, decoupled = compare(seed=1, settings=PUBLISHED, options=options)
+    stiffest, decoupled = compare(seed=1, settings=PUBLISHED_SETTINGS, options=options)
     assert decoupled.outcome == "shown"
     assert decoupled.protocol == stiffest.protocol == "as-published"
     assert stiffest.outcome == "does-not-hold"
@@ -238,9 +238,9 @@ def test_held_inputs_give_unstable_models(monkeypatch: pytest.MonkeyPatch) -> No
         return [replace(piece, hold=("zero", "zero")) for piece in decimate(record, band, options)]
 
     decimate = linear._decimated
-    run = Rig(0, PUBLISHED).prbs(1)
+    run = Rig(0, PUBLISHED_SETTINGS).prbs(1)
     monkeypatch.setattr(linear, "_decimated", held)
-    model = linear.state_space_of(run.decoupled, PUBLISHED.linear)
+    model = linear.state_space_of(run.decoupled, PUBLISHED_SETTINGS.linear)
     assert np.abs(np.linalg.eigvals(model.A)).max() > 1.05
 
 

@@ -15,7 +15,7 @@ from benchmarks.studies.causes.runs import causes
 from benchmarks.studies.causes.stated_causes import STATED, evaluate_stated, stated_table
 from benchmarks.studies.causes.tables import tables
 from strainwave import __version__
-from strainwave.virtual.families.causes import NOTHING
+from strainwave.virtual.families.causes import NO_CAUSE
 
 _WIDTH = 200
 
@@ -40,8 +40,8 @@ def main() -> None:
     arguments = parser.parse_args()
     engine: Engine = arguments.engine
     available = causes(engine)
-    names = (NOTHING,) if arguments.clean else tuple(arguments.only or available)
-    unknown = set(names) - {NOTHING, *available}
+    names = (NO_CAUSE,) if arguments.clean else tuple(arguments.only or available)
+    unknown = set(names) - {NO_CAUSE, *available}
     if unknown:
         parser.error(f"no such cause: {', '.join(sorted(unknown))}; known: {', '.join(available)}")
     options = {"engine": engine, "with_effect": not arguments.plain, "auto": arguments.auto}

@@ -18,7 +18,7 @@ from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.effects import effects_among
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
-from strainwave.virtual.families.causes import NOTHING, Cause, OwnPlant
+from strainwave.virtual.families.causes import NO_CAUSE, Cause, OwnPlant
 from strainwave.virtual.families.short_records import plans
 from strainwave.virtual.records import Simulator, record_experiment
 
@@ -65,7 +65,7 @@ def evaluate(
         "plain": _identify(run.rig.study, logs, run),
     }
     if not _all_accurate(result["plain"]):
-        healthy = replace(run, cause=Cause(NOTHING, run.cause.joint, {}))
+        healthy = replace(run, cause=Cause(NO_CAUSE, run.cause.joint, {}))
         result["healthy"] = _identify(
             run.rig.study, simulate_logs(healthy, engine, series), healthy
         )
@@ -237,7 +237,7 @@ def naming_outcome(result: dict[str, Any]) -> str:
         return "input fault" if _FAULTS.get(result["cause"]) in suspected else "refused"
     if named is None:
         return "nothing"
-    if result["cause"] == NOTHING or named[0] != result["cause"]:
+    if result["cause"] == NO_CAUSE or named[0] != result["cause"]:
         return "another"
     at_joint = named[1] == result["joint"] or result["cause"] in _SHARED
     return "effect and joint" if at_joint else "effect"

@@ -22,7 +22,7 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
 from strainwave.virtual.families.causes import (
-    NOTHING,
+    NO_CAUSE,
     Cause,
     with_encoder_zero,
     with_sensor_mount,
@@ -404,7 +404,7 @@ def _shift(element: ET.Element, away: float) -> None:
 
 
 _PLANTS: dict[str, Callable[..., Plant]] = {
-    NOTHING: _FaultyArm,
+    NO_CAUSE: _FaultyArm,
     "stribeck": _Stribeck,
     "hysteresis": _Hysteresis,
     "kinematic-error": _KinematicError,
@@ -426,5 +426,5 @@ _PLANTS: dict[str, Callable[..., Plant]] = {
     "flexible-link": _FlexibleLink,
     "soft-base": _SoftBase,
 }
-CAUSES = tuple(name for name in _PLANTS if name != NOTHING)
+CAUSES = tuple(name for name in _PLANTS if name != NO_CAUSE)
 """Causes that MuJoCo can simulate."""

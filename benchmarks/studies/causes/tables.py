@@ -18,7 +18,7 @@ from benchmarks.studies.causes.evaluation import (
     naming_outcome,
     selection_outcome,
 )
-from strainwave.virtual.families.causes import NOTHING
+from strainwave.virtual.families.causes import NO_CAUSE
 
 _NOT_NAMED = "nothing"
 _FITS = ("plain", "with_effect", "auto")
@@ -50,8 +50,8 @@ class TextTable:
 
 def tables(results: Sequence[dict[str, Any]]) -> list[TextTable]:
     """All tables of some runs."""
-    with_cause = [result for result in results if result["cause"] != NOTHING]
-    clean = [result for result in results if result["cause"] == NOTHING]
+    with_cause = [result for result in results if result["cause"] != NO_CAUSE]
+    clean = [result for result in results if result["cause"] == NO_CAUSE]
     text_tables = []
     if with_cause:
         text_tables += [_naming(with_cause), _accuracy(with_cause), _confusion(with_cause)]

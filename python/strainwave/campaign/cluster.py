@@ -25,7 +25,7 @@ from strainwave.campaign.plan import Plan
 from strainwave.campaign.rows import now
 from strainwave.campaign.runner import Runner, failed
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED, Limits, Outcome, Task
+from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError, require
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.toml_files import check_keys, parsed_toml
@@ -58,7 +58,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     task = Task.from_json(line)
     recorded = _store(task.store).recorded(task.run)
     if recorded and (
-        recorded.status != FAILED or recorded.started >= datetime.fromisoformat(since)
+        recorded.status != FAILED_STATUS or recorded.started >= datetime.fromisoformat(since)
     ):
         return Outcome.of(task.run, task.case.name, recorded).to_json()
     if getattr(_thread, "limits", None) != limits:

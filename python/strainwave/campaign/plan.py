@@ -8,7 +8,7 @@ from typing import Any
 
 from strainwave.campaign.cases import Case
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED, Outcome, Task, merged
+from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task, merged
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,6 @@ class Plan:
             campaign=self.campaign,
         )
         recorded = self.store.recorded(task.run)
-        if recorded is None or (self.retry_failed and recorded.status == FAILED):
+        if recorded is None or (self.retry_failed and recorded.status == FAILED_STATUS):
             return task
         return Outcome.of(task.run, case.name, recorded, skipped=True)

@@ -10,15 +10,21 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
-from strainwave.campaign.tasks import FAILED, Outcome
+from strainwave.campaign.tasks import FAILED_STATUS, Outcome
 
 _PATH = re.compile(r"\S*/\S*|\S+\.(?:toml|csv|parquet)\S*")
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:e[-+]?\d+)?")
 _MAX_CAUSE_LENGTH = 90  # characters: one line of a terminal
 _MAX_CAUSES = 6  # displayed
-MAX_LISTED = 20
+MAX_LISTED_RUNS = 20
 """Undetermined runs that are listed by name: a screen."""
-STATUSES = ("determined", "partly-determined", "not-determined", "inconsistent-input", FAILED)
+STATUSES = (
+    "determined",
+    "partly-determined",
+    "not-determined",
+    "inconsistent-input",
+    FAILED_STATUS,
+)
 
 
 @dataclass
@@ -40,7 +46,7 @@ class Tally:
         self.by_status[outcome.status] += 1
         if outcome.status != "determined":
             self.by_cause[outcome.status, cause(outcome.message)] += 1
-            if len(self.undetermined) < MAX_LISTED:
+            if len(self.undetermined) < MAX_LISTED_RUNS:
                 self.undetermined.append(outcome)
 
     @property

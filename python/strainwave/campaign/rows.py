@@ -10,9 +10,9 @@ from datetime import UTC, datetime
 from typing import Any
 
 from strainwave.campaign.cases import Opened
-from strainwave.campaign.schema import TIMED
+from strainwave.campaign.schema import TIMED_PARTS
 from strainwave.campaign.store import Record
-from strainwave.campaign.tasks import FAILED, Task
+from strainwave.campaign.tasks import FAILED_STATUS, Task
 from strainwave.domain import Identification, Parameter
 from strainwave.io.results import to_document, to_json
 
@@ -50,7 +50,7 @@ def record_of(
         "warnings": [entry.code for entry in identification.warnings],
         "classes": json.dumps(dict(opened.classes)) if opened.classes else None,
     }
-    row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED}
+    row |= {f"{part}_s": identification.timing_s.get(part) for part in TIMED_PARTS}
     keys = {"run": task_row["run"], "study": task_row["study"]}
     parameters = [keys | _parameter_row(entry, opened.truth) for entry in identification.parameters]
     return Record(row, parameters, to_json(to_document(identification)))
@@ -63,7 +63,7 @@ def failure_of(
     exit_code: int,
     started: datetime,
     seconds: float,
-    status: str = FAILED,
+    status: str = FAILED_STATUS,
     worker: str = "",
     classes: Mapping[str, Any] | None = None,
 ) -> Record:

@@ -18,10 +18,10 @@ from typing import IO, Any
 
 from strainwave.campaign.rows import failure_of, now, worker_name
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED, Limits, Outcome, Task
+from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput
 
-HUNG = 124
+TIMEOUT_EXIT_CODE = 124
 """Exit code of a run that exceeds its time limit, as of the command `timeout`."""
 _ENTRY = ("-m", "strainwave.campaign.worker")
 _MAX_RESIDENT_MIB = 1024.0  # of a worker between tasks, without a memory limit
@@ -72,7 +72,7 @@ class Runner:
         except _TimeLimitExceeded:
             self._end()
             message = f"took longer than {self._limits.time_s:g} s"
-            code = HUNG
+            code = TIMEOUT_EXIT_CODE
         except _ProcessEnded:
             code, message = self._death()
         else:
@@ -240,7 +240,7 @@ def failed(
     return Outcome(
         run=task.run,
         study=task.case.name,
-        status=FAILED,
+        status=FAILED_STATUS,
         exit_code=exit_code,
         message=message,
         seconds=seconds,

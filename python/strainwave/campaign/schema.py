@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pyarrow as pa
 
-TIMED = ("read", "consistency", "rigid", "decoupled", "tuned", "checks")
+TIMED_PARTS = ("read", "consistency", "rigid", "decoupled", "tuned", "checks")
 """Parts of a run whose time has a column, `read_s` and so on."""
 
-RUNS = pa.schema(
+RUNS_SCHEMA = pa.schema(
     [
         ("run", pa.string()),  # hash of case, inputs, options and version
         ("study", pa.string()),  # path or URL
@@ -31,13 +31,13 @@ RUNS = pa.schema(
         ("validated_elastic", pa.bool_()),
         ("suspected", pa.list_(pa.string())),  # codes
         ("warnings", pa.list_(pa.string())),  # codes
-        *((f"{part}_s", pa.float64()) for part in TIMED),
+        *((f"{part}_s", pa.float64()) for part in TIMED_PARTS),
         ("classes", pa.string()),  # JSON: properties of a virtual arm
     ]
 )
 """One row per run."""
 
-PARAMETERS = pa.schema(
+PARAMETERS_SCHEMA = pa.schema(
     [
         ("run", pa.string()),
         ("study", pa.string()),

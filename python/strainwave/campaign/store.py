@@ -27,7 +27,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from strainwave.campaign.places import Folder, Place, place_of
-from strainwave.campaign.schema import PARAMETERS, RUNS
+from strainwave.campaign.schema import PARAMETERS_SCHEMA, RUNS_SCHEMA
 from strainwave.errors import InvalidInput
 
 MERGE_AFTER = 1000
@@ -35,7 +35,7 @@ MERGE_AFTER = 1000
 _MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are not rewritten
 _MAX_TRIES = 50  # to read a store that other processes merge
 _N_READERS = 8  # threads that read small files; more do not speed up a local disk
-_SCHEMAS = {"runs": RUNS, "parameters": PARAMETERS}
+_SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
 _KEYS = {"runs": ["run"], "parameters": ["run", "name", "joint"]}
 
 Row = Mapping[str, Any]
@@ -83,9 +83,9 @@ class Store:
         OSError if that fails; no part of it can be read then.
         """
         run = record.run
-        files = {f"runs/{run}.parquet": _table_bytes([record.row], RUNS)}
+        files = {f"runs/{run}.parquet": _table_bytes([record.row], RUNS_SCHEMA)}
         if record.result is not None:
-            parameters = _table_bytes(record.parameters, PARAMETERS)
+            parameters = _table_bytes(record.parameters, PARAMETERS_SCHEMA)
             files = {
                 f"results/{run}/result.json": record.result,
                 f"parameters/{run}.parquet": parameters,

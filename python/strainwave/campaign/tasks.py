@@ -13,7 +13,7 @@ from strainwave.campaign.cases import Case
 from strainwave.campaign.kinds import from_json, to_json
 from strainwave.campaign.store import Recorded
 
-FAILED = "failed"
+FAILED_STATUS = "failed"
 """Status of a run without a verdict: wrong input, a crash, or the time limit."""
 
 

@@ -19,7 +19,7 @@ from strainwave.domain.arm import (
     Spring,
 )
 from strainwave.domain.arm_model import (
-    CONDITIONS,
+    CONDITION_TEXTS,
     AgreementTest,
     ArmModel,
     Cause,
@@ -38,7 +38,7 @@ from strainwave.domain.arm_model import (
 )
 from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from strainwave.domain.comparison import (
-    OUTCOMES,
+    OUTCOME_TEXTS,
     Comparison,
     Criterion,
     Evidence,
@@ -127,8 +127,8 @@ from strainwave.domain.verdict import Status, Validation, Verdict
 
 __all__ = [
     "CHANNELS",
-    "CONDITIONS",
-    "OUTCOMES",
+    "CONDITION_TEXTS",
+    "OUTCOME_TEXTS",
     "Activity",
     "AgreementTest",
     "ArmDescription",

@@ -200,7 +200,7 @@ class SuspectConstant:
 Condition = Literal["alone", "others-free", "others-servoed"]
 """State of the other joints while one is driven: no other joint, free, or servo-controlled."""
 
-CONDITIONS: Mapping[Condition, str] = {
+CONDITION_TEXTS: Mapping[Condition, str] = {
     "alone": "on its own",
     "others-free": "the other joint free",
     "others-servoed": "the other joint servoed",

@@ -12,7 +12,7 @@ from strainwave.domain.estimates import Diagnostic
 Outcome = Literal["shown", "not-shown", "does-not-hold"]
 Protocol = Literal["own", "as-published"]
 
-OUTCOMES: dict[Outcome, str] = {
+OUTCOME_TEXTS: dict[Outcome, str] = {
     "shown": "shown",
     "not-shown": "not shown",
     "does-not-hold": "does not hold",
@@ -124,12 +124,12 @@ class Tally:
 
 def outcomes_text(outcomes: Sequence[Outcome]) -> str:
     """Text of one outcome, or of several with counts: "shown 8/10, not shown 2/10"."""
-    counts = {outcome: outcomes.count(outcome) for outcome in OUTCOMES}
+    counts = {outcome: outcomes.count(outcome) for outcome in OUTCOME_TEXTS}
     if len(outcomes) == 1:
-        return OUTCOMES[outcomes[0]]
+        return OUTCOME_TEXTS[outcomes[0]]
     return ", ".join(
         f"{word} {counts[outcome]}/{len(outcomes)}"
-        for outcome, word in OUTCOMES.items()
+        for outcome, word in OUTCOME_TEXTS.items()
         if counts[outcome]
     )
 

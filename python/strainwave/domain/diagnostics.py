@@ -65,14 +65,14 @@ def missing_validation(result: Identification) -> str:
         "of every motor and the servo's references"
     )
     if result.tuned is None:
-        return "there is no whole-arm fit to predict with"
+        return "the run has no whole-arm fit, which predicts the motion"
     if not motion_checks:
         return f"no check record can be simulated; {record}"
     unpredicted = ", ".join(check.experiment for check in motion_checks if check.unexplained)
     if unpredicted:
         return f"the whole-arm fit does not predict {unpredicted}"
     names = ", ".join(dict.fromkeys(check.experiment for check in motion_checks))
-    return f"{names} would be predicted alike with other gear stiffness; {record}"
+    return f"the predictions of {names} do not depend on the gear stiffness; {record}"
 
 
 def merge_by_cause(warnings: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:

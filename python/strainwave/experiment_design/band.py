@@ -11,8 +11,9 @@ from strainwave.domain.parameters import Values, completed
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 
-MARGIN = 5.0  # factor below the anti-resonance and above the resonance
-LINES = 5  # spectral lines in the half-power width of the anti-resonance, to resolve its damping
+BAND_MARGIN = 5.0  # factor below the anti-resonance and above the resonance
+# Spectral lines in the half-power width of the anti-resonance, to resolve its damping.
+MIN_RESONANCE_LINES = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,17 +27,17 @@ class Band:
     @property
     def low_hz(self) -> float:
         """Lower edge of the band."""
-        return self.anti_resonance_hz / MARGIN
+        return self.anti_resonance_hz / BAND_MARGIN
 
     @property
     def high_hz(self) -> float:
         """Upper edge of the band."""
-        return self.resonance_hz * MARGIN
+        return self.resonance_hz * BAND_MARGIN
 
     @property
     def period(self) -> float:
         """Period [s] with `LINES` in the anti-resonance's width and a line at the lower edge."""
-        return max(LINES / self.width_hz, 1.0 / self.low_hz)
+        return max(MIN_RESONANCE_LINES / self.width_hz, 1.0 / self.low_hz)
 
 
 def band_of(arm: Arm, values: Values, joint: int) -> Band | None:

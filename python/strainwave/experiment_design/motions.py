@@ -12,10 +12,10 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.plan import HELD, LimitBroken, Limits, Planned, clock_of
+from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
 from strainwave.experiment_design.predicted_motion import predicted_motion, run
 from strainwave.experiment_design.rigid_motion import (
-    HARMONICS,
+    N_HARMONICS,
     Fourier,
     Motion,
     Search,
@@ -52,7 +52,7 @@ def motion_records(
     if anti_resonance_hz:
         top = min(top, anti_resonance_hz / _MIN_RESONANCE_RATIO)
     tick = clock_of(arm)
-    period = tick * round(HARMONICS / top / tick)
+    period = tick * round(N_HARMONICS / top / tick)
     search = Search(arm, values, limits, period)
     rest = np.zeros((1, arm.n_joints))
     if not search.within((rest, rest, rest)):
@@ -88,13 +88,13 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
         )
     condition = float(condition_number(arm, limits, series.at(search.time)))
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * arm.n_joints),
+        experiment=Experiment(name, f"{name}.csv", use, (HELD_CONTROL,) * arm.n_joints),
         drive=drive,
         motor_angle=angle,
-        band_hz=(1.0 / series.period, HARMONICS / series.period),
+        band_hz=(1.0 / series.period, N_HARMONICS / series.period),
         predicted=motion,
         reasons=(
-            f"{HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
+            f"{N_HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
             f"{condition:.1f} after scaling of columns",
             reason,
             f"{lead:g} s of lead-in and of lead-out",
@@ -153,7 +153,7 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
         return 1, f"{single}; the encoder noise is unknown"
     motion = series.at(search.time)
     phi = full_regressor(arm, motion)
-    bandwidth = _LOW_PASS_RATIO * HARMONICS / series.period
+    bandwidth = _LOW_PASS_RATIO * N_HARMONICS / series.period
     rounding = np.array([2.0 * np.pi / count for count in counts if count])
     density = 2.0 * clock_of(arm) * rounding**2 / 12.0
     acceleration = np.sqrt((2.0 * np.pi) ** 4 * bandwidth**5 / 5.0 * density)

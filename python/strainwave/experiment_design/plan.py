@@ -18,8 +18,8 @@ from strainwave.domain import (
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 
-FREE: Control = "open"
-HELD: Control = "servo"
+FREE_CONTROL: Control = "open"
+HELD_CONTROL: Control = "servo"
 ADD_SERVO = (
     'add the [servo] of the drives to the study: kind = "pi-velocity", period [s], '
     "kp [V s/rad] and ki [V/rad] for each joint, limit [V]"

@@ -18,7 +18,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.plan import Limits
 from strainwave.numerics.parallel import one_blas_thread
 
-HARMONICS = 8  # a period of 8 s or more stays below 1 Hz
+N_HARMONICS = 8  # a period of 8 s or more stays below 1 Hz
 _N_SAMPLES = 128  # per period: 16 per period of the highest harmonic
 _N_RANDOM_SERIES = 60  # the best of them are starting values
 _MAX_ITERATIONS = 40  # of each search
@@ -147,8 +147,8 @@ class Search:
         self.arm, self.limits, self.period = arm, limits, period
         self.vector = arm.parameter_vector(values)
         self.time: FloatArray = period / _N_SAMPLES * np.arange(_N_SAMPLES, dtype=np.float64)
-        self.waves = waves(period, HARMONICS, self.time)
-        self.n_unknowns = arm.n_joints * (2 * HARMONICS + 1)
+        self.waves = waves(period, N_HARMONICS, self.time)
+        self.n_unknowns = arm.n_joints * (2 * N_HARMONICS + 1)
 
     def cost(self, points: FloatArray) -> FloatArray:
         """Logarithm of the condition numbers of the feasible series of points."""
@@ -174,7 +174,7 @@ class Search:
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
         offset = _MAX_OFFSET_SHARE * limit * np.tanh(table[..., :1, :])
-        sine, cosine = table[..., 1 : HARMONICS + 1, :], table[..., HARMONICS + 1 :, :]
+        sine, cosine = table[..., 1 : N_HARMONICS + 1, :], table[..., N_HARMONICS + 1 :, :]
         angle, velocity, acceleration = Fourier(
             self.period, np.zeros_like(offset), sine, cosine
         ).of(self.waves)

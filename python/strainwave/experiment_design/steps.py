@@ -10,7 +10,7 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.experiment_design.band import Band
-from strainwave.experiment_design.plan import HELD, LimitBroken, Limits, Planned, clock_of
+from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
 from strainwave.experiment_design.predicted_motion import predicted_motion, run
 
 _HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
@@ -79,7 +79,9 @@ def _record(
         )
     purpose = "part of the fit" if use == "tuning" else "validation of the elastic model"
     return Planned(
-        experiment=Experiment(name, f"{name}.csv", use, (HELD,) * arm.n_joints, joint=joint),
+        experiment=Experiment(
+            name, f"{name}.csv", use, (HELD_CONTROL,) * arm.n_joints, joint=joint
+        ),
         drive=drive,
         motor_angle=angle,
         band_hz=(1.0 / (len(levels) * hold), 0.5 / drive.tick),

@@ -14,7 +14,7 @@ from strainwave.domain import Study
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.plan import Design, Planned, clock_of
-from strainwave.experiment_design.written import HEADER
+from strainwave.experiment_design.written import HEADER_FILE
 
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
@@ -35,7 +35,7 @@ def print_design(design: Design, folder: Path, *, console: Console | None = None
     for warning in design.warnings:
         text = Text(f"warning [{warning.code}] {warning.where}: {warning.message}")
         console.print(text, style="yellow")
-    for name in (*map(table_name, design.study.experiments), HEADER, "study.toml"):
+    for name in (*map(table_name, design.study.experiments), HEADER_FILE, "study.toml"):
         console.print(Text(f"written: {folder / name}"), soft_wrap=True)
     logs = ", ".join(record.experiment.file for record in design.records)
     console.print(Text(f"to be recorded, next to study.toml: {logs}"), soft_wrap=True)

@@ -15,8 +15,8 @@ from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Traject
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band
 from strainwave.experiment_design.plan import (
-    FREE,
-    HELD,
+    FREE_CONTROL,
+    HELD_CONTROL,
     LimitBroken,
     Limits,
     Planned,
@@ -101,8 +101,8 @@ def voltage_record(
     and LimitBroken if no amplitude satisfies the limits.
     """
     signal = _design_signal(arm, values, band, joint, kind, seed)
-    free: tuple[Control, ...] = (FREE,) * arm.n_joints
-    held: tuple[Control, ...] = (HELD,) * arm.n_joints
+    free: tuple[Control, ...] = (FREE_CONTROL,) * arm.n_joints
+    held: tuple[Control, ...] = (HELD_CONTROL,) * arm.n_joints
     controls: tuple[tuple[Control, ...], ...] = (free, held)
     if arm.gravity:
         controls = (held,)

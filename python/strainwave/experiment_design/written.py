@@ -12,7 +12,7 @@ from strainwave.experiment_design.plan import Design, Planned
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.study import write_study
 
-HEADER = "excitation.h"
+HEADER_FILE = "excitation.h"
 _VALUES_PER_LINE = 8  # of the C header
 
 
@@ -25,7 +25,7 @@ def write(design: Design, folder: Path) -> None:
         table_name(record.experiment): _csv(_columns(design.study, record)).encode()
         for record in design.records
     }
-    contents[HEADER] = _c_header(design).encode()
+    contents[HEADER_FILE] = _c_header(design).encode()
     write_whole(folder, contents)
     study = replace(design.study, path=folder / "study.toml")
     write_study(study, study.path)

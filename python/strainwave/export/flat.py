@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from strainwave.export.omissions import CORRELATIONS, Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
 
-PREFIX = "strainwave_"
+HEADER_PREFIX = "strainwave_"
 """Of every name in the C header; without it `gamma` collides with <math.h>."""
 _JOINT_UNITS = {
     "gear_ratio": "1",
@@ -88,7 +88,7 @@ def to_c_header(arm: IdentifiedArm) -> Export:
 
 
 def _line(entry: Entry) -> str:
-    name, unit = PREFIX + entry.name, _comment(entry.unit)
+    name, unit = HEADER_PREFIX + entry.name, _comment(entry.unit)
     if entry.value is None:
         return f"/* {name} [{unit}] is not identified */"
     std = f"{entry.std:.2g}" if entry.std else "unknown"

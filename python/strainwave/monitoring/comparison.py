@@ -17,7 +17,7 @@ from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-SAME, DIFFERS = "agrees", "differs"
+AGREES, DIFFERS = "agrees", "differs"
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class ResultComparison:
 
     def verdict(self, test: ParameterDifference | JointTest) -> str:
         """`DIFFERS` or `SAME` for one test."""
-        return DIFFERS if test.adjusted_p < self.level else SAME
+        return DIFFERS if test.adjusted_p < self.level else AGREES
 
     @property
     def tests(self) -> tuple[ParameterDifference | JointTest, ...]:

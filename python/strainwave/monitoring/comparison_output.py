@@ -16,15 +16,22 @@ from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.monitoring import output
 from strainwave.monitoring.comparison import (
+    AGREES,
     DIFFERS,
-    SAME,
     Pair,
     ParameterDifference,
     ResultComparison,
 )
 from strainwave.monitoring.joint_tests import JointTest
 from strainwave.monitoring.output import format_p
-from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, Markers, Panel
+from strainwave.presentation.figures import (
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    Axis,
+    Figure,
+    Markers,
+    Panel,
+)
 from strainwave.presentation.report.blocks import (
     Block,
     Cell,
@@ -259,7 +266,7 @@ def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
             colour,
             [k for k, difference in enumerate(shown) if comparison.verdict(difference) == verdict],
         )
-        for verdict, colour in ((DIFFERS, MODEL), (SAME, MEASURED))
+        for verdict, colour in ((DIFFERS, MODEL_COLOUR), (AGREES, MEASURED_COLOUR))
     ]
     upper, lower = [], []
     for verdict, colour, indices in groups:

@@ -15,11 +15,11 @@ from strainwave.paper.document import document_of, to_json
 from strainwave.paper.estimates import evidence_of
 from strainwave.paper.page import to_markdown
 from strainwave.paper.rig import Rig, Tuned
-from strainwave.paper.settings import OWN, PUBLISHED, Settings
+from strainwave.paper.settings import OWN_SETTINGS, PUBLISHED_SETTINGS, Settings
 
 __all__ = [
-    "OWN",
-    "PUBLISHED",
+    "OWN_SETTINGS",
+    "PUBLISHED_SETTINGS",
     "ComparisonOptions",
     "Settings",
     "compare",
@@ -44,7 +44,7 @@ def compare(
     tuned: ArmModel | None = None,
     *,
     seed: int = 0,
-    settings: Settings = OWN,
+    settings: Settings = OWN_SETTINGS,
     options: ComparisonOptions | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Comparison, ...]:
@@ -71,7 +71,7 @@ def compare_seeds(
     seeds: Sequence[int],
     *,
     tuned: ArmModel | None = None,
-    settings: Sequence[Settings] = (OWN,),
+    settings: Sequence[Settings] = (OWN_SETTINGS,),
     options: ComparisonOptions | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> tuple[Tally, ...]:

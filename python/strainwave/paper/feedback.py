@@ -27,7 +27,7 @@ from strainwave.paper.estimates import (
     small_error,
 )
 from strainwave.paper.rig import Rig, Run
-from strainwave.paper.settings import CLASSICAL
+from strainwave.paper.settings import CLASSICAL_METHOD
 from strainwave.presentation.figures.curves import bode
 from strainwave.signals.fusion import complement
 
@@ -39,7 +39,7 @@ _END_SHARE = 50  # an end is 1/50 of a record, over which it is averaged
 _LOOPS: tuple[tuple[str, Control], ...] = (("free", "open"), ("servoed", "servo"))
 _METHODS: tuple[tuple[EstimationMethod, str], ...] = (
     ("pem", "prediction-error minimisation"),
-    (CLASSICAL, "the classical subspace method"),
+    (CLASSICAL_METHOD, "the classical subspace method"),
 )
 
 
@@ -68,11 +68,11 @@ def methods(rig: Rig) -> Comparison:
         )
         for loop, _ in _LOOPS
     ]
-    servoed = errors[CLASSICAL, "servoed"].anti_resonance_percent
+    servoed = errors[CLASSICAL_METHOD, "servoed"].anti_resonance_percent
     criteria += [
         small_error(
             "subspace, joint 2 free, error of the anti-resonance [%]",
-            errors[CLASSICAL, "free"].anti_resonance_percent,
+            errors[CLASSICAL_METHOD, "free"].anti_resonance_percent,
             "the torque is computed from the outputs, so that it feeds back while joint 2 is free "
             f"as well; with that loop cut the mean error is {bias['free']:+.1f} %",
         ),
@@ -98,7 +98,7 @@ def methods(rig: Rig) -> Comparison:
             for loop, mean in bias.items()
         },
         message="error of the anti-resonance with joint 2 free, servoed: PEM "
-        f"{_pair(errors, 'pem')} %, subspace {_pair(errors, CLASSICAL)} %; the latter with "
+        f"{_pair(errors, 'pem')} %, subspace {_pair(errors, CLASSICAL_METHOD)} %; the latter with "
         f"feedback cut {bias['free']:+.1f}, {bias['servoed']:+.1f} %",
         plots=tuple(plots),
     )
@@ -115,11 +115,13 @@ def _pair(errors: dict[tuple[str, str], Errors], method: str) -> str:
 
 def _without_feedback(rig: Rig, run: Run) -> tuple[float, list[Evidence]]:
     """Mean error [%] of the anti-resonance by the subspace method without feedback, and models."""
-    options = replace(rig.settings.linear, method=CLASSICAL, order=_order(rig))
+    options = replace(rig.settings.linear, method=CLASSICAL_METHOD, order=_order(rig))
     errors, sound, models = [], [], []
     for k in range(_N_RECORDS_WITHOUT_FEEDBACK):
         record = without_feedback(run, k / _N_RECORDS_WITHOUT_FEEDBACK)
-        model = estimate([record], options, f"{CLASSICAL}, {run.name}, feedback cut ({k + 1})")
+        model = estimate(
+            [record], options, f"{CLASSICAL_METHOD}, {run.name}, feedback cut ({k + 1})"
+        )
         models.append(model.evidence)
         if model.evidence.sound and model.anti_resonance is not None:
             errors.append(errors_of(model, run.truth).anti_resonance_percent)

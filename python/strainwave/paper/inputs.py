@@ -8,11 +8,11 @@ from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatAr
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import lagged
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.rig import AMPLITUDE, CLOCK, ORDER, Rig, Run
+from strainwave.paper.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, lines, spectrum
 
-PERIOD = (2**ORDER - 1) * CLOCK  # [s]
+PRBS_PERIOD = (2**PRBS_ORDER - 1) * CLOCK_PERIOD  # [s]
 _PLOTTED_DURATION = 0.3  # [s]
 _MAX_SERVO_HZ = 5.0  # below the anti-resonance, where the servo holds the joint
 _MAX_RIPPLE_DB = 3.0  # half the power
@@ -44,8 +44,8 @@ def prbs(rig: Rig) -> Comparison:
             ),
         ),
         values={"amplitude_v": float(np.abs(voltage).max())},
-        message=f"{len(levels)} levels of ±{AMPLITUDE:g} V; the density varies by {ripple:.2f} dB "
-        "from 1 to 100 Hz",
+        message=f"{len(levels)} levels of ±{MAX_AMPLITUDE:g} V; the density varies by "
+        f"{ripple:.2f} dB from 1 to 100 Hz",
         plots=(
             lines(
                 [Series("u1", run.trajectory.time[shown], voltage[shown])],
@@ -65,7 +65,7 @@ def free(rig: Rig) -> Comparison:
     frequency, density = _density(tau, run)
     spectrum_check = next(c for c in run.decoupled.checks if c.name == "interaction-spectrum")
     cosine = _least_cosine(run)
-    early = run.trajectory.time < PERIOD
+    early = run.trajectory.time < PRBS_PERIOD
     return comparison_of(
         5,
         criteria=(
@@ -101,7 +101,7 @@ def servoed(rig: Rig) -> Comparison:
         cosine = _least_cosine(run)
         slow[name] = float(density[(frequency >= 1.0) & (frequency <= _MAX_SERVO_HZ)].mean())
     drop = 10.0 * float(np.log10(slow["servoed"] / slow["free"]))
-    early = run.trajectory.time < PERIOD
+    early = run.trajectory.time < PRBS_PERIOD
     return comparison_of(
         12,
         criteria=(
@@ -167,7 +167,7 @@ def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
     from scipy.signal import welch
 
     T = run.decoupled.sample_time
-    segment = min(len(signal), round(PERIOD / T))
+    segment = min(len(signal), round(PRBS_PERIOD / T))
     frequency, density = welch(signal, 1.0 / T, window="boxcar", nperseg=segment, noverlap=0)
     shown = (frequency > 0.0) & (frequency <= 500.0)
     return np.asarray(frequency[shown]), np.asarray(density[shown])

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-from strainwave.domain import OUTCOMES, outcomes_text
+from strainwave.domain import OUTCOME_TEXTS, outcomes_text
 
 Claim = Mapping[str, Any]
 
@@ -90,7 +90,7 @@ def _reasons(claim: Claim) -> Iterator[str]:
             # numbers and joints differ between seeds and criteria, the explanation does not
             explanation = re.search(r"\((.*)\)$", reason)
             kind = re.sub(r"[-+\d.]+", "", explanation[1] if explanation else reason)
-            examples.setdefault((OUTCOMES[outcome], kind), {}).setdefault(seed, reason)
+            examples.setdefault((OUTCOME_TEXTS[outcome], kind), {}).setdefault(seed, reason)
     most_frequent = sorted(examples.items(), key=lambda item: -len(item[1]))[:_MAX_REASONS]
     for (outcome, _), by_seed in most_frequent:
         example = next(iter(by_seed.values()))

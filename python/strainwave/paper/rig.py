@@ -40,7 +40,7 @@ from strainwave.identification.decoupling import decouple
 from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
 from strainwave.identification.whole_arm import tune
 from strainwave.paper.estimates import Estimate, estimate, evidence_of, growth_of
-from strainwave.paper.settings import OWN, Settings
+from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
 from strainwave.signals.link_motion import link_side
@@ -49,10 +49,10 @@ from strainwave.virtual.plans import STEP_HOLD, smooth_reference
 
 Progress = Callable[[str], None]
 
-PAYLOAD = 5  # [kg] of most comparisons
-AMPLITUDE = 10.0  # [V] limit of the rig's drives
-CLOCK = 1e-3  # [s] of servo and PRBS
-ORDER = 10  # of the PRBS: 1023 clocks
+DEFAULT_PAYLOAD = 5  # [kg] of most comparisons
+MAX_AMPLITUDE = 10.0  # [V] limit of the rig's drives
+CLOCK_PERIOD = 1e-3  # [s] of servo and PRBS
+PRBS_ORDER = 10  # of the PRBS: 1023 clocks
 STEP_SAMPLE_TIME = 2.5e-4  # [s] of step records
 TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
@@ -93,12 +93,12 @@ class Rig:
     """
 
     def __init__(
-        self, seed: int, settings: Settings = OWN, progress: Progress = lambda _: None
+        self, seed: int, settings: Settings = OWN_SETTINGS, progress: Progress = lambda _: None
     ) -> None:
         self.seed = seed
         self.settings = settings
         self.progress = progress
-        self.payload = PAYLOAD
+        self.payload = DEFAULT_PAYLOAD
         self.arm = Arm.of(scara.study(Path("rig")).arm)
         self.rigid = cache(self._rigid)
         self.prbs = cache(self._prbs)
@@ -106,7 +106,7 @@ class Rig:
         self.physical = cache(self._physical)
         self.transfer = cache(self._transfer)
         self.tuned = cache(self._tuned)
-        self._prbs_start = int(self._rng(3).integers(2**ORDER - 1))
+        self._prbs_start = int(self._rng(3).integers(2**PRBS_ORDER - 1))
 
     def clear_caches(self) -> None:
         """Release all runs and models, which take some hundred megabytes."""
@@ -119,13 +119,13 @@ class Rig:
 
         `levels` [rad/s] are those of the motor for half a second each. `number` selects the noise.
         """
-        values = scara.parameters(PAYLOAD)
+        values = scara.parameters(DEFAULT_PAYLOAD)
         trajectory = run_steps(self.arm, values, levels, joint)
         name = f"steps-j{joint}-{number}"
         experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
         log = _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
         reference = _reference(levels, joint)
-        ticks = np.floor(log.time / CLOCK + 1e-9).astype(int)
+        ticks = np.floor(log.time / CLOCK_PERIOD + 1e-9).astype(int)
         references = {f"ref{i}": reference[ticks, i - 1] for i in (1, 2)}
         return replace(log, channels={**log.channels, **references})
 
@@ -134,7 +134,7 @@ class Rig:
         self.progress(f"rigid step with {disks} kg")
         rng = self._rng(0, disks)
         reference = np.column_stack(
-            [smooth_reference(joint.gear_ratio, CLOCK, rng) for joint in self.arm.joints]
+            [smooth_reference(joint.gear_ratio, CLOCK_PERIOD, rng) for joint in self.arm.joints]
         )
         both: tuple[Control, Control] = ("servo", "servo")
         drive = _drive(np.zeros_like(reference), reference, both)
@@ -143,7 +143,7 @@ class Rig:
             self.arm,
             values,
             drive,
-            sample_time=CLOCK,
+            sample_time=CLOCK_PERIOD,
             samples=len(reference),
             record=_SENSORS,
         )
@@ -155,8 +155,8 @@ class Rig:
         self,
         joint: int,
         *,
-        disks: int = PAYLOAD,
-        amplitude: float = AMPLITUDE,
+        disks: int = DEFAULT_PAYLOAD,
+        amplitude: float = MAX_AMPLITUDE,
         periods: int | None = None,
         other: Control = "open",
         start: int = 0,
@@ -168,7 +168,7 @@ class Rig:
         """
         control: tuple[Control, Control] = ("open", other) if joint == 1 else (other, "open")
         count = periods or self.settings.periods
-        sequence = excitation.prbs(Prbs(ORDER, CLOCK, count, amplitude))
+        sequence = excitation.prbs(Prbs(PRBS_ORDER, CLOCK_PERIOD, count, amplitude))
         voltage = np.zeros((len(sequence), 2))
         voltage[:, joint - 1] = np.roll(sequence, -start - self._prbs_start)
         values = scara.parameters(disks)
@@ -178,7 +178,7 @@ class Rig:
             values,
             _drive(voltage, np.zeros_like(voltage), control),
             sample_time=T,
-            samples=round(len(voltage) * CLOCK / T),
+            samples=round(len(voltage) * CLOCK_PERIOD / T),
             record=_SENSORS + _TRUTH,
         )
         loop = "servoed" if other == "servo" else "free"
@@ -226,7 +226,7 @@ class Rig:
         name = ", ".join([linear.method, runs[0].name, *restrictions])
         return estimate([run.decoupled for run in runs], linear, name)
 
-    def _physical(self, *runs: Run, disks: int = PAYLOAD) -> JointModel:
+    def _physical(self, *runs: Run, disks: int = DEFAULT_PAYLOAD) -> JointModel:
         """Physical parameters of one joint from its equations of motion."""
         return identify_joint(
             [(run.signals, run.decoupled) for run in runs], self.rigid(disks), self.arm
@@ -238,7 +238,7 @@ class Rig:
         estimate = self.estimate(run)
         if estimate.model is None:
             raise NotIdentifiable(estimate.evidence.warnings[-1].message)
-        known = rigid_knowledge(self.rigid(PAYLOAD), self.arm, joint)
+        known = rigid_knowledge(self.rigid(DEFAULT_PAYLOAD), self.arm, joint)
         return from_state_space(estimate.model, run.decoupled, self.arm, known)
 
     def _tuned(self) -> Tuned:
@@ -254,7 +254,7 @@ class Rig:
             runs = [self.prbs(joint) for joint in (1, 2)]
             joints = [self.physical(run) for run in runs]
             logs += [run.log for run in runs]
-        model = tune(logs, self.rigid(PAYLOAD), joints, arm, self.settings.tuning)
+        model = tune(logs, self.rigid(DEFAULT_PAYLOAD), joints, arm, self.settings.tuning)
         values, evidence = dict(model.values), evidence_of(model, name)
         if self.settings.tuning.as_published:  # the ranges are part of the method
             growth = max(
@@ -275,7 +275,7 @@ def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -
     """
     both = _reference(levels, joint)
     drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
-    samples = round(len(both) * CLOCK / STEP_SAMPLE_TIME)
+    samples = round(len(both) * CLOCK_PERIOD / STEP_SAMPLE_TIME)
     return simulate(
         arm, values, drive, sample_time=STEP_SAMPLE_TIME, samples=samples, record=_SENSORS + _TRUTH
     )
@@ -283,7 +283,7 @@ def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -
 
 def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
     """References (n_ticks, 2) [rad/s]; that of the other servo is zero."""
-    steps = excitation.steps(np.array(levels), hold=STEP_HOLD, clock=CLOCK)
+    steps = excitation.steps(np.array(levels), hold=STEP_HOLD, clock=CLOCK_PERIOD)
     both = np.zeros((len(steps), 2))
     both[:, joint - 1] = steps
     return both
@@ -297,7 +297,7 @@ def ideal_log(trajectory: Trajectory, joint: int) -> Log:
 
 def _drive(voltage: FloatArray, reference: FloatArray, control: tuple[Control, ...]) -> Drive:
     return Drive(
-        tick=CLOCK,
+        tick=CLOCK_PERIOD,
         voltage=voltage,
         reference=reference,
         servo=tuple(c == "servo" for c in control),

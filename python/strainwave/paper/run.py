@@ -7,7 +7,14 @@ from pathlib import Path
 
 from strainwave.domain import Identification, Tally
 from strainwave.io.atomic_files import write_whole
-from strainwave.paper import OWN, PUBLISHED, compare_seeds, document_of, to_json, to_markdown
+from strainwave.paper import (
+    OWN_SETTINGS,
+    PUBLISHED_SETTINGS,
+    compare_seeds,
+    document_of,
+    to_json,
+    to_markdown,
+)
 from strainwave.presentation.report import render_comparisons
 from strainwave.virtual import scara
 
@@ -27,7 +34,7 @@ def write_comparisons(
     the first of `seeds` seeds. `as_published` adds the published settings.
     """
     numbers = range(seed, seed + seeds)
-    settings = (OWN, PUBLISHED) if as_published else (OWN,)
+    settings = (OWN_SETTINGS, PUBLISHED_SETTINGS) if as_published else (OWN_SETTINGS,)
     tallies = compare_seeds(
         numbers, tuned=identification.tuned, settings=settings, progress=progress
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from strainwave.domain import LinearOptions, LinkOptions, Protocol, TuningOptions
 from strainwave.domain.options import EstimationMethod
 
-CLASSICAL: EstimationMethod = "moesp"
+CLASSICAL_METHOD: EstimationMethod = "moesp"
 """One of the weightings of MATLAB's n4sid. Feedback biases it."""
 
 
@@ -25,10 +25,10 @@ class Settings:
     why_not_better: str = "the first model was already accurate"  # by fine tuning
 
 
-OWN = Settings("own", sample_time=2.5e-4, periods=4)
+OWN_SETTINGS = Settings("own", sample_time=2.5e-4, periods=4)
 """Default settings of `identify`."""
 
-PUBLISHED = Settings(
+PUBLISHED_SETTINGS = Settings(
     "as-published",
     sample_time=2.5e-5,
     periods=1,

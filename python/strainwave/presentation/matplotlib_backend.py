@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 from strainwave.errors import InvalidInput
 from strainwave.presentation.figures import (
-    RESIDUAL,
+    FREQUENCY_TICKS,
+    RESIDUAL_COLOUR,
     SOLID,
-    TICKS,
     Axis,
     Band,
     Bars,
@@ -171,7 +171,7 @@ def _horizontal(axes: list[Axes], axis: Axis, *, categories: bool) -> None:
     if axis.log:
         last.set_xscale("log")
         low, high = last.get_xlim()  # ticks outside would widen the range
-        ticks = {value: text for value, text in TICKS.items() if low <= value <= high}
+        ticks = {value: text for value, text in FREQUENCY_TICKS.items() if low <= value <= high}
         last.set_xticks(list(ticks), list(ticks.values()))
         last.minorticks_off()
     if axis.range is not None:
@@ -192,7 +192,7 @@ def _upright(axes: list[Axes], line: Upright) -> None:
     dashes = _dashes(line.dash, 1.0)
     for panel_axes in axes:
         panel_axes.axvline(
-            line.x, color=RESIDUAL, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1
+            line.x, color=RESIDUAL_COLOUR, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1
         )
     if line.text:
         axes[line.panel].annotate(

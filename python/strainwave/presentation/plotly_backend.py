@@ -10,9 +10,9 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.presentation.figures import (
-    RESIDUAL,
+    FREQUENCY_TICKS,
+    RESIDUAL_COLOUR,
     SOLID,
-    TICKS,
     Axis,
     Band,
     Bars,
@@ -197,7 +197,11 @@ def _decades(panel: Panel) -> float:
 
 def _horizontal(axis: Axis) -> dict[str, Any]:
     """The shared axis; a logarithmic one has complete labels at 1, 2 and 5."""
-    ticks = {"tickvals": list(TICKS), "ticktext": list(TICKS.values())} if axis.log else {}
+    ticks = (
+        {"tickvals": list(FREQUENCY_TICKS), "ticktext": list(FREQUENCY_TICKS.values())}
+        if axis.log
+        else {}
+    )
     return _axis(axis) | ticks
 
 
@@ -215,7 +219,7 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
 
 
 def _vertical_line(line: Upright) -> dict[str, Any]:
-    look = {"color": RESIDUAL, "width": 1, "dash": _dash(line.dash)}
+    look = {"color": RESIDUAL_COLOUR, "width": 1, "dash": _dash(line.dash)}
     ends = {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
     return {"type": "line", "xref": "x", "yref": "paper", **ends, "line": look}
 

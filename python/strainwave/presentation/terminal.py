@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain import (
-    CONDITIONS,
+    CONDITION_TEXTS,
     Decision,
     Diagnostic,
     Identification,
@@ -150,7 +150,7 @@ def _resonance_table(identification: Identification) -> Table:
         if response.joint in by_motor:
             kinds = (response.anti_resonances_hz, response.resonances_hz)
             cells = (", ".join(f"{value:.4g}" for value in values) for values in kinds)
-            where = Text(f"{response.experiment}, {CONDITIONS[response.condition]}")
+            where = Text(f"{response.experiment}, {CONDITION_TEXTS[response.condition]}")
             table.add_row(f"motor {response.joint}", where, *cells)
     return table
 

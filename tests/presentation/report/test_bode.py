@@ -12,7 +12,15 @@ from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response
 from figure_parts import marks, names
 from strainwave.domain import Diagnostic
 from strainwave.identification.joint_model.agreement import motor_response
-from strainwave.presentation.figures import MEASURED, RESIDUAL, Band, Figure, Line, Mark, Markers
+from strainwave.presentation.figures import (
+    MEASURED_COLOUR,
+    RESIDUAL_COLOUR,
+    Band,
+    Figure,
+    Line,
+    Mark,
+    Markers,
+)
 from strainwave.presentation.report import bode
 
 RATIO = JOINT.gear_ratio
@@ -80,7 +88,7 @@ def test_points_of_low_coherence_are_grey() -> None:
     figure = bode.bode(joint_model(), RATIO, measured())
     reliable, grey = marks(figure, Markers)
     assert (reliable.name, grey.name) == ("measured", "measured, unreliable")
-    assert (grey.colour, reliable.colour) == (RESIDUAL, MEASURED)
+    assert (grey.colour, reliable.colour) == (RESIDUAL_COLOUR, MEASURED_COLOUR)
     assert np.min(np.asarray(grey.x)) > 60.0
     f, _ = line_of(figure, "measured")
     assert max(f) <= 60.0

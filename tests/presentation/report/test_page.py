@@ -279,8 +279,8 @@ def test_an_unknown_parameter_has_a_row() -> None:
 def test_warning_codes_name_their_section_of_the_documentation() -> None:
     page = render(identification())
     assert "<code>saturated</code>" in page
-    assert f"<code>{remedies.PAGE}</code>" in page
-    sections = (ROOT / remedies.PAGE).read_text(encoding="utf-8")
+    assert f"<code>{remedies.TROUBLESHOOTING_PAGE}</code>" in page
+    sections = (ROOT / remedies.TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
     assert [code for code in remedies.remedies() if f"\n### `{code}`\n" not in sections] == []
 
 

@@ -207,7 +207,7 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     )
     assert isinstance(warnings, Table)
     assert isinstance(where, Paragraph)
-    assert remedies.PAGE in [span.text for span in where.spans]
+    assert remedies.TROUBLESHOOTING_PAGE in [span.text for span in where.spans]
     first, second = ([cell.text for cell in row] for row in warnings.rows if isinstance(row, tuple))
     assert (first[0], second[0]) == ("b.csv", "a.csv")
     assert first[1] == "At its limit."

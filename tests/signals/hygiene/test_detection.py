@@ -17,7 +17,7 @@ from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.signals import hygiene
 from strainwave.virtual import scara
-from strainwave.virtual.families.sensor_defects import SIZES, Injected, injected
+from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, Injected, injected
 
 SMALL_ARM = Path(__file__).parents[2] / "data" / "small-arm" / "study.toml"
 SHARED = Path(__file__).parents[4] / "shared" / "data"
@@ -79,7 +79,7 @@ def with_channel(log: Log, name: str, x: FloatArray) -> Log:
 
 def test_every_kind_of_defect_has_a_detector_and_sizes() -> None:
     """Each kind of defect has a detector, sizes and a test size."""
-    assert set(SIZES) == set(CERTAIN) == set(hygiene.DETECTORS)
+    assert set(DEFECT_SIZES) == set(CERTAIN) == set(hygiene.DETECTORS)
 
 
 @pytest.mark.parametrize("kind", sorted(hygiene.DETECTORS))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.virtual.families import Family, Recorded, draw, record
-from strainwave.virtual.families.catalogue import GEARS
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE
 from strainwave.virtual.families.causes import cause_names
 from strainwave.virtual.families.description import FAULTS, Friction, Sensors
 from strainwave.virtual.families.drawing import VirtualArm
@@ -99,7 +99,7 @@ def test_arms_are_within_their_distribution() -> None:
             assert joint.spring == "three-slope"
             assert joint.encoder_counts in family.counts
             knees = (arm.values["gear_knee_t1", number], arm.values["gear_knee_t2", number])
-            assert knees in {GEARS[size][0] for size in family.sizes}
+            assert knees in {GEAR_CATALOGUE[size][0] for size in family.sizes}
             assert joint.accelerometer_distance
 
 

@@ -87,11 +87,11 @@ def is_local(*names: str) -> Callable[[dict[str, list[Pair]]], bool]:
     )
 
 
-COUNTS = float(draw(BASE, 0).study.arm.joints[0].encoder_counts or 0.0)
+ENCODER_COUNTS = float(draw(BASE, 0).study.arm.joints[0].encoder_counts or 0.0)
 LOGS: dict[str, Callable[[dict[str, list[Pair]]], bool]] = {
     "time-unit": lambda channels: round(factor(channels["t"])) in (1000, 1_000_000),
     "time-scale": lambda channels: 0.005 <= abs(factor(channels["t"]) - 1.0) <= 0.05,
-    "angle-unit": is_scaled("theta_m", 180.0 / np.pi, COUNTS / (2.0 * np.pi), 0.5 / np.pi),
+    "angle-unit": is_scaled("theta_m", 180.0 / np.pi, ENCODER_COUNTS / (2.0 * np.pi), 0.5 / np.pi),
     "angle-sign": is_scaled("theta_m", -1.0),
     "accelerometer-unit": is_scaled("a", 1.0 / 9.80665),
     "accelerometer-sign": is_scaled("a", -1.0),

@@ -25,15 +25,15 @@ from strainwave.presentation.figures.records import (
 )
 from strainwave.presentation.figures.samples import MIN_BAND_SHARE, decibel, decimate
 from strainwave.presentation.figures.style import (
-    BRIEF,
     DASHES,
-    MEASURED,
-    MODEL,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
     PALETTE,
-    RESIDUAL,
+    RESIDUAL_COLOUR,
+    SHORT_DASH,
 )
 
-_TRUE_COLOUR = RESIDUAL
+_TRUE_COLOUR = RESIDUAL_COLOUR
 _TRUE_WIDTH = 4.0  # [px]
 _POINT_SIZE = 6.0  # [px] of a point with an error bar
 _RESIDUAL_HEIGHT = 0.4  # of the residual panel relative to the panel above
@@ -103,10 +103,10 @@ def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure
     rows = decimate(np.column_stack([measured.y, model.y, residual]))
     time = measured.x[rows]
     both = (
-        Line(time, measured.y[rows], measured.name, MEASURED),
-        Line(time, model.y[rows], model.name, MODEL, BRIEF),
+        Line(time, measured.y[rows], measured.name, MEASURED_COLOUR),
+        Line(time, model.y[rows], model.name, MODEL_COLOUR, SHORT_DASH),
     )
-    difference = Line(time, residual[rows], "difference", RESIDUAL, width=1.0)
+    difference = Line(time, residual[rows], "difference", RESIDUAL_COLOUR, width=1.0)
     panels = Panel(Axis(quantity), both), Panel(Axis(""), (difference,), _RESIDUAL_HEIGHT)
     return Figure(Axis("time [s]"), panels, caption=caption)
 

@@ -19,7 +19,7 @@ def _engineering(value: float) -> str:
 
 
 _TICKS = [float(f"{one}e{decade}") for decade in range(-6, 7) for one in (1, 2, 5)]
-TICKS = {value: _engineering(value) for value in _TICKS}
+FREQUENCY_TICKS = {value: _engineering(value) for value in _TICKS}
 """Ticks of logarithmic horizontal axes and their labels."""
 
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from strainwave.presentation.figures.records import SOLID, Dash
 
-MEASURED = "#0072B2"
-MODEL = "#D55E00"
-LINEAR = "#009E73"
-TUNED = "#CC79A7"
-RESIDUAL = "#888888"
+MEASURED_COLOUR = "#0072B2"
+MODEL_COLOUR = "#D55E00"
+LINEAR_COLOUR = "#009E73"
+TUNED_COLOUR = "#CC79A7"
+RESIDUAL_COLOUR = "#888888"
 
-PALETTE = (MEASURED, MODEL, LINEAR, TUNED, "#56B4E9", "#E69F00")
+PALETTE = (MEASURED_COLOUR, MODEL_COLOUR, LINEAR_COLOUR, TUNED_COLOUR, "#56B4E9", "#E69F00")
 DASHES: tuple[Dash, ...] = (
     SOLID,
     (6.0, 3.0),
@@ -23,5 +23,5 @@ DASHES: tuple[Dash, ...] = (
     (10.0, 4.0),
     (4.0, 2.0, 1.0, 2.0),
 )
-BRIEF: Dash = (4.0, 2.0)
+SHORT_DASH: Dash = (4.0, 2.0)
 """Dash of the second of two lines."""

@@ -12,12 +12,12 @@ from strainwave.domain.formatting import plus_minus
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of
 from strainwave.presentation.figures import (
-    BRIEF,
     DASHES,
-    LINEAR,
-    MEASURED,
-    MODEL,
-    RESIDUAL,
+    LINEAR_COLOUR,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    RESIDUAL_COLOUR,
+    SHORT_DASH,
     Axis,
     Figure,
     Line,
@@ -27,7 +27,7 @@ from strainwave.presentation.figures import (
 )
 
 _CURVE_POINTS = 200
-_COLOURS = (MEASURED, LINEAR, MODEL, RESIDUAL)
+_COLOURS = (MEASURED_COLOUR, LINEAR_COLOUR, MODEL_COLOUR, RESIDUAL_COLOUR)
 _DASHES = DASHES[:3]  # one for each turn of the colours
 _TRENDS = {"hardening": "hardening", "softening": "softening", "no-trend": "no significant trend"}
 
@@ -71,7 +71,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
     std = np.array([point.gear_stiffness_std for point in sweep.points])
-    marks = Markers(x, y, "equivalent stiffness", MEASURED, 8.0, error=CI95_STDS * std)
+    marks = Markers(x, y, "equivalent stiffness", MEASURED_COLOUR, 8.0, error=CI95_STDS * std)
     # the tested slope is that of the squared anti-resonance, which is proportional to the stiffness
     squared = np.array([point.squared_anti_resonance for point in sweep.points])
     weights = 1.0 / np.array([point.squared_anti_resonance_std for point in sweep.points]) ** 2
@@ -79,7 +79,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     ratio = float(np.mean(y / squared))
     ends = np.array([x.min(), x.max()])
     line = ratio * (level + sweep.slope * (ends - centre))
-    trend = Line(ends, line, "weighted line", RESIDUAL, BRIEF)
+    trend = Line(ends, line, "weighted line", RESIDUAL_COLOUR, SHORT_DASH)
     panel = Panel(Axis("equivalent stiffness [N m/rad]"), (trend, marks))
     return Figure(Axis("amplitude of the excitation [V]"), (panel,))
 

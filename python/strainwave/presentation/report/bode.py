@@ -26,13 +26,13 @@ from strainwave.identification.joint_model.agreement import (
 )
 from strainwave.presentation.figures import (
     DASHES,
-    LINEAR,
-    MEASURED,
+    LINEAR_COLOUR,
+    MEASURED_COLOUR,
     MIN_BAND_SHARE,
-    MODEL,
-    RESIDUAL,
+    MODEL_COLOUR,
+    RESIDUAL_COLOUR,
     SOLID,
-    TUNED,
+    TUNED_COLOUR,
     Axis,
     Band,
     Dash,
@@ -94,9 +94,11 @@ def bode(
         _add_state_space(panels, model, joint.band_hz, name, k)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
     covariance = joint.covariance[:6, :6]
-    _add_joint(panels, vector_of(joint), covariance, gear_ratio, f, ("joint model", MODEL, SOLID))
+    _add_joint(
+        panels, vector_of(joint), covariance, gear_ratio, f, ("joint model", MODEL_COLOUR, SOLID)
+    )
     if tuned is not None:
-        style = ("whole-arm fit", TUNED, _TUNED_DASH)
+        style = ("whole-arm fit", TUNED_COLOUR, _TUNED_DASH)
         _add_joint(panels, tuned.vector, tuned.covariance, gear_ratio, f, style)
     axes = [
         Axis(f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"),
@@ -134,10 +136,15 @@ def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high
     rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
     f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
     reliable = is_reliable(measured)[rows]
-    kinds = (("measured", MEASURED, reliable), ("measured, unreliable", RESIDUAL, ~reliable))
+    kinds = (
+        ("measured", MEASURED_COLOUR, reliable),
+        ("measured, unreliable", RESIDUAL_COLOUR, ~reliable),
+    )
     std = relative_std(measured)
     if std is not None and reliable.any():
-        _add_band(panels, f[reliable], G[reliable], std[rows][reliable], "measured", MEASURED)
+        _add_band(
+            panels, f[reliable], G[reliable], std[rows][reliable], "measured", MEASURED_COLOUR
+        )
     for name, colour, is_shown in kinds:
         if is_shown.any():
             modulus, phase = decibel(np.abs(G[is_shown])), np.rad2deg(np.angle(G[is_shown]))
@@ -146,8 +153,8 @@ def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high
             panels.phase.append(Markers(f[is_shown], phase, *style))
     if measured.coherence is not None:
         coherence, name = measured.coherence[rows, 0], "coherence"
-        panels.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED, name))
-        panels.coherence.append(Line(f, coherence, name, MEASURED, width=1.0, legend=False))
+        panels.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED_COLOUR, name))
+        panels.coherence.append(Line(f, coherence, name, MEASURED_COLOUR, width=1.0, legend=False))
 
 
 def relative_std(measured: FrequencyResponse) -> FloatArray | None:
@@ -176,8 +183,10 @@ def _add_state_space(
     std, phase_std = response.magnitude_std, response.phase_std
     if std is not None and phase_std is not None:
         relative = std[:, 0, 0] / np.abs(G)
-        _add_band(panels, f, G, relative, label, LINEAR, phase_std[:, 0, 0])
-    _add_curve(panels, f, G, (label, LINEAR, _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]))
+        _add_band(panels, f, G, relative, label, LINEAR_COLOUR, phase_std[:, 0, 0])
+    _add_curve(
+        panels, f, G, (label, LINEAR_COLOUR, _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)])
+    )
 
 
 def _add_joint(

@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter
-from strainwave.presentation.figures import MEASURED, MODEL, Axis, Figure, HeatMap, Panel
+from strainwave.presentation.figures import (
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    Axis,
+    Figure,
+    HeatMap,
+    Panel,
+)
 
 MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
 _MAX_LISTED_PAIRS = 8
@@ -60,7 +67,9 @@ def describe(errors: Correlations) -> str:
 
 def heat_map(errors: Correlations) -> Figure:
     """Correlation of every two parameters, from -1 (blue) over 0 (white) to +1 (vermilion)."""
-    mark = HeatMap(errors.names, errors.matrix, -1.0, 1.0, (MEASURED, "#FFFFFF", MODEL))
+    mark = HeatMap(
+        errors.names, errors.matrix, -1.0, 1.0, (MEASURED_COLOUR, "#FFFFFF", MODEL_COLOUR)
+    )
     return Figure(Axis(""), (Panel(Axis(""), (mark,)),))
 
 

@@ -12,10 +12,10 @@ from strainwave.domain import FloatArray, Identification, Parameter, TorqueHisto
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
-    BRIEF,
-    MEASURED,
-    MODEL,
-    RESIDUAL,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    RESIDUAL_COLOUR,
+    SHORT_DASH,
     Axis,
     Band,
     Bars,
@@ -99,8 +99,8 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
         Panel(
             Axis(f"stiffness [{curve.stiffness_unit}]", range=(0.0, top)),
             (
-                Band(torque, stiffness - half, stiffness + half, MODEL, "stiffness"),
-                Line(torque, stiffness, "stiffness", MODEL, width=2.0),
+                Band(torque, stiffness - half, stiffness + half, MODEL_COLOUR, "stiffness"),
+                Line(torque, stiffness, "stiffness", MODEL_COLOUR, width=2.0),
             ),
             height=1.1,
         )
@@ -123,10 +123,10 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     initial = law.stiffness(values, torsion[:1]) * torsion
     knees = scale * law.torsion(values, curve.knees)
     marks = (
-        Band(x, torque - half, torque + half, MODEL, "identified curve"),
-        Line(x, initial, "initial stiffness", RESIDUAL, BRIEF, width=1.0),
-        Line(x, torque, "identified curve", MODEL, width=2.0),
-        *([Markers(knees, curve.knees, "knees", MODEL, _KNEE_SIZE)] if len(knees) else ()),
+        Band(x, torque - half, torque + half, MODEL_COLOUR, "identified curve"),
+        Line(x, initial, "initial stiffness", RESIDUAL_COLOUR, SHORT_DASH, width=1.0),
+        Line(x, torque, "identified curve", MODEL_COLOUR, width=2.0),
+        *([Markers(knees, curve.knees, "knees", MODEL_COLOUR, _KNEE_SIZE)] if len(knees) else ()),
     )
     axis = Axis(f"gear torsion at the link [{'mm' if curve.is_prismatic else 'mrad'}]")
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
@@ -207,4 +207,4 @@ def _load_bars(loads: TorqueHistogram) -> Bars:
     """Share of the samples in each bin [%]."""
     centres = 0.5 * (loads.edges[1:] + loads.edges[:-1])
     width = float(np.diff(loads.edges)[0])
-    return Bars(centres, 100.0 * loads.share, width, "torques in the records", MEASURED)
+    return Bars(centres, 100.0 * loads.share, width, "torques in the records", MEASURED_COLOUR)

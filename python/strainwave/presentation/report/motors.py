@@ -9,10 +9,10 @@ import numpy as np
 from strainwave.domain import FloatArray, MotorResponse
 from strainwave.presentation.figures import (
     DOTTED,
-    MEASURED,
-    RESIDUAL,
+    MEASURED_COLOUR,
+    RESIDUAL_COLOUR,
     SOLID,
-    TUNED,
+    TUNED_COLOUR,
     Axis,
     Figure,
     Line,
@@ -36,7 +36,10 @@ def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figu
     reliable = response.coherence >= _MIN_COHERENCE
     magnitude: list[Mark] = []
     phase: list[Mark] = []
-    kinds = (("measured", MEASURED, reliable), ("measured, unreliable", RESIDUAL, ~reliable))
+    kinds = (
+        ("measured", MEASURED_COLOUR, reliable),
+        ("measured, unreliable", RESIDUAL_COLOUR, ~reliable),
+    )
     for name, colour, chosen in kinds:
         points = rows[chosen[rows]]
         if points.size:
@@ -44,8 +47,8 @@ def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figu
             magnitude.append(Markers(x, decibel(np.abs(G)), name, colour))
             phase.append(Markers(x, np.rad2deg(np.angle(G)), name, colour))
     x, G, name = f[rows], response.fitted[rows], "fitted arm, simulated"
-    magnitude.append(Line(x, decibel(np.abs(G)), name, TUNED))
-    phase.append(Line(x, np.rad2deg(np.angle(G)), name, TUNED))
+    magnitude.append(Line(x, decibel(np.abs(G)), name, TUNED_COLOUR))
+    phase.append(Line(x, np.rad2deg(np.angle(G)), name, TUNED_COLOUR))
     unit = "m/s/N" if is_prismatic else "rad/s/(N m)"
     panels = (
         Panel(Axis(f"dB re {unit}"), tuple(magnitude), 1.2),

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from strainwave.domain import (
-    CONDITIONS,
+    CONDITION_TEXTS,
     ArmModel,
     Identification,
     JointModel,
@@ -135,7 +135,7 @@ def _motor_plots(result: Identification) -> Iterator[Plot]:
     for response in result.motor_responses:
         joint_of_motor = result.study.arm.joints[response.joint - 1]
         label = f"Motor {response.joint} in {response.experiment},"
-        label += f" {CONDITIONS[response.condition]}: torque to velocity"
+        label += f" {CONDITION_TEXTS[response.condition]}: torque to velocity"
         figure = motors.motor_figure(response, is_prismatic=joint_of_motor.motion == "prismatic")
         yield Plot(f"motor {response.experiment}", label, figure, motors.describe(response))
 

@@ -11,9 +11,9 @@ from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.presentation.figures import (
     DASHES,
-    LINEAR,
-    MODEL,
-    TUNED,
+    LINEAR_COLOUR,
+    MODEL_COLOUR,
+    TUNED_COLOUR,
     Axis,
     Figure,
     Line,
@@ -48,12 +48,14 @@ def pole_zero_map(
     marks: list[Mark] = []
     for k, (name, modes) in enumerate((state_space or {}).items()):
         roots = _state_space_roots(modes, joint.band_hz)
-        marks += _marks(*roots, f"state space, {name}", LINEAR, k)
+        marks += _marks(*roots, f"state space, {name}", LINEAR_COLOUR, k)
     covariance = joint.covariance[:6, :6]
-    marks += _marks(*_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", MODEL)
+    marks += _marks(
+        *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", MODEL_COLOUR
+    )
     if tuned is not None:
         roots = _joint_roots(tuned.vector, tuned.covariance, gear_ratio)
-        marks += _marks(*roots, "whole-arm fit", TUNED)
+        marks += _marks(*roots, "whole-arm fit", TUNED_COLOUR)
     panel = Panel(Axis("imaginary part [rad/s]"), tuple(marks), height=_HEIGHT)
     return Figure(Axis("real part [rad/s]"), (panel,))
 

@@ -9,9 +9,9 @@ import numpy as np
 from strainwave.domain import Joint, Prediction
 from strainwave.presentation.figures import (
     MAX_POINTS,
-    MEASURED,
-    MODEL,
-    RESIDUAL,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    RESIDUAL_COLOUR,
     Axis,
     Dash,
     Figure,
@@ -54,10 +54,10 @@ def prediction_figure(
         rows = decimate(np.column_stack([measured, predicted, residuals]), limit)
         time = prediction.time[rows]
         both = (
-            Line(time, measured[rows], "measured", MEASURED, width=2.5),
-            Line(time, predicted[rows], "model", MODEL, _MODEL_DASH),
+            Line(time, measured[rows], "measured", MEASURED_COLOUR, width=2.5),
+            Line(time, predicted[rows], "model", MODEL_COLOUR, _MODEL_DASH),
         )
-        residual = Line(time, residuals[rows], "residual", RESIDUAL, width=1.0)
+        residual = Line(time, residuals[rows], "residual", RESIDUAL_COLOUR, width=1.0)
         unit = unit_of(channel, joints)
         panels.append(Panel(Axis(f"{channel} [{unit}]"), both))
         panels.append(Panel(Axis(f"residual [{unit}]"), (residual,), _RESIDUAL_HEIGHT))

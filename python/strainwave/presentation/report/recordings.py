@@ -10,7 +10,7 @@ from strainwave.domain import FloatArray, Identification, Joint, Log
 from strainwave.presentation.figures import (
     DASHES,
     PALETTE,
-    RESIDUAL,
+    RESIDUAL_COLOUR,
     SOLID,
     Axis,
     Figure,
@@ -100,7 +100,7 @@ def _panel_lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> I
         number = int(name[len(kind) :] or 1)
         if kind == "ref":
             dash = DASHES[1 + (number - 1) % 3]
-            yield Line(time, values, f"reference {number}", RESIDUAL, dash, width=1.0)
+            yield Line(time, values, f"reference {number}", RESIDUAL_COLOUR, dash, width=1.0)
             continue
         axis = kind[1:] if kind in ("ax", "ay", "az", "gx", "gy", "gz") else ""
         label = f"joint {number}, {axis}" if axis else f"joint {number}"

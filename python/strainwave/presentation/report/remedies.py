@@ -10,7 +10,7 @@ from strainwave.domain import Diagnostic
 from strainwave.domain.effects import all_effects
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
-PAGE = "docs/troubleshooting.md"
+TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
 """The page with a section for each code."""
 
 
@@ -334,7 +334,7 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
     heads = ("where", "observed", "meaning", "what to do", "code")
     yield from table("Warnings", heads, rows, heading=False)
     if rows:
-        yield paragraph("Each code has a section in ", Span(PAGE, kind="code"), ".")
+        yield paragraph("Each code has a section in ", Span(TROUBLESHOOTING_PAGE, kind="code"), ".")
 
 
 def sentence(text: str) -> str:

@@ -25,13 +25,13 @@ from strainwave.domain.formatting import plus_minus
 from strainwave.identification.whole_arm.score_tests import MIN_COST_SHARE, RELEVANT_COST_SHARE
 from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
-    BRIEF,
     DASHES,
-    MEASURED,
-    MODEL,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
     NORMAL_99,
     PALETTE,
-    RESIDUAL,
+    RESIDUAL_COLOUR,
+    SHORT_DASH,
     Axis,
     Band,
     Figure,
@@ -116,8 +116,8 @@ def spectrum(test: ResidualTest) -> Figure:
     residuals, noise = (np.sqrt(d[positive]) for d in (test.density, test.noise_density))
     axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
     lines = (
-        Line(f, residuals, "residuals", MEASURED),
-        Line(f, noise, "sensor noise", RESIDUAL, BRIEF),
+        Line(f, residuals, "residuals", MEASURED_COLOUR),
+        Line(f, noise, "sensor noise", RESIDUAL_COLOUR, SHORT_DASH),
     )
     return Figure(Axis("frequency [Hz]", log=True), (Panel(axis, lines),))
 
@@ -340,14 +340,14 @@ def _correlation_panels(
         return np.concatenate([values[:0:-1], values])
 
     name = "autocorrelation"
-    above: list[Mark] = [Line(lag, both(auto), name, MODEL, size=3.0, width=1.0)]
+    above: list[Mark] = [Line(lag, both(auto), name, MODEL_COLOUR, size=3.0, width=1.0)]
     if limits is not None:
-        above.insert(0, Band(lag, both(limits[0]), both(limits[1]), RESIDUAL, name))
+        above.insert(0, Band(lag, both(limits[0]), both(limits[1]), RESIDUAL_COLOUR, name))
     below: list[Mark] = []
     for k, (label, (values, limit)) in enumerate(cross.items()):
         colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
         below.append(
-            Band(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL, label)
+            Band(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL_COLOUR, label)
         )
         below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
     range_ = (-1.05, 1.05)

@@ -7,9 +7,9 @@ import numpy as np
 from strainwave.domain import Decoupled, FloatArray, Identification
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.presentation.figures import (
-    BRIEF,
-    MEASURED,
-    MODEL,
+    MEASURED_COLOUR,
+    MODEL_COLOUR,
+    SHORT_DASH,
     SOLID,
     Axis,
     Figure,
@@ -19,8 +19,8 @@ from strainwave.presentation.figures import (
 )
 
 _NAMES = ("motor torque", "interaction torque at the motor")
-_COLOURS = (MEASURED, MODEL)
-_DASHES = (SOLID, BRIEF)
+_COLOURS = (MEASURED_COLOUR, MODEL_COLOUR)
+_DASHES = (SOLID, SHORT_DASH)
 _WELCH_SEGMENTS = 8  # of a record
 _SHOWN_DURATION = 0.5  # [s] single oscillations stay visible
 _BAND_MARGIN = 5.0  # highest frequency drawn over the band in which the motor moves

@@ -27,7 +27,7 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual.families.rigs import Rig, between
 
-GEARS = {
+GEAR_CATALOGUE = {
     # size: T1, T2 [N m]; K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above; the same at 50
     8: ((0.29, 0.75), (0.091, 0.104, 0.12), (0.044, 0.067, 0.084)),
     11: ((0.80, 2.0), (0.27, 0.34, 0.44), (0.22, 0.30, 0.32)),
@@ -38,8 +38,8 @@ GEARS = {
     32: ((29.0, 108.0), (6.7, 11.0, 12.0), (5.4, 7.8, 9.8)),
     40: ((54.0, 196.0), (13.0, 20.0, 23.0), (10.0, 14.0, 18.0)),
 }
-RATIOS = (30, 50, 80, 100, 120, 160)  # motor turns per link turn
-COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)  # of encoders, per motor turn
+GEAR_RATIOS = (30, 50, 80, 100, 120, 160)  # motor turns per link turn
+ENCODER_COUNTS = (1000, 2000, 4096, 8192, 65536, 1_000_000)  # of encoders, per motor turn
 SAMPLE_TIMES = (2e-3, 1e-3, 5e-4, 2.5e-4, 1e-4)  # [s]
 SPRINGS: tuple[Spring, ...] = ("linear", "three-slope")
 MAX_SMALL_SIZE, MIN_LARGE_SIZE = 14, 25  # of the classes "small" and "large"
@@ -55,9 +55,9 @@ _KI_RATIO = 12.5  # [1/s] ki over kp
 class Choices:
     """Values from which an arm is drawn."""
 
-    sizes: Sequence[int] = tuple(GEARS)  # ascending
-    ratios: Sequence[float] = RATIOS
-    counts: Sequence[float] = COUNTS
+    sizes: Sequence[int] = tuple(GEAR_CATALOGUE)  # ascending
+    ratios: Sequence[float] = GEAR_RATIOS
+    counts: Sequence[float] = ENCODER_COUNTS
     sample_times: Sequence[float] = SAMPLE_TIMES  # [s]
     payload: tuple[float, float] | None = None  # [kg] at the tip
     coulomb: tuple[float, float] = (1.0, 1.0)  # factor on Coulomb friction
@@ -114,7 +114,7 @@ def of_choices(
     ]
     values |= {key: value for drive in drives for key, value in drive.values.items()}
     peak = max(
-        15.0 * GEARS[size][0][1] / load[i] * (0.9 * length[i] + i * length[0])
+        15.0 * GEAR_CATALOGUE[size][0][1] / load[i] * (0.9 * length[i] + i * length[0])
         for i, size in enumerate((sizes[base], sizes[outer]))
     )
     study = Study(
@@ -162,7 +162,7 @@ def _draw_drive(
     load: float,
 ) -> _Drive:
     """Motor and gear of joint i, from 0, for a load inertia [kg m^2] at the link."""
-    n, knees, stiffness = 1.0 / ratio, GEARS[size][0], slopes[1]
+    n, knees, stiffness = 1.0 / ratio, GEAR_CATALOGUE[size][0], slopes[1]
     torque = float(rng.uniform(2.0, 4.5)) * knees[1] * n  # of the motor at full voltage
     motor = n**2 * load * between(rng, 0.2, 1.2)
     dry = float(rng.uniform(0.04, 0.12)) * torque
@@ -226,7 +226,7 @@ def _draw_links(
 
 def _gear_slopes(size: int, ratio: int) -> tuple[float, float, float]:
     """K1, K2, K3 [N m/rad] of a gear."""
-    _, high, low = GEARS[size]
+    _, high, low = GEAR_CATALOGUE[size]
     first, second, third = low if ratio <= 50 else high
     return 1e4 * first, 1e4 * second, 1e4 * third
 

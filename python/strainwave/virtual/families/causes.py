@@ -18,7 +18,7 @@ from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 from strainwave.virtual.families.rigs import Rig, between
 from strainwave.virtual.families.short_records import plans
 
-NOTHING = "none"
+NO_CAUSE = "none"
 _SIZE_FACTORS = (0.3, 3.0)  # over the typical sizes of an effect
 _MAX_SHAPE_FACTOR = 1.3  # over and under the default shapes of an effect
 _INTEGER_SHAPES = {"torque_ripple_order", "kinematic_error_order"}
@@ -77,7 +77,7 @@ class OwnPlant:
             plant = arm.with_joint(joint, torque_per_volt=per_volt)
         elif cause.name == "friction-by-record":
             parameters["motor_coulomb_friction", joint] *= factor
-        elif cause.name not in (NOTHING, *_OTHER_CAUSES):
+        elif cause.name not in (NO_CAUSE, *_OTHER_CAUSES):
             plant = arm.with_joint(joint, effects=(cause.name,))
             names = effect_named(cause.name).names
             parameters |= {(name, joint): cause.sizes[name] for name in names}

@@ -12,16 +12,16 @@ from annotated_types import Ge, Le, MinLen
 from strainwave.domain.arm import NonNegative, Positive
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.study.reader import Reader
-from strainwave.virtual.families.catalogue import GEARS, RATIOS, SPRINGS
+from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS, SPRINGS
 from strainwave.virtual.families.causes import cause_names
 from strainwave.virtual.families.input_faults import INPUT_FAULTS
-from strainwave.virtual.families.sensor_defects import SIZES
+from strainwave.virtual.families.sensor_defects import DEFECT_SIZES
 
 Share = Annotated[float, Ge(0.0), Le(1.0)]
 Range = tuple[Positive, Positive]
 LinkSensors = Literal["accelerometer", "gyro", "accelerometer-and-gyro", "encoder", "none"]
 
-FAULTS: tuple[str, ...] = (*INPUT_FAULTS, *SIZES)
+FAULTS: tuple[str, ...] = (*INPUT_FAULTS, *DEFECT_SIZES)
 """Kinds of faults: errors of the study and its logs, then defects of sensors."""
 
 
@@ -47,8 +47,8 @@ class Family:
 
     arms: Annotated[int, Ge(1)]  # number of arms
     seed: Annotated[int, Ge(0)] = 0
-    sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEARS)  # of gears
-    ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = RATIOS
+    sizes: Annotated[tuple[int, ...], MinLen(1)] = tuple(GEAR_CATALOGUE)  # of gears
+    ratios: Annotated[tuple[Annotated[float, Ge(10.0), Le(500.0)], ...], MinLen(1)] = GEAR_RATIOS
     springs: Annotated[tuple[str, ...], MinLen(1)] = SPRINGS
     counts: Annotated[tuple[Annotated[int, Ge(100)], ...], MinLen(1)] = (
         *(2000, 4096, 8192),
@@ -73,7 +73,7 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
     reader = Reader(path, text)
     family = reader.record(Family, table, "family")
     known: dict[str, tuple[Any, ...]] = {
-        "sizes": tuple(GEARS),
+        "sizes": tuple(GEAR_CATALOGUE),
         "springs": SPRINGS,
         "faults": FAULTS,
         "effects": cause_names(),

@@ -18,7 +18,7 @@ from strainwave.signals.hygiene import Kind
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families.catalogue import Choices, of_choices
 from strainwave.virtual.families.causes import (
-    NOTHING,
+    NO_CAUSE,
     Cause,
     OwnPlant,
     cause_names,
@@ -28,7 +28,7 @@ from strainwave.virtual.families.causes import (
 from strainwave.virtual.families.description import FAULTS, Family, Friction, LinkSensors, Sensors
 from strainwave.virtual.families.input_faults import INPUT_FAULTS, Fault
 from strainwave.virtual.families.rigs import Rig, between
-from strainwave.virtual.families.sensor_defects import SIZES, injected
+from strainwave.virtual.families.sensor_defects import DEFECT_SIZES, injected
 from strainwave.virtual.families.short_records import plans, with_short_records
 from strainwave.virtual.records import record_experiment
 
@@ -124,7 +124,7 @@ def record(arm: VirtualArm) -> Recorded:
             study, plant_arm, plan, arm.values, arm.noise, rng, plant
         )
     classes: dict[str, Any] = dict(arm.rig.classes)
-    if arm.cause.name != NOTHING:
+    if arm.cause.name != NO_CAUSE:
         sizes = {name: float(size) for name, size in arm.cause.sizes.items()}
         classes |= {"effect": arm.cause.name, "joint": arm.cause.joint, "sizes": sizes}
     if arm.fault is None:
@@ -154,7 +154,7 @@ def _cause(of: float | tuple[str, ...], rig: Rig, rng: np.random.Generator) -> C
     """A cause with its sizes, or none."""
     name = _draw_kind(of, cause_names(), rng)
     if name is None:
-        return Cause(NOTHING, 1, {})
+        return Cause(NO_CAUSE, 1, {})
     joint = joint_of(name, rig.study.arm, int(rng.integers(1, rig.study.arm.n_joints + 1)))
     return Cause(name, joint, sizes_of(name, joint, rig, rng))
 
@@ -208,8 +208,8 @@ def _inject(
     if kind in INPUT_FAULTS:
         joint = int(rng.integers(1, study.arm.n_joints + 1))
         return INPUT_FAULTS[kind](logs, study, joint, rng)
-    defect: Kind = next(defect_kind for defect_kind in SIZES if defect_kind == kind)
-    unit, sizes = SIZES[defect]
+    defect: Kind = next(defect_kind for defect_kind in DEFECT_SIZES if defect_kind == kind)
+    unit, sizes = DEFECT_SIZES[defect]
     for size in rng.permutation(sizes).tolist():  # a small defect may have no effect
         injection = injected(logs, Arm.of(study.arm), defect, size, rng)
         if injection is not None:

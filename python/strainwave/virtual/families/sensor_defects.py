@@ -37,7 +37,7 @@ class Injected:
         return 2 * hits > len(self.spans)
 
 
-SIZES: Mapping[Kind, tuple[str, tuple[float, ...]]] = {
+DEFECT_SIZES: Mapping[Kind, tuple[str, tuple[float, ...]]] = {
     "spikes": ("times the largest change between samples", (1.0, 3.0, 10.0, 100.0)),
     "frozen": ("ms", (5.0, 20.0, 50.0, 200.0)),
     "encoder-steps": ("counts", (5.0, 50.0, 500.0, 4096.0)),
