@@ -16,14 +16,14 @@ from strainwave.virtual.experiments import simulate_study
 
 
 def _simulated(folder: Path, *, vertical: bool) -> Input:
-    """Simulate the built-in arm with linear springs: motion records, and PRBS if horizontal."""
+    """Simulate motion of the built-in arm with linear springs, and PRBS if horizontal."""
     study = scara.study(folder, "linear")
     values = scara.parameters(3, "linear")
     if vertical:
         study = replace(study, arm=replace(study.arm, gravity=9.81))
         values["gravity_torque_1", None] = 45.0
         values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
-    names = {"motion", "motion-check"} | (set() if vertical else {"prbs-j1", "prbs-j2"})
+    names = {"motion", "motion-check"} if vertical else {"motion", "prbs-j1", "prbs-j2"}
     experiments = tuple(e for e in study.experiments if e.name in names)
     simulate_study(
         replace(study, experiments=experiments),
@@ -38,7 +38,7 @@ def _simulated(folder: Path, *, vertical: bool) -> Input:
 
 @pytest.fixture(scope="session")
 def horizontal_arm(tmp_path_factory: pytest.TempPathFactory) -> Input:
-    """Arm without gravity: motion records and a PRBS record of each joint."""
+    """Arm without gravity: a motion record and a PRBS record of each joint."""
     return _simulated(tmp_path_factory.mktemp("horizontal"), vertical=False)
 
 
