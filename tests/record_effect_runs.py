@@ -112,7 +112,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
 
 
 def fitted(runs: Runs, *asked: tuple[EffectName, ...]) -> ArmModel:
-    """Whole-arm fit with effects, from joint models with errors of 5 %."""
+    """Whole-arm fit with effects, from joint models with errors of 5 %, with few rival fits."""
     arm = runs.study.arm
     named = (*asked, *[()] * (arm.n_joints - len(asked)))
     pairs = zip(arm.joints, named, strict=True)
@@ -120,4 +120,5 @@ def fitted(runs: Runs, *asked: tuple[EffectName, ...]) -> ArmModel:
     asks = replace(runs.study, arm=arm)
     joints = joint_models(asks, runs.known, 0.05, FACTORS)
     rigid = rigid_model(asks, runs.known, 0.01, 1.0)
-    return tune(runs.logs, rigid, joints, Arm.of(arm), TuningOptions(max_iterations=60))
+    options = TuningOptions(max_iterations=60, rival_effort=0.3)
+    return tune(runs.logs, rigid, joints, Arm.of(arm), options)

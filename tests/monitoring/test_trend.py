@@ -55,11 +55,11 @@ def test_the_same_store_gives_the_same_result(fleet: Trend) -> None:
 
 
 def test_the_false_alarm_rate_is_at_most_the_level() -> None:
-    """200 arms with 12 correlated parameters, at the default level of 1 %."""
+    """100 arms with 12 correlated parameters, at the default level of 1 %."""
     seed = secrets.randbits(32)
-    counts = false_alarms(np.random.default_rng(seed), 200)
+    counts = false_alarms(np.random.default_rng(seed), 100)
     n_alarms = sum(alarms for _, alarms in counts.values())
-    assert n_alarms <= stats.binom.ppf(1.0 - FAILURE_P, 200, 0.012), seed
+    assert n_alarms <= stats.binom.ppf(1.0 - FAILURE_P, 100, 0.012), seed
 
 
 def test_a_loss_of_stiffness_is_detected_within_few_visits() -> None:
