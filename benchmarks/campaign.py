@@ -29,7 +29,7 @@ from strainwave import pipeline
 from strainwave.campaign import Settings, run
 from strainwave.campaign.schema import PARAMETERS, RUNS
 from strainwave.campaign.store import Record, Store
-from strainwave.numerics.parallel import own_process
+from strainwave.numerics.parallel import configure_process
 
 SMALL_ARM = Path(__file__).resolve().parents[1] / "tests" / "data" / "small-arm"
 CORES = 1000  # of the projection
@@ -61,7 +61,7 @@ def copy_studies(folder: Path, count: int) -> list[Path]:
 
 def time_identify(studies: list[Path]) -> float:
     """Mean time of one identification in this process [s]."""
-    own_process()
+    configure_process()
     pipeline.identify(studies[0], stages=("rigid",), threads=1)
     times = []
     for path in studies:

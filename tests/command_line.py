@@ -31,7 +31,9 @@ def run_here(*arguments: str | Path, cwd: Path | None = None) -> Finished:
         chdir(cwd or Path.cwd()),
         patch.dict(os.environ, COLUMNS=COLUMNS),
         patch("sys.argv", line),
-        patch("strainwave.numerics.parallel.own_process"),  # this process runs other tests too
+        patch(
+            "strainwave.numerics.parallel.configure_process"
+        ),  # this process runs other tests too
         redirect_stdout(out),
         redirect_stderr(err),
     ):

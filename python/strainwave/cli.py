@@ -490,9 +490,9 @@ def _progress(quiet: bool) -> Iterator[Callable[[object], None]]:
 
 def main() -> None:
     """Run the command line; errors of the input are one sentence without traceback."""
-    from strainwave.numerics.parallel import own_process
+    from strainwave.numerics.parallel import configure_process
 
-    own_process()
+    configure_process()
     try:
         app()
     except InvalidInput as error:

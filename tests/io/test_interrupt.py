@@ -18,7 +18,7 @@ PROLOGUE = """
 import sys, threading, time
 from pathlib import Path
 from strainwave.io import atomic_files, interrupt
-from strainwave.numerics.parallel import run_parallel, stop_if_asked
+from strainwave.numerics.parallel import run_parallel, raise_if_stopped
 interrupt.listen()
 def ready():
     print("ready", flush=True)
@@ -74,7 +74,7 @@ def test_parallel_jobs_stop() -> None:
     code = """
 def endless():
     while True:
-        stop_if_asked()
+        raise_if_stopped()
 def first():
     ready()
     endless()

@@ -11,7 +11,7 @@ from functools import partial
 
 import pytest
 
-from strainwave.numerics.parallel import Stopped, run_parallel, stop_if_asked
+from strainwave.numerics.parallel import Stopped, raise_if_stopped, run_parallel
 
 
 def test_results_come_in_order() -> None:
@@ -48,7 +48,7 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
         begun.wait()
         try:
             while True:
-                stop_if_asked()
+                raise_if_stopped()
         except Stopped:
             ended.append(threading.current_thread())
             raise
@@ -66,13 +66,13 @@ def test_a_job_that_fails_ends_those_beside_it() -> None:
     assert len(ended) == 2
     assert not any(thread.is_alive() for thread in ended)
     assert late in ([], [1])  # it may have started before the failure
-    stop_if_asked()  # outside the jobs, nothing is stopped
+    raise_if_stopped()  # outside the jobs, nothing is stopped
 
 
 def test_a_process_of_our_own_begins_no_blas_threads() -> None:
     code = """
-from strainwave.numerics.parallel import own_process
-own_process()
+from strainwave.numerics.parallel import configure_process
+configure_process()
 import numpy
 from threadpoolctl import threadpool_info
 print(*{i["num_threads"] for i in threadpool_info() if i["internal_api"] == "openblas"})

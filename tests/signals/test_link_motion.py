@@ -18,11 +18,11 @@ from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.numerics.filters import (
     Between,
+    apply_lags,
+    apply_lags_without_aliases,
     band_pass,
     band_passes,
     differentiate,
-    lagged,
-    unaliased,
 )
 from strainwave.signals import link_motion as links
 from strainwave.signals.fusion import bias_of, complement, fuse
@@ -54,7 +54,7 @@ def test_lags_have_the_analytic_step_response(order: int) -> None:
     w, t = 2.0 * np.pi * 300.0, SAMPLE * np.arange(100)
     step = np.r_[0.0, np.ones(100)]
     cutoff = Lag(1 if order == 1 else 2, 300.0)
-    response = lagged(step, [cutoff], SAMPLE, held=True)[1:]
+    response = apply_lags(step, [cutoff], SAMPLE, held=True)[1:]
     if order == 1:
         exact = 1.0 - np.exp(-w * t)
     else:
@@ -66,7 +66,7 @@ def test_lags_have_the_analytic_step_response(order: int) -> None:
 def test_a_ramp_is_delayed_by_the_sum_of_the_lags() -> None:
     """The delay of a ramp is the sum of the delays of the low-pass filters."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
-    ramp = lagged(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE)
+    ramp = apply_lags(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE)
     late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
     assert ramp[-1] == pytest.approx(t[-1] - late, abs=1e-9)
 
@@ -74,7 +74,7 @@ def test_a_ramp_is_delayed_by_the_sum_of_the_lags() -> None:
 def test_the_current_loop_lag_reproduces_the_simulated_torque() -> None:
     """The current-loop lag reproduces the simulated motor torque."""
     _, run = run_of(None, None)
-    torque = lagged(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
+    torque = apply_lags(0.08 * run["voltage"][:, 0], [Lag(1, 1000.0)], SAMPLE, held=True)
     # The simulated voltage is zero before the first sample; its transient is excluded.
     assert torque[40:] == pytest.approx(run["motor_torque"][40:, 0], abs=1e-9)
 
@@ -89,8 +89,8 @@ def test_a_lagged_angle_keeps_the_analytic_amplitude() -> None:
     ratio = 100.0 / lag.cutoff_hz
     response = 1.0 / (1.0 + np.sqrt(2.0) * 1j * ratio - ratio**2)
     exact = (response * np.exp(200j * np.pi * t)).imag
-    linear = lagged(np.sin(200.0 * np.pi * t), [lag], T)
-    filtered = unaliased(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
+    linear = apply_lags(np.sin(200.0 * np.pi * t), [lag], T)
+    filtered = apply_lags_without_aliases(np.sin(200.0 * np.pi * t), [lag], T, "smooth")
     inner = slice(200, -200)
     assert filtered[inner] == pytest.approx(exact[inner], abs=2e-4)
     assert np.abs(linear - exact)[inner].max() > 0.02
@@ -100,7 +100,7 @@ def test_a_lagged_angle_keeps_the_analytic_amplitude() -> None:
 def test_a_ramp_is_delayed_by_the_lags_and_the_hold(between: Between) -> None:
     """The delay of a ramp is the sum of the lags, plus half a sample if it is held."""
     t: FloatArray = SAMPLE * np.arange(4000, dtype=np.float64)
-    passed = unaliased(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
+    passed = apply_lags_without_aliases(t, [Lag(1, 1000.0), Lag(2, 300.0)], SAMPLE, between)
     late = 1.0 / (2.0 * np.pi * 1000.0) + np.sqrt(2.0) / (2.0 * np.pi * 300.0)
     late += 0.5 * SAMPLE if between == "held" else 0.0
     assert passed[2000] == pytest.approx(t[2000] - late, abs=1e-8)
@@ -111,10 +111,13 @@ def test_a_held_voltage_is_filtered_without_aliasing() -> None:
     T, oversampling, lags = 1e-3, 16, [Lag(1, 800.0)]
     rng = np.random.default_rng(3)
     voltage = rng.choice([-10.0, 10.0], 2000)
-    fine = lagged(np.repeat(voltage, oversampling), lags, T / oversampling, held=True)
+    fine = apply_lags(np.repeat(voltage, oversampling), lags, T / oversampling, held=True)
     exact = band_pass(fine, 20.0, 300.0, T / oversampling)[::oversampling]
     errors = []
-    for torque in (unaliased(voltage, lags, T, "held"), lagged(voltage, lags, T, held=True)):
+    for torque in (
+        apply_lags_without_aliases(voltage, lags, T, "held"),
+        apply_lags(voltage, lags, T, held=True),
+    ):
         error = (band_pass(torque, 20.0, 300.0, T) - exact)[200:-200]
         errors.append(error.std() / exact.std())
     assert errors[0] < 0.005
@@ -191,7 +194,7 @@ def test_ideal_sensors_give_the_true_link_motion(gravity: float | None) -> None:
     # The filter acts on q2 and dq1 before, not after, the products of (9): a second-order error.
     names: tuple[Quantity, ...] = ("link_acceleration", "link_velocity", "link_angle")
     for name in names:
-        true_motion = lagged(run[name], SHARED, SAMPLE)[INNER]
+        true_motion = apply_lags(run[name], SHARED, SAMPLE)[INNER]
         estimate = getattr(motion, name)[INNER]
         error = (estimate - true_motion).std(axis=0) / true_motion.std(axis=0)
         # Below its cutoff, the fusion omits the deflection of the angle and of the velocity.
@@ -216,7 +219,7 @@ def test_biases_are_subtracted_and_reported() -> None:
 def test_the_estimated_fusion_error_agrees_with_the_true_error() -> None:
     """The estimated fusion error agrees with the true error within a factor of 1.6."""
     study, run = run_of(None, None)
-    truth = lagged(run["link_velocity"], SHARED, SAMPLE)
+    truth = apply_lags(run["link_velocity"], SHARED, SAMPLE)
     errors = []
     for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
         options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
@@ -237,7 +240,7 @@ def test_two_accelerometer_bandwidths_are_both_applied() -> None:
     run = prbs_run(study)
     motion = links.link_side(log_of(run), Arm.of(study.arm))
     assert motion.shared == (Lag(2, 300.0), Lag(2, 150.0))
-    truth = lagged(run["link_acceleration"], motion.shared, SAMPLE)[INNER]
+    truth = apply_lags(run["link_acceleration"], motion.shared, SAMPLE)[INNER]
     error = (motion.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
     assert np.all(error < 0.02)
 

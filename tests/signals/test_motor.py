@@ -14,7 +14,7 @@ from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics import filters
-from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave.numerics.filters import differentiate, low_pass, noise_std, signal_band
 from strainwave.signals import motor as signals
 from strainwave.signals.standstill import free_friction, responses, sliding_direction
 from strainwave.virtual import scara
@@ -60,7 +60,7 @@ def test_numerical_derivatives_are_of_fourth_order() -> None:
 def test_encoder_noise_and_band_are_estimated() -> None:
     rng = np.random.default_rng(0)
     angle = 50.0 * np.sin(2.0 * np.pi * 1.0 * TIME) + rng.normal(0.0, 1e-3, TIME.shape)
-    assert noise_deviation(angle) == pytest.approx(1e-3, rel=0.1)
+    assert noise_std(angle) == pytest.approx(1e-3, rel=0.1)
     assert 1.0 <= signal_band(angle, CLOCK) <= 10.0
     quieter = angle - rng.normal(0.0, 1e-3, TIME.shape) * 0.0
     wide = (

@@ -11,7 +11,7 @@ import pytest
 from strainwave.domain import Control, Log, Prbs
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.identification.closed_loop import as_known, observe, predict_closed_loop
+from strainwave.identification.closed_loop import observe, predict_closed_loop, restrict_to_values
 from strainwave.signals.recorded_input import (
     check_servo_clock,
     missing_recorded_input,
@@ -128,6 +128,9 @@ def test_the_cutoff_follows_from_the_record_or_the_option() -> None:
 def test_one_stiffness_makes_a_three_slope_spring_linear() -> None:
     study, values = truth("three-slope")
     arm = Arm.of(study.arm)
-    assert as_known(arm, values) == arm
+    assert restrict_to_values(arm, values) == arm
     linear_values = {key: value for key, value in values.items() if not key[0].startswith("gear_")}
-    assert [joint.spring for joint in as_known(arm, linear_values).joints] == ["linear", "linear"]
+    assert [joint.spring for joint in restrict_to_values(arm, linear_values).joints] == [
+        "linear",
+        "linear",
+    ]

@@ -15,7 +15,7 @@ from scipy.signal import lfilter
 from strainwave.domain import ContinuousStateSpace, FloatArray, InputOutput, StateSpace
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.statespace import PemOptions, modes, pem, propagate, subspace, to_continuous
-from strainwave.statespace._entries import Matrices, balanced, rescale
+from strainwave.statespace._entries import Matrices, balance, rescale
 from strainwave.statespace._evaluate import Evaluator
 from strainwave.statespace._stack import stack
 from two_inertia import TwoInertia, excitation, simulate
@@ -89,7 +89,7 @@ def test_jacobian_is_the_derivative_to_second_order() -> None:
     evaluator = Evaluator(data, 3)
     rng = np.random.default_rng(0)
     start = rescale(Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((2, 3))), data)
-    values = balanced(start).pack() + 0.01 * rng.standard_normal(start.pack().shape)
+    values = balance(start).pack() + 0.01 * rng.standard_normal(start.pack().shape)
     J = evaluator.core.jacobian(values)
     entries = J.shape[2] - 3
     exact = np.zeros((len(J), 2, len(values)))
@@ -125,7 +125,7 @@ def test_every_entry_has_its_own_derivative() -> None:
     data = stack(noisy(1, 80))
     evaluator = Evaluator(data, 3)
     matrices = Matrices(TRUTH.A, TRUTH.B, TRUTH.C, TRUTH.D, TRUTH.K, np.zeros((1, 3)))
-    values = balanced(rescale(matrices, data)).pack()
+    values = balance(rescale(matrices, data)).pack()
     whitener = evaluator.whitener(evaluator.unpack(values))
     J = evaluator.core.jacobian(values)
     hessian, gradient = evaluator.core.normal_equations(values, whitener)

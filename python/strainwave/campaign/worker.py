@@ -151,9 +151,9 @@ def main(do: Perform = perform) -> None:
     os.dup2(2, 1)
     faulthandler.enable()
 
-    from strainwave.numerics.parallel import own_process
+    from strainwave.numerics.parallel import configure_process
 
-    own_process()
+    configure_process()
     from strainwave import pipeline  # noqa: F401 - before the time of the first task
 
     if arguments.memory_limit is not None:

@@ -12,7 +12,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
-from strainwave.numerics.parallel import stop_if_asked
+from strainwave.numerics.parallel import raise_if_stopped
 
 Quantity = Literal[
     "voltage",
@@ -134,7 +134,7 @@ def simulate_arms(
     vectors = np.array([arm.parameter_vector(values) for values in arms])
     experiment = _experiment(arm, drive, sample_time, samples, max_time_step)
     with core_errors():
-        stop_if_asked()
+        raise_if_stopped()
         recorded = arm.core.simulate(vectors, record=record, **experiment)
     return {name: recorded[name] for name in record}
 
@@ -165,7 +165,7 @@ def sensitivities(
         experiment["taps"] = [low_pass.taps[name] for name in record]
         experiment["samples_per_row"] = low_pass.samples_per_row
     with core_errors():
-        stop_if_asked()
+        raise_if_stopped()
         recorded = arm.core.sensitivities(
             vector, with_respect_to=list(directions), record=record, **experiment
         )

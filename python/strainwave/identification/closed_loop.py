@@ -27,7 +27,7 @@ from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
-from strainwave.numerics.filters import differentiate, low_pass, noise_deviation, signal_band
+from strainwave.numerics.filters import differentiate, low_pass, noise_std, signal_band
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
 # minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
@@ -51,7 +51,7 @@ def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
     return arm.with_joints(joints)
 
 
-def as_known(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
+def restrict_to_values(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
     """The arm with known effects only, and with the simplest springs that the values describe.
 
     `values` maps (name, joint) to a value.
@@ -70,7 +70,7 @@ def velocity_band(log: Log, arm: Arm) -> float:
 
 
 @dataclass(frozen=True, slots=True)
-class Observed:
+class Observation:
     """Measured motion of a record, with the data that the comparison with a simulation needs."""
 
     log: Log
@@ -111,13 +111,13 @@ class Observed:
             joint, T = int(name[1:]), self.log.sample_time
             reading = apply_sensor_model(runs["accelerometer"][0, :, joint - 1], T, joint, values)
             columns.append(reading[:, None])
-        filtered = _filtered(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
+        filtered = _filter(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - filtered.mean(axis=0)
         shift[: arm.n_joints] = 0.0
         return np.asarray(filtered + shift)
 
 
-def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
+def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     """Velocities and accelerations of a record, prepared for the comparison.
 
     `cutoff_hz` [Hz] is that of the low-pass; the default is the bandwidth of the measured motion.
@@ -133,14 +133,14 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observed:
     # gain of white noise below the cut-off; encoders are differentiated
     derivative_gain = 2.0 * np.pi * cutoff / np.sqrt(3.0)
     gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(with_accelerometer))
-    noise = np.array([noise_deviation(channel) for channel in raw])
-    return Observed(
+    noise = np.array([noise_std(channel) for channel in raw])
+    return Observation(
         log=log,
         drive=recorded_drive(arm, log),
         cutoff_hz=cutoff,
         channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in with_accelerometer]),
         time=log.time[_inside(log, cutoff)],
-        measured=_filtered(np.column_stack(raw), arm.n_joints, log, cutoff),
+        measured=_filter(np.column_stack(raw), arm.n_joints, log, cutoff),
         noise=noise * gains * np.sqrt(min(1.0, 2.0 * T * cutoff)),
     )
 
@@ -161,28 +161,32 @@ def predict_closed_loop(
     `NumericalFailure` if the simulated motion is not finite.
     """
     observed = observe(log, arm, cutoff_hz)
-    return prediction_of(observed, observed.simulated(as_known(arm, values), values))
+    return build_prediction(observed, observed.simulated(restrict_to_values(arm, values), values))
 
 
-def prediction_of(seen: Observed, predicted: FloatArray) -> Prediction:
+def build_prediction(observation: Observation, predicted: FloatArray) -> Prediction:
     """Prediction record of a comparison. `predicted` is (n_rows, n_channels)."""
-    fits = np.where(seen.moves, fit_percent(seen.measured, predicted), np.nan)
+    fits = np.where(observation.moves, fit_percent(observation.measured, predicted), np.nan)
     return Prediction(
-        experiment=seen.log.name,
-        time=seen.time,
-        channels=seen.channels,
-        measured=seen.measured,
+        experiment=observation.log.name,
+        time=observation.time,
+        channels=observation.channels,
+        measured=observation.measured,
         predicted=predicted,
-        fit_percent=dict(zip(seen.channels, fits.tolist(), strict=True)),
-        warnings=tuple(_warnings_at_rest(seen)),
+        fit_percent=dict(zip(observation.channels, fits.tolist(), strict=True)),
+        warnings=tuple(_warnings_at_rest(observation)),
     )
 
 
-def _warnings_at_rest(seen: Observed) -> Iterator[Diagnostic]:
-    for name, moves in zip(seen.channels, seen.moves, strict=True):
+def _warnings_at_rest(observation: Observation) -> Iterator[Diagnostic]:
+    """Warn about channels without a fit."""
+    for name, moves in zip(observation.channels, observation.moves, strict=True):
         if not moves:
-            message = f"{name} has no fit: what it shows hardly stands out of its noise"
-            yield Diagnostic.at("nothing-to-predict", Place.in_records(seen.log.name), message)
+            message = f"no fit is reported for {name}: the signal is less than"
+            message += f" {_MIN_SIGNAL_TO_NOISE:g} times its noise"
+            yield Diagnostic.at(
+                "nothing-to-predict", Place.in_records(observation.log.name), message
+            )
 
 
 def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:
@@ -200,7 +204,7 @@ def _inside(log: Log, cutoff_hz: float) -> slice:
     return slice(edge, len(log) - edge)
 
 
-def _filtered(raw: FloatArray, n_joints: int, log: Log, cutoff_hz: float) -> FloatArray:
+def _filter(raw: FloatArray, n_joints: int, log: Log, cutoff_hz: float) -> FloatArray:
     """Low-pass encoders and accelerometers (n_samples, n_channels, ...), differentiate encoders."""
     filtered = np.array(low_pass(raw, cutoff_hz, log.sample_time))
     filtered[:, :n_joints] = differentiate(filtered[:, :n_joints], log.sample_time)

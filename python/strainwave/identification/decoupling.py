@@ -63,7 +63,7 @@ def decouple(
 
     Raises `NotIdentifiable` if the rigid model is missing or lacks a parameter of the torques.
     """
-    chosen = options or DecouplingOptions()
+    options = options or DecouplingOptions()
     base, tau = _interaction(signals, model, arm)
     records = []
     for i in range(arm.n_joints):
@@ -71,7 +71,7 @@ def decouple(
         if model is not None:
             u = u - _dry_friction(signals, model, i)
         inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
-        band = chosen.band_hz or _motion_band(signals, i)
+        band = options.band_hz or _motion_band(signals, i)
         densities = _spectra(inputs, signals.sample_time)
         frequency, richness = _richness(densities, band)
         checks = tuple(_checks(signals, arm, base, i, inputs, band, densities, richness))
@@ -112,7 +112,7 @@ def _interaction(
         return np.zeros(0), None
     if model is None:
         raise NotIdentifiable(
-            "what gravity or the other links do to a joint takes a rigid model: add a motion record"
+            "the torques of gravity and other links require a rigid model: add a motion record"
         )
     base = base_parameters(model, arm)
     motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
@@ -123,11 +123,11 @@ def _total_viscous_friction(model: RigidModel, arm: Arm, joint: int) -> float | 
     return model.value(viscous_friction(arm), joint)
 
 
-def without_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
+def subtract_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:
     """Subtract Coulomb friction and offset from u of a joint decoupled without a rigid model.
 
     Returns u - f sgn(dtheta_M) - f_0, as `decouple` computes with a rigid model. The friction comes
-    from `motor_coulomb_friction` and `friction_offset` of `joint`, where it has them.
+    from `motor_coulomb_friction` and `friction_offset` of `joint`, if it has them.
     """
     i = part.joint - 1
     coulomb_torque = joint.values.get("motor_coulomb_friction", 0.0) * signals.direction[:, i]
@@ -195,7 +195,7 @@ def _checks(
     text += (
         ""
         if sliding_share >= _MIN_SLIDING_SHARE
-        else "; a linear model takes stiction for inertia: raise the amplitude"
+        else "; stiction biases the inertia of a linear model: raise the amplitude"
     )
     yield Check(
         "sliding", sliding_share >= _MIN_SLIDING_SHARE, sliding_share, _MIN_SLIDING_SHARE, text
@@ -207,7 +207,7 @@ def _checks(
     u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
     ratio = float(n * tau.std() / max(u.std(), 1e-300))
     text = f"n tau is {ratio:.3g} times u"
-    text += "" if ratio >= _MIN_INTERACTION_RATIO else "; too small for its effect to be estimated"
+    text += "" if ratio >= _MIN_INTERACTION_RATIO else "; too small to estimate its effect"
     yield Check(
         "interaction-amplitude",
         ratio >= _MIN_INTERACTION_RATIO,

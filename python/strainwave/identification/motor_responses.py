@@ -23,7 +23,7 @@ from strainwave.domain import (
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate_arms
-from strainwave.identification.closed_loop import as_known, velocity_band
+from strainwave.identification.closed_loop import restrict_to_values, velocity_band
 from strainwave.numerics.filters import differentiate
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.signals.recorded_input import driven_by_voltage
@@ -51,7 +51,7 @@ def motor_response(
     """
     driven, drive = driven_by_voltage(arm, log)
     runs = simulate_arms(
-        as_known(driven, model.values),
+        restrict_to_values(driven, model.values),
         [dict(model.values)],
         drive,
         sample_time=log.sample_time,

@@ -22,7 +22,12 @@ from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import Observed, as_known, observe, prediction_of
+from strainwave.identification.closed_loop import (
+    Observation,
+    build_prediction,
+    observe,
+    restrict_to_values,
+)
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _COULOMB = "motor_coulomb_friction"
@@ -138,7 +143,7 @@ def predict_rigid(
             Diagnostic.at(
                 "nothing-to-predict",
                 Place.in_records(signals.experiment.name),
-                f"{name} has no fit: its motor stands, or its torque does not vary",
+                f"no fit is reported for {name}: the motor rests or its torque is constant",
             )
             for name, fit in zip(names, band.fit_percent, strict=True)
             if not np.isfinite(fit)
@@ -188,8 +193,8 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     needs.
     """
     values, observed = dict(model.values), observe(log, arm)
-    motion = observed.simulated(as_known(arm, values), values)
-    prediction = prediction_of(observed, motion)
+    motion = observed.simulated(restrict_to_values(arm, values), values)
+    prediction = build_prediction(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
     typical, noise = _typical_motion(model), observed.noise
@@ -197,7 +202,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     def varied() -> Iterator[FloatArray]:
         for other in _variations(model):
             try:
-                yield observed.simulated(as_known(arm, other), other) - motion
+                yield observed.simulated(restrict_to_values(arm, other), other) - motion
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
@@ -213,12 +218,12 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     )
 
 
-def _by_voltage(observed: Observed, values: Values, arm: Arm) -> Prediction:
+def _by_voltage(observed: Observation, values: Values, arm: Arm) -> Prediction:
     """The same prediction with the recorded voltages instead of the servo."""
     driven, drive = driven_by_voltage(arm, observed.log)
     driven_observation = replace(observed, drive=drive)
-    return prediction_of(
-        driven_observation, driven_observation.simulated(as_known(driven, values), values)
+    return build_prediction(
+        driven_observation, driven_observation.simulated(restrict_to_values(driven, values), values)
     )
 
 
@@ -256,7 +261,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
 
 
 def _stiffness_effect(
-    prediction: Prediction, observed: Observed, joint: int, values: Values, arm: Arm
+    prediction: Prediction, observed: Observation, joint: int, values: Values, arm: Arm
 ) -> float:
     """Largest relative change of a channel for 20 % more stiffness of one gear.
 
@@ -269,7 +274,7 @@ def _stiffness_effect(
         * (_STIFFNESS_FACTOR if number == joint and "stiffness" in name else 1.0)
         for (name, number), value in values.items()
     }
-    stiffer_motion = observed.simulated(as_known(arm, stiffer), stiffer)
+    stiffer_motion = observed.simulated(restrict_to_values(arm, stiffer), stiffer)
     has_fit = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
     change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
     motion_std = np.std(prediction.measured, axis=0)

@@ -130,7 +130,7 @@ def differentiate(signal: FloatArray, sample_time: float) -> FloatArray:
     return derivative
 
 
-def noise_deviation(signal: FloatArray) -> float:
+def noise_std(signal: FloatArray) -> float:
     """Standard deviation of the white noise on a smooth signal (n_samples,).
 
     Sixth differences suppress a smooth motion. White noise of variance s^2 has sixth differences of
@@ -175,7 +175,7 @@ def signal_band(angle: FloatArray, sample_time: float) -> float:
     return float(min(frequency[last], 0.2 * rate))
 
 
-def lagged(
+def apply_lags(
     signal: FloatArray, lags: Sequence[Lag], sample_time: float, *, held: bool = False
 ) -> FloatArray:
     """Signal after a cascade of low-pass filters of sensors or drives.
@@ -217,12 +217,12 @@ def _lag_response(
     return np.asarray(response, dtype=np.complex128), size
 
 
-def unaliased(
+def apply_lags_without_aliases(
     signal: FloatArray, lags: Sequence[Lag], sample_time: float, between: Between
 ) -> FloatArray:
     """Signal after low-pass filters, without aliases of components above the Nyquist frequency.
 
-    The samples that `lagged` returns contain aliases. A held voltage has significant components
+    The samples that `apply_lags` returns contain aliases. A held voltage has significant components
     above the Nyquist frequency, an angle has none, so aliases would bias a comparison of the two.
     Linear interpolation of an angle would reduce it by (w T)^2 / 12. This function multiplies the
     spectrum by

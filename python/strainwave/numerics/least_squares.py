@@ -247,7 +247,7 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     return root
 
 
-def first_weights(target: FloatArray, group: IntArray) -> FloatArray:
+def initial_weights(target: FloatArray, group: IntArray) -> FloatArray:
     """Square roots of the initial weights: the reciprocal rms of the target in each group."""
     root = np.ones_like(target)
     for g in np.unique(group[group != PRIOR_GROUP]):

@@ -33,7 +33,7 @@ def one_blas_thread() -> AbstractContextManager[object]:
     return limit
 
 
-def own_process() -> None:
+def configure_process() -> None:
     """Configure a process that runs only this package; call it before NumPy is imported.
 
     OpenBLAS starts no threads, because idle BLAS threads busy-wait on the cores. The garbage
@@ -106,7 +106,7 @@ def limited(
 
     `threads`: Maximum number of threads, including those of nested jobs. None: one thread per core
         in each `run_parallel`.
-    `cancelled`: Called at every `stop_if_asked`; True cancels the work.
+    `cancelled`: Called at every `raise_if_stopped`; True cancels the work.
 
     Raises `Stopped` after cancellation.
     """
@@ -118,7 +118,7 @@ def limited(
         _thread.group = outer_group
 
 
-def stop_if_asked() -> None:
+def raise_if_stopped() -> None:
     """Stop the current job if its result is no longer needed.
 
     Long loops call this function in every iteration. Raises `Stopped` if a job of the same
@@ -134,7 +134,7 @@ def run_parallel(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
 
     Threads suffice, because NumPy and the core release the interpreter lock. No thread outlives the
     call. If a job fails or the caller is interrupted, waiting jobs do not start, and running jobs
-    end at their next `stop_if_asked`.
+    end at their next `raise_if_stopped`.
 
     Returns the results in the order of the jobs, or raises the first exception.
     """
@@ -164,11 +164,11 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
 
 
 def _run_sequentially(job: Callable[[], Result]) -> Result:
-    stop_if_asked()
+    raise_if_stopped()
     return job()
 
 
 def _run_in_group(group: _Group, job: Callable[[], Result]) -> Result:
     _thread.group = group
-    stop_if_asked()
+    raise_if_stopped()
     return job()

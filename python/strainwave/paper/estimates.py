@@ -27,7 +27,7 @@ from strainwave.dynamics.two_inertia import anti_resonance as true_anti_resonanc
 from strainwave.dynamics.two_inertia import resonance as true_resonance
 from strainwave.errors import NumericalFailure, StrainwaveError
 from strainwave.identification.joint_model import modes_of, state_space_of
-from strainwave.identification.joint_model.linear import without_alternating
+from strainwave.identification.joint_model.linear import remove_alternating_poles
 from strainwave.presentation.figures.curves import Curve
 from strainwave.statespace import frequency_response, to_continuous
 
@@ -84,7 +84,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
     )
     try:
         modes = modes_of(model)
-        continuous = to_continuous(without_alternating(model))
+        continuous = to_continuous(remove_alternating_poles(model))
         response = frequency_response(continuous, LINES_HZ)
     except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as error:
         warning = Diagnostic("modes-failed", name, str(error))

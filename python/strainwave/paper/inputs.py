@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
-from strainwave.numerics.filters import lagged
+from strainwave.numerics.filters import apply_lags
 from strainwave.paper.claims import comparison_of
 from strainwave.paper.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.presentation.figures import Figure
@@ -155,7 +155,7 @@ def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
     motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
     base = np.array([run.values.get(key, 0.0) for key in run.arm.base_names])
     true = interaction_torques(run.arm, base, *motion)[:, joint - 1]
-    true = lagged(true, run.decoupled.shared, run.decoupled.sample_time)
+    true = apply_lags(true, run.decoupled.shared, run.decoupled.sample_time)
     valid = run.decoupled.valid
     error = np.linalg.norm((tau - true)[valid])
     fit = 100.0 * (1.0 - error / np.linalg.norm(true[valid] - true[valid].mean()))

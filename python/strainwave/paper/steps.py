@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.domain import Comparison, Criterion, FloatArray
 from strainwave.domain.parameters import Values
-from strainwave.identification.closed_loop import as_known
+from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.paper.claims import comparison_of
 from strainwave.paper.rig import TUNING_STEPS, Rig, Tuned, ideal_log, run_steps
@@ -84,7 +84,7 @@ def _link_velocities(
     """Link velocities of the arm and of the model, from the same sensors, and the time."""
     joint = 1
     log = rig.steps(levels, joint, number)
-    model = run_steps(as_known(rig.arm, values), values, levels, joint)
+    model = run_steps(restrict_to_values(rig.arm, values), values, levels, joint)
     velocities = []
     for record in (log, ideal_log(model, joint)):
         velocity = link_side(record, rig.arm).link_velocity[:, joint - 1]

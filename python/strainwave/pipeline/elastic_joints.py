@@ -170,7 +170,7 @@ def _fit_joints(
     for joint in joints if model is None else ():
         # without a rigid model the inputs still contain dry friction, which the models do not have
         records = [
-            decoupling.without_friction(s, d, joint) for s, d in records_by_joint[joint.joint]
+            decoupling.subtract_friction(s, d, joint) for s, d in records_by_joint[joint.joint]
         ]
         response = _response(records, options.responses)
         responses |= {} if response is None else {joint.joint: response}

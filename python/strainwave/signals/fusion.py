@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain import FloatArray, Fusion, Lag
-from strainwave.numerics.filters import lagged
+from strainwave.numerics.filters import apply_lags
 
 
 def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
@@ -30,7 +30,7 @@ def fuse(rate: FloatArray, slow: FloatArray, fusion: Fusion, sample_time: float)
 def complement(signal: FloatArray, fusion: Fusion, sample_time: float) -> FloatArray:
     """Low-pass F of the fusion, (n_samples,); its initial state is rest at the first sample."""
     low_pass = Lag(fusion.order, 1.0 / (2.0 * np.pi * fusion.time_constant))
-    return lagged(signal, [low_pass], sample_time)
+    return apply_lags(signal, [low_pass], sample_time)
 
 
 def bias_of(acceleration: FloatArray, velocity: FloatArray, sample_time: float, edge: int) -> float:

@@ -27,11 +27,11 @@ from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import (
     Between,
+    apply_lags_without_aliases,
     differentiate,
     low_pass,
-    noise_deviation,
+    noise_std,
     signal_band,
-    unaliased,
 )
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import drive_delay, sensor_delay
@@ -196,7 +196,7 @@ class _FilteredLog:
         rest = list(self.shared)
         for lag in own:
             rest.remove(lag)
-        return self.smooth(unaliased(signal, rest, self.log.sample_time, between))
+        return self.smooth(apply_lags_without_aliases(signal, rest, self.log.sample_time, between))
 
     def smooth(self, signal: FloatArray) -> FloatArray:
         """Apply the zero-phase low-pass filter, if there is one."""
@@ -226,7 +226,7 @@ class _FilteredLog:
         T = self.log.sample_time
         torque = joint.torque_per_volt * values
         if loop or self.shared:
-            torque = unaliased(torque, [*loop, *self.shared], T, "held")
+            torque = apply_lags_without_aliases(torque, [*loop, *self.shared], T, "held")
         return self.smooth(torque)
 
     def _velocity_noise(self, noise: FloatArray) -> FloatArray:
@@ -252,7 +252,7 @@ class _FilteredLog:
         deviations of its noise.
         """
         T = self.log.sample_time
-        noise = np.array([noise_deviation(angle) for angle in self.raw_angle.T])
+        noise = np.array([noise_std(angle) for angle in self.raw_angle.T])
         certain = directions(self.raw_angle, noise, self.arm, T)
         velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
         softened = np.clip(

@@ -10,10 +10,10 @@ from strainwave.domain import FloatArray, Joint, Lag, Log, Signals
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import (
+    apply_lags,
     differentiate,
-    lagged,
     low_pass,
-    noise_deviation,
+    noise_std,
     signal_band,
 )
 from strainwave.signals.channels import (
@@ -59,7 +59,7 @@ def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Sign
         )
     smooth_angle = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth_angle, T)
-    noise = np.array([noise_deviation(angle[:, i - 1]) for i in numbers])
+    noise = np.array([noise_std(angle[:, i - 1]) for i in numbers])
     saturated, warnings = saturation(log, arm, sources)
     angle_invalid = unmeasured(log, (f"theta_m{i}" for i in numbers))
     torque_invalid = np.column_stack([unmeasured(log, (source,)) for source in sources])
@@ -104,7 +104,7 @@ def drive_torque(voltage: FloatArray, joint: Joint, sample_time: float) -> Float
     commanded = joint.torque_per_volt * 0.5 * (voltage + np.r_[voltage[:1], voltage[:-1]])
     if joint.current_loop_hz is None:
         return np.asarray(commanded)
-    return lagged(commanded, [Lag(1, joint.current_loop_hz)], sample_time)
+    return apply_lags(commanded, [Lag(1, joint.current_loop_hz)], sample_time)
 
 
 def _torque(log: Log, joint: Joint, channel: str) -> FloatArray:

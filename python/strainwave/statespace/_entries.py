@@ -94,7 +94,7 @@ def rescale(matrices: Matrices, data: Stack) -> Matrices:
     )
 
 
-def balanced(matrices: Matrices) -> Matrices:
+def balance(matrices: Matrices) -> Matrices:
     """Model in the balanced coordinates of `balancing`."""
     return matrices.transformed(balancing(matrices))
 

@@ -46,12 +46,12 @@ class Evaluator:
         residuals = self.core.residuals(values)
         if not np.abs(residuals).max() < DIVERGENCE_RATIO:
             return np.inf
-        covariance = floored_covariance(residuals)
+        covariance = limit_covariance(residuals)
         return 0.5 * len(residuals) * float(np.linalg.slogdet(covariance)[1])
 
     def whitener(self, matrices: Matrices) -> FloatArray:
         """Lower Cholesky factor of the innovations' covariance."""
-        return np.asarray(np.linalg.cholesky(floored_covariance(self.residuals(matrices))))
+        return np.asarray(np.linalg.cholesky(limit_covariance(self.residuals(matrices))))
 
     def linear(
         self,
@@ -93,7 +93,7 @@ class Evaluator:
                 # If the predictor diverges, keep the first solution.
                 if not np.abs(residuals).max() < DIVERGENCE_RATIO:
                     break
-                whitener = np.asarray(np.linalg.cholesky(floored_covariance(residuals)))
+                whitener = np.asarray(np.linalg.cholesky(limit_covariance(residuals)))
         return self.unpack(values)
 
     def _linear_entries(self, feedthrough: tuple[bool, ...] | None) -> NDArray[np.intp]:
@@ -114,7 +114,7 @@ class Evaluator:
             return self.data.outputs - self.core.residuals(simulator.pack())
 
 
-def floored_covariance(residuals: FloatArray) -> FloatArray:
+def limit_covariance(residuals: FloatArray) -> FloatArray:
     """Covariance E'E / N, regularised by `MIN_VARIANCE_SHARE`."""
     covariance = residuals.T @ residuals / len(residuals)
     return covariance + MIN_VARIANCE_SHARE * np.eye(len(covariance))
@@ -144,7 +144,7 @@ def assemble(
     n_gain = 0 if method == "output-error" else n * p
     n_parameters = n * m + n * p + p * sum(feedthrough) + n_gain + n * len(data.lengths)
     samples = data.n_samples
-    covariance = floored_covariance(residuals)
+    covariance = limit_covariance(residuals)
     log_scale = samples * float(np.log(data.output_scale).sum())
     cost = 0.5 * samples * float(np.linalg.slogdet(covariance)[1])
     # Degrees of freedom: each output's mean square is reduced by its share of the parameters.

@@ -63,7 +63,7 @@ def stabilising_gain(A: FloatArray, C: FloatArray, K: FloatArray, R: FloatArray)
     return K
 
 
-def reflected(A: FloatArray) -> FloatArray:
+def reflect_poles(A: FloatArray) -> FloatArray:
     """Matrix A with the eigenvalues on or outside the unit circle reflected to the inside."""
     values, vectors = np.linalg.eig(A)
     moduli = np.abs(values)

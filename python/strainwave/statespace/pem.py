@@ -15,11 +15,11 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.numerics.parallel import stop_if_asked
-from strainwave.statespace._entries import Matrices, balanced, n_entries, rescale
+from strainwave.numerics.parallel import raise_if_stopped
+from strainwave.statespace._entries import Matrices, balance, n_entries, rescale
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._restricted import restrict_steps
-from strainwave.statespace._riccati import is_stable, reflected, stabilising_gain
+from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
 from strainwave.statespace._stack import Data, Stack, stack
 from strainwave.statespace.residuals import whiteness
 from strainwave.statespace.subspace import (
@@ -157,7 +157,7 @@ def _starts(
         realisations = [_from_model(start, data)]
     evaluator = Evaluator(data, realisations[0].order)
     stable = [
-        replace(matrices, A=reflected(matrices.A), K=np.zeros_like(matrices.K))
+        replace(matrices, A=reflect_poles(matrices.A), K=np.zeros_like(matrices.K))
         for matrices in realisations
     ]
     starts = [
@@ -181,7 +181,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
             f"got {shape[0]} and {shape[1]}"
         )
     states = np.zeros((len(data.lengths), start.order))
-    converted = _resampled(start, data.sample_time, states)
+    converted = _resample(start, data.sample_time, states)
     scaled = rescale(converted, data)
     noise = start.noise_covariance / np.outer(data.output_scale, data.output_scale)
     noise = noise + MIN_VARIANCE_SHARE * np.eye(len(noise))
@@ -189,7 +189,7 @@ def _from_model(start: StateSpace, data: Stack) -> Matrices:
     return replace(scaled, K=K)
 
 
-def _resampled(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
+def _resample(start: StateSpace, sample_time: float, states: FloatArray) -> Matrices:
     """Matrices of a start, converted to another sampling period.
 
     B and D depend on the hold, so the fit re-estimates them.
@@ -218,8 +218,8 @@ def _fit(
     if options.initial_state == "zero":
         start = replace(start, initial_states=np.zeros_like(start.initial_states))
     # Balanced coordinates improve the conditioning and reduce the number of iterations.
-    start = balanced(start)
-    stop_if_asked()
+    start = balance(start)
+    raise_if_stopped()
     try:
         fit = evaluator.core.fit(
             start.pack(),

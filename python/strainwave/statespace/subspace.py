@@ -21,7 +21,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.statespace._entries import Matrices, balanced
+from strainwave.statespace._entries import Matrices, balance
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._hankel import solve_upper, triangular_factor
 from strainwave.statespace._riccati import innovations_gain, stabilising_gain
@@ -365,7 +365,7 @@ def _realise_from_states(
     K = stabilising_gain(A, C, K, innovation)
     states = np.zeros((len(data.lengths), n))
     matrices = Matrices(A, B, C, D, K, initial_states=states)
-    return Realisation(balanced(matrices), singular_values, past)
+    return Realisation(balance(matrices), singular_values, past)
 
 
 def _regression(regressors: FloatArray, targets: FloatArray) -> FloatArray:

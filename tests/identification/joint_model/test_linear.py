@@ -21,9 +21,9 @@ from strainwave.identification.joint_model.linear import (
     modes_of,
     other_bands,
     physical_order,
+    remove_alternating_poles,
     state_space_of,
     velocities,
-    without_alternating,
 )
 from strainwave.statespace import frequency_response
 from two_inertia import TwoInertia, state_space
@@ -171,13 +171,13 @@ def test_an_alternating_pole_is_a_gain_in_the_band() -> None:
         K=T @ full_model.K,
         initial_states=full_model.initial_states @ T.T,
     )
-    reduced = without_alternating(transformed)
+    reduced = remove_alternating_poles(transformed)
     assert reduced.order == 3
     assert np.linalg.eigvals(reduced.A) == pytest.approx(np.linalg.eigvals(joint.A), rel=1e-9)
     f = np.array([2.0, 10.0, 30.0])
     before, after = (frequency_response(m, f).response for m in (transformed, reduced))
     assert after == pytest.approx(before, rel=0.02)
-    assert without_alternating(joint) is joint
+    assert remove_alternating_poles(joint) is joint
 
 
 def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:

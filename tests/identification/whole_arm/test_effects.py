@@ -15,7 +15,7 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.closed_loop import as_known, with_known_effects
+from strainwave.identification.closed_loop import restrict_to_values, with_known_effects
 from strainwave.identification.whole_arm.effects import (
     add_effects,
     insignificant_effects,
@@ -132,7 +132,7 @@ def test_an_arm_is_known_as_far_as_its_values_go() -> None:
     some = [key for key in SIZES if key != ("stribeck_velocity", 1)]
     assert with_known_effects(arm, some) == some_arm
     values = {key: SIZES[key] for key in some}
-    assert as_known(arm, values) == some_arm
+    assert restrict_to_values(arm, values) == some_arm
 
 
 def test_records_are_run_with_the_effects_that_are_known() -> None:

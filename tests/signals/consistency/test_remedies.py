@@ -13,7 +13,7 @@ from consistency_inputs import Input
 from strainwave.domain import Correction, Lag, Log
 from strainwave.domain.corrections import apply_corrections, correction_text
 from strainwave.io.logs import read_logs
-from strainwave.numerics.filters import lagged
+from strainwave.numerics.filters import apply_lags
 from strainwave.signals.consistency import check
 
 Columns = dict[str, Any]
@@ -61,7 +61,7 @@ def delayed(seconds: float, *names: str) -> Fault:
 def high_passed(hz: float, *names: str) -> Fault:
     def change(log: Log, columns: Columns) -> None:
         for name in names:
-            slow = lagged(columns[name], [Lag(1, hz)], log.sample_time)
+            slow = apply_lags(columns[name], [Lag(1, hz)], log.sample_time)
             columns[name] = columns[name] - slow
 
     return lambda given: altered(given, change)
@@ -217,7 +217,7 @@ def test_several_faults_give_experiments_that_isolate_the_likely_causes(arm: Inp
 
     def change(_: Log, columns: Columns) -> None:
         for name in ("a1", "a2", "gyro1", "gyro2"):
-            slow = lagged(noise.standard_normal(len(columns[name])), [Lag(1, 1.0)] * 3, 2.5e-4)
+            slow = apply_lags(noise.standard_normal(len(columns[name])), [Lag(1, 1.0)] * 3, 2.5e-4)
             columns[name] = slow * (np.std(columns[name]) / np.std(slow))
 
     suspected = check(*altered(arm, change)).suspected

@@ -219,7 +219,7 @@ def fit_record(
     place = Place.in_records(name)
     warnings: list[Diagnostic] = []
 
-    def tried(code: str, step: Callable[[], Result]) -> Result | None:
+    def attempt(code: str, step: Callable[[], Result]) -> Result | None:
         try:
             return step()
         except (StrainwaveError, np.linalg.LinAlgError) as problem:
@@ -235,7 +235,7 @@ def fit_record(
         return identify_joint(pair, model, arm, chosen.physical, search_from_hz=first)
 
     by_equations = chosen.physical.route == "equations"
-    physical = tried("grey-box-failed", grey_box) if by_equations else None
+    physical = attempt("grey-box-failed", grey_box) if by_equations else None
     linear = modes = transfer = check = None
     judged = chosen.judged or not by_equations
     if chosen.state_space or not by_equations:
@@ -243,16 +243,16 @@ def fit_record(
             chosen.linear if judged else _in_known_band(decoupled, physical, chosen.linear)
         )
         start_model = None if judged else near
-        linear = tried(
+        linear = attempt(
             "state-space-failed", lambda: fit_linear(decoupled, linear_options, start_model)
         )
     if linear is not None:
         fit = linear
         warnings += [Diagnostic.at(w.code, place, w.message) for w in fit.model.warnings]
-        modes = tried("modes-failed", lambda: modes_of(fit.model))
+        modes = attempt("modes-failed", lambda: modes_of(fit.model))
     if linear is not None and judged:
-        check = tried("not-judged", lambda: judge(fit))
-        transfer = tried(
+        check = attempt("not-judged", lambda: judge(fit))
+        transfer = attempt(
             "transfer-function-failed", lambda: _by_transfer(fit, model, arm, chosen.physical)
         )
     state_space = None if linear is None else linear.model

@@ -76,15 +76,15 @@ def warnings_of(
         if value + 2.0 * np.nan_to_num(std) < 0.0 and (
             identified or name not in _VISCOUS_FRICTIONS
         ):
-            text = f"{estimate} is impossible: {source} show something that"
-            yield Diagnostic.at("implausible", place, text + " this joint's model has not")
+            text = f"{estimate} is physically impossible: the model of the joint does not describe"
+            yield Diagnostic.at("implausible", place, f"{text} {source}")
         elif not identified:
-            text = f"{source} identify it only to {estimate}"
+            text = f"{source} determine the value only to {estimate}"
             if name.endswith("viscous_friction"):
-                text += "; of the viscous frictions only the total is well known"
+                text += "; only the total viscous friction is well determined"
             yield Diagnostic.at("not-identifiable", place, text)
     if joint.law.is_curved:
-        text = f"one stiffness for the whole curve, at the torsion reached in {source}: "
+        text = f"equivalent stiffness at the torsion in {source}: "
         text += joint.law.equivalent_note
         place = Place(joint=number, parameter="gear_stiffness")
         yield Diagnostic.at("equivalent-stiffness", place, text)

@@ -39,8 +39,8 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.linear import same_band
 from strainwave.numerics import least_squares as ls
 from strainwave.numerics.banded import Banded
-from strainwave.numerics.filters import band_pass, band_passes, unaliased
-from strainwave.numerics.parallel import stop_if_asked
+from strainwave.numerics.filters import apply_lags_without_aliases, band_pass, band_passes
+from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.signals.standstill import free_friction, responses
 
 Columns = TypeVar("Columns", LinkSignals, Decoupled)
@@ -360,7 +360,7 @@ def _piece(
 
     torque = signals.motor_torque[:, i]
     columns = [
-        unaliased(torque, (), T, "held") if signals.held[i] else torque,
+        apply_lags_without_aliases(torque, (), T, "held") if signals.held[i] else torque,
         decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(torque)),
         signals.direction[:, i],
         signals.motor_angle[:, i],
@@ -378,7 +378,9 @@ def _piece(
     half_length = int(2.0 / (low * T))  # the impulse response is below 1e-5 beyond it
     impulse = np.zeros(2 * half_length + 1)
     impulse[half_length] = 1.0
-    kernel = band_pass(unaliased(impulse, signals.shared, T, "straight"), low, high, T)
+    kernel = band_pass(
+        apply_lags_without_aliases(impulse, signals.shared, T, "straight"), low, high, T
+    )
     shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS_PER_PERIOD * high * T))))
     return _Piece(
         ratio=n,
@@ -410,7 +412,7 @@ def _equations(
     if near is None:
         x = _starting_values(pieces)
         equations = _assemble(pieces, known, x)
-        root = ls.first_weights(equations.target, equations.group)
+        root = ls.initial_weights(equations.target, equations.group)
         return _WeightedEquations(pieces, equations, root, x)
     equations = _assemble(pieces, known, near.x)
     root = np.ones_like(equations.target)
@@ -429,7 +431,7 @@ def _iterate(
     """
     pieces, equations, root, x = weighted.pieces, weighted.equations, weighted.root, weighted.x
     for _ in range(_MAX_ITERATIONS):
-        stop_if_asked()
+        raise_if_stopped()
         factor = ls.factorise(equations, root)
         has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
         x = factor.value

@@ -200,10 +200,10 @@ def judge(fit: LinearFit) -> ModelCheck:
 
 def modes_of(model: StateSpace) -> Modes:
     """Poles, and zeros from motor torque to motor velocity, of a model from `state_space_of`."""
-    return modes(without_alternating(model), 0, 0)
+    return modes(remove_alternating_poles(model), 0, 0)
 
 
-def without_alternating(model: StateSpace) -> StateSpace:
+def remove_alternating_poles(model: StateSpace) -> StateSpace:
     """Remove poles on the negative real axis, which have no continuous-time equivalent.
 
     Such a pole alternates in sign from sample to sample and models the edge of the band, at
@@ -231,7 +231,7 @@ def without_alternating(model: StateSpace) -> StateSpace:
 
     if model.covariance is not None:
         reduced = replace(reduced, covariance=propagate(model, entries)[1])
-    return without_alternating(reduced)
+    return remove_alternating_poles(reduced)
 
 
 def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
@@ -333,7 +333,7 @@ def _data(
     records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
 ) -> tuple[InputOutput, ...]:
     """Filtered and decimated stretches of all records."""
-    pieces = _pieces if options.filter == "band" else _decimated
+    pieces = _pieces if options.filter == "band" else _decimate
     stretches = [piece for record in records for piece in pieces(record, band_hz, options)]
     if not stretches:
         raise NotIdentifiable(
@@ -354,13 +354,13 @@ def _pieces(
     n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
     n_out = 1 if options.outputs == "motor" else 2
 
-    def raised(f: FloatArray) -> ComplexArray:
+    def compensated_band(f: FloatArray) -> ComplexArray:
         attenuation = np.where(
             f * step * T < _MAX_COMPENSATED_RATE_SHARE, np.sinc(f * step * T) ** 2, 1.0
         )
         return np.asarray(band_of(f, band_hz) / attenuation, dtype=complex)
 
-    def undone(f: FloatArray) -> ComplexArray:
+    def compensated_sensors(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band_hz)[:, None, None] * velocities(f, record))
 
     for start, stop in _stretches(record):
@@ -368,8 +368,8 @@ def _pieces(
         # the high-pass response lasts one period; the remaining samples must suffice for a fit
         if (stop - start) * T * low < _MIN_PERIODS - 1e-6:
             continue
-        inputs = by_spectrum(record.inputs[start:stop, :n_in], raised, T, 3.0 / low)
-        outputs = by_spectrum(record.outputs[start:stop], undone, T, 3.0 / low)
+        inputs = by_spectrum(record.inputs[start:stop, :n_in], compensated_band, T, 3.0 / low)
+        outputs = by_spectrum(record.outputs[start:stop], compensated_sensors, T, 3.0 / low)
         yield InputOutput(
             inputs=np.ascontiguousarray(inputs[edge : stop - start - edge : step]),
             outputs=np.ascontiguousarray(outputs[edge : stop - start - edge : step, :n_out]),
@@ -385,7 +385,7 @@ def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
     return _CUTOFF_TO_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
 
 
-def _decimated(
+def _decimate(
     record: Decoupled, _: tuple[float, float], options: LinearOptions
 ) -> Iterator[InputOutput]:
     """Low-passed, decimated stretches without their means, prepared as in the source."""
@@ -495,7 +495,7 @@ def _fit_from(
     A model with an alternating pole is not used, because that pole models the edge of the other
     band.
     """
-    if near is None or without_alternating(near) is not near:
+    if near is None or remove_alternating_poles(near) is not near:
         return None
     return _fit_near(data, near, options)
 

@@ -39,8 +39,8 @@ from strainwave.identification.joint_model.linear import (
     band_around,
     band_of,
     modes_of,
+    remove_alternating_poles,
     velocities,
-    without_alternating,
 )
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
@@ -167,12 +167,12 @@ def _pairs_with_covariance(
         pole = nearest(np.array([nominal.pole]), poles)[:, 0]
         return _vector(zero, pole, np.stack(_lag(continuous, zero, pole)))
 
-    return propagate(without_alternating(model), at_once, stacked=True)
+    return propagate(remove_alternating_poles(model), at_once, stacked=True)
 
 
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
     """The least damped pole and zero pair, or those nearest to the pairs of `near`."""
-    reduced = without_alternating(replace(model, covariance=None))
+    reduced = remove_alternating_poles(replace(model, covariance=None))
     model_modes = modes_of(reduced)
     zeros, poles = (
         [m.value for m in ms if m.oscillates] for ms in (model_modes.zeros, model_modes.poles)
@@ -280,31 +280,28 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
         return None
     f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _RECIPROCITY_LINES)
     G = _response(
-        to_continuous(without_alternating(replace(model, covariance=None))), _laplace_variable(f)
+        to_continuous(remove_alternating_poles(replace(model, covariance=None))),
+        _laplace_variable(f),
     )
     difference, average = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
     return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(average)))
 
 
 def _assumption_warnings(
-    own: _Pairs, lag: FloatArray, reciprocity: float | None, place: Place
+    pairs: _Pairs, lag: FloatArray, reciprocity: float | None, place: Place
 ) -> Iterator[Diagnostic]:
     """Warnings for assumptions of the method that the estimates violate."""
     if reciprocity is not None and reciprocity < _MIN_RECIPROCITY_PERCENT:
-        message = (
-            f"G12 and G21, equal in a joint, agree only to {reciprocity:.0f} %: check the gear"
-        )
+        message = f"G12 and G21 agree only to {reciprocity:.0f} %, but a joint is reciprocal: check"
         yield Diagnostic.at(
-            "not-reciprocal", place, message + " ratio, torque_per_volt and the link sensor"
+            "not-reciprocal", place, message + " gear_ratio, torque_per_volt and the link sensor"
         )
-    if abs(lag[4] / lag[5]) > _MAX_LAG_TO_ANTI_RESONANCE * abs(own.zero):
-        message = "the joint's slow lag is not far below its anti-resonance, so that (18) is rough"
+    if abs(lag[4] / lag[5]) > _MAX_LAG_TO_ANTI_RESONANCE * abs(pairs.zero):
+        message = "the slow lag of the joint is close to its anti-resonance, so (18) is inaccurate"
         yield Diagnostic.at("lag-not-slow", place, message)
-    ratio = own.lag[1] / lag[5]
+    ratio = pairs.lag[1] / lag[5]
     if abs(ratio - 1.0) > _MAX_INERTIA_DIFFERENCE:
-        message = (
-            f"the inertia at the joint's resonance is {ratio:.2f} times the rigid model's: see"
-        )
+        message = f"the inertia at the resonance is {ratio:.2f} times that of the rigid model:"
         yield Diagnostic.at(
-            "inertia-mismatch", place, message + " what friction and torque_per_volt do to either"
+            "inertia-mismatch", place, message + " check friction and torque_per_volt"
         )

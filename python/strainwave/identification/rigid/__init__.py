@@ -35,10 +35,10 @@ from strainwave.identification.rigid.equations import (
     Stretch,
     anti_resonances,
     assemble,
-    carried_over,
+    average_estimates,
+    convert_estimate,
     decimation,
     estimate_of,
-    halfway,
     n_compliances,
     prepare,
 )
@@ -128,7 +128,7 @@ def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = Non
 def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidModel:
     motions = [(s, period_of(s)) for s in signals]
     if chosen.bandwidth_hz is not None:
-        trials = [_trial(arm, _prepared(arm, motions, chosen.bandwidth_hz), None)]
+        trials = [_trial(arm, _prepare(arm, motions, chosen.bandwidth_hz), None)]
     else:
         trials = _search(motions, arm)
     best = _select_bandwidth(trials, arm)
@@ -136,7 +136,7 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
     if loaded_joints:
         neighbours = [best, *_neighbours(trials, best)]
         best, *neighbours = trials = [
-            _with_loads(arm, trial, loaded_joints) for trial in neighbours
+            _refit_with_loads(arm, trial, loaded_joints) for trial in neighbours
         ]
     model_error = _bandwidth_model_error(trials, best) + _elastic_model_error(arm, best)
     covariance = best.covariance + np.diag(model_error)
@@ -164,7 +164,7 @@ def _load_dependent_joints(arm: Arm, best: _Trial, wanted: bool | None) -> list[
     # one solve excludes most arms; iteration takes many times as long
     if np.all(first_solution.common <= _MIN_LOAD_FRICTION):
         return []
-    trial = _with_loads(arm, best, joints)
+    trial = _refit_with_loads(arm, best, joints)
     share, friction_std = trial.factor.common, trial.compliance_deviation
     implausible = {arm.rigid_columns[k].joint for k in _implausible_parameters(arm, trial)}
     return [
@@ -186,7 +186,7 @@ def _implausible_parameters(arm: Arm, trial: _Trial) -> list[int]:
     ]
 
 
-def _with_loads(arm: Arm, trial: _Trial, joints: Sequence[int]) -> _Trial:
+def _refit_with_loads(arm: Arm, trial: _Trial, joints: Sequence[int]) -> _Trial:
     """Fit at the same bandwidth with load-dependent friction of some joints."""
     loads = Loads.of(joints, trial.stretches)
     return _trial(arm, trial.stretches, trial.estimate, loads=loads)
@@ -216,10 +216,11 @@ def _load_friction(
 
 
 def _load_warning(share: Parameter) -> Diagnostic:
+    """Warn about friction that depends on the load."""
     message = (
-        f"friction grows by {share.value:.3f} +- {share.std:.3f} of the load, and is predicted so;"
+        f"friction increases by {share.value:.3f} +- {share.std:.3f} of the load. Predictions of"
     )
-    message += " simulate and export leave that out"
+    message += " the rigid model include this; simulations and exports do not"
     return Diagnostic("load-friction", f"joint {share.joint}", message)
 
 
@@ -258,9 +259,11 @@ def _search(motions: Sequence[_Motion], arm: Arm) -> list[_Trial]:
         limits = [_max_rigid_bandwidth(arm, trial) for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
-        stretches = _prepared(arm, motions, bandwidth)
+        stretches = _prepare(arm, motions, bandwidth)
         start = (
-            carried_over(trials[-1].estimate, trials[-1].stretches, stretches) if trials else None
+            convert_estimate(trials[-1].estimate, trials[-1].stretches, stretches)
+            if trials
+            else None
         )
         trial = _trial(arm, stretches, start)
         trials.append(trial)
@@ -320,7 +323,7 @@ def _motion_band(signals: Signals) -> float:
     return highest
 
 
-def _prepared(arm: Arm, motions: Sequence[_Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
+def _prepare(arm: Arm, motions: Sequence[_Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
     return tuple(prepare(arm, s, bandwidth_hz, period) for s, period in motions)
 
 
@@ -335,7 +338,7 @@ def _trial(
     equations = assemble(arm, stretches, around, loads)
     if not len(equations.target):
         raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
-    root = ls.first_weights(equations.target, equations.group)
+    root = ls.initial_weights(equations.target, equations.group)
     last_step = np.zeros(len(arm.rigid_columns))
     for iteration in range(_ROUNDS):
         factor = ls.factorise(equations, root)
@@ -347,7 +350,7 @@ def _trial(
         has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
         estimate = estimate_of(arm, stretches, equations, factor, motor_share)
         if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
-            estimate = halfway(around, estimate)
+            estimate = average_estimates(around, estimate)
         around, last_step = estimate, step
         if has_converged:
             break
@@ -523,9 +526,11 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
         stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
         for i, share in enumerate(stiction_shares):
             if share > _MAX_STICTION_SHARE:
-                message = f"motor {i + 1} may stand for {100.0 * share:.0f} % of the record, which"
+                message = (
+                    f"motor {i + 1} may stick in {100.0 * share:.0f} % of the record; these samples"
+                )
                 message += (
-                    " then carries no information on its friction; move faster, reverse less often"
+                    " contain no information on its friction; move faster and reverse less often"
                 )
                 place = Place.in_records(stretch.signals.experiment.name)
                 yield Diagnostic.at("standing", place, message)
@@ -533,28 +538,26 @@ def _warnings(arm: Arm, best: _Trial) -> Iterator[Diagnostic]:
         weakest_direction = np.abs(best.factor.directions[-1])
         names_involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
         message = (
-            f"condition number {best.factor.condition_number:.0f}: the records hardly separate"
+            f"condition number {best.factor.condition_number:.0f}: the records poorly separate"
         )
         yield Diagnostic.at("poor-excitation", records, f"{message} {names_involved}; {_REMEDY}")
     for k in _implausible_parameters(arm, best):
         message = (
             f"{best.estimate.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
         )
-        message += (
-            " the records show something that a rigid arm with Coulomb and viscous friction is not"
-        )
+        message += " the data contradict a rigid arm with Coulomb and viscous friction"
         place = Place(joint=columns[k].joint, parameter=columns[k].name)
         yield Diagnostic.at("implausible", place, message)
     if best.last_move > _MAX_LAST_CHANGE:
-        message = f"after {_ROUNDS} rounds a parameter still moves by {best.last_move:.1f} standard"
-        message += " deviations; record a longer or livelier motion"
+        message = f"after {_ROUNDS} iterations a parameter still changes by {best.last_move:.1f}"
+        message += " standard deviations; record a longer or more varied motion"
         yield Diagnostic.at("not-settled", records, message)
     limit = _max_rigid_bandwidth(arm, best)
     if best.bandwidth_hz > limit:
         message = (
-            f"the gears' compliance shows at {_RESONANCE_RATIO * limit:.1f} Hz, too near to the"
+            f"the anti-resonance at {_RESONANCE_RATIO * limit:.1f} Hz is too close to the motion"
         )
-        message += f" motion's {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
+        message += f" band of {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
         yield Diagnostic.at("not-rigid", records, message)
 
 
@@ -584,7 +587,7 @@ def _reason(arm: Arm, best: _Trial, unknown: int) -> str:
     others = [str(columns[k]) for k in _companions(best, unknown)]
     if others:
         return f"these records cannot separate it from {', '.join(others)}; {_REMEDY}"
-    return f"these records hardly depend on it; {_REMEDY}"
+    return f"these records contain too little information on it; {_REMEDY}"
 
 
 def _companions(best: _Trial, unknown: int) -> list[int]:

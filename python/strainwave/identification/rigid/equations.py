@@ -135,12 +135,12 @@ def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> S
     elastic = n_compliances(arm) > 0
     keep, standing, free = [], [], []
     for i in range(n_joints):
-        keep.append(_away_from(~signals.valid[:, i], int(cutoff_period / 2))[rows])
+        keep.append(_exclude_neighbours(~signals.valid[:, i], int(cutoff_period / 2))[rows])
         spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
         shapes = free_friction(signals.direction[:, i], spacing)
         if elastic:
             at_rest = signals.direction[:, i] == 0.0
-            near = np.flatnonzero(~_away_from(at_rest, len(motion_kernel))[motion_samples])
+            near = np.flatnonzero(~_exclude_neighbours(at_rest, len(motion_kernel))[motion_samples])
             standing.append((near, responses(shapes, motion_samples[near], motion_kernel)))
         free.append(responses(shapes, rows, kernel))
     angle, velocity, acceleration, torque, direction = (
@@ -181,7 +181,7 @@ def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
     return low_pass(impulse, cutoff_hz, sample_time)
 
 
-def carried_over(
+def convert_estimate(
     estimate: Estimate, before: Sequence[Stretch], after: Sequence[Stretch]
 ) -> Estimate:
     """Convert an estimate at one bandwidth to a starting value at another.
@@ -332,7 +332,7 @@ def estimate_of(
     return Estimate(factor.value, compliance, tuple(stiction_torque), motor_share)
 
 
-def halfway(one: Estimate, other: Estimate) -> Estimate:
+def average_estimates(one: Estimate, other: Estimate) -> Estimate:
     """Mean of two estimates of the same records, with the motor share of `other`."""
     return Estimate(
         0.5 * (one.solution + other.solution),
@@ -439,6 +439,6 @@ def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray
     return np.asarray(np.sqrt(power))
 
 
-def _away_from(bad: BoolArray, reach: int) -> BoolArray:
+def _exclude_neighbours(bad: BoolArray, reach: int) -> BoolArray:
     """Samples that are at least `reach` away from every bad sample."""
     return ~running(np.logical_or, bad, 2 * max(1, reach) + 1)

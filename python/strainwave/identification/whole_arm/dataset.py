@@ -39,7 +39,7 @@ from strainwave.dynamics.mounting import (
 from strainwave.dynamics.record_effects import RecordInputs, record_inputs
 from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
-from strainwave.numerics.filters import noise_deviation
+from strainwave.numerics.filters import noise_std
 
 INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
@@ -527,7 +527,7 @@ def noise_behind(
     `samples` holds one array (n_samples,) per channel. `counts` are the resolutions of the
     channels; the noise is at least that of rounding, count / sqrt(12).
     """
-    stds = [noise_deviation(x) for x in samples]
+    stds = [noise_std(x) for x in samples]
     gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
     return np.asarray(np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain)
 

@@ -20,7 +20,7 @@ from strainwave.identification.whole_arm.dataset import (
     noise_behind,
 )
 from strainwave.identification.whole_arm.low_pass import Kernels, low_pass_kernels
-from strainwave.numerics.filters import noise_deviation
+from strainwave.numerics.filters import noise_std
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.recorded_input import (
     driven_by_voltage,
@@ -201,7 +201,7 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     t = T * np.arange(n_first)
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
-        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise_deviation(angle))
+        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise_std(angle))
         second_difference = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
         max_acceleration = np.max(np.abs(second_difference)) / (span * T) ** 2
         if np.any(np.abs(angle[:n_first] - angle[0]) > tolerance + 0.5 * max_acceleration * t**2):

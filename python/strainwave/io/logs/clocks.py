@@ -16,7 +16,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, Experiment, FloatArray
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import find_invalid_value
-from strainwave.numerics.filters import noise_deviation
+from strainwave.numerics.filters import noise_std
 
 MIN_SAMPLES = 16
 """Minimum number of samples that the filters need."""
@@ -311,7 +311,7 @@ def _resample(
     }
     max_gain = 0.0
     for name in measured:
-        noise = noise_deviation(interpolated[name]), noise_deviation(on_ticks[name])
+        noise = noise_std(interpolated[name]), noise_std(on_ticks[name])
         if min(noise) > 0.0:
             gain = float(np.log(noise[0] / noise[1]))
             max_gain = gain if abs(gain) > abs(max_gain) else max_gain

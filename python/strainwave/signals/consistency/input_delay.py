@@ -20,7 +20,12 @@ import numpy as np
 
 from strainwave.domain import ComplexArray, Delay, FloatArray, Lag, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import band_passes, noise_deviation, signal_band, unaliased
+from strainwave.numerics.filters import (
+    apply_lags_without_aliases,
+    band_passes,
+    noise_std,
+    signal_band,
+)
 from strainwave.signals.channels import directions, torque_channel
 
 MAX_SENSOR_DELAY = 0.024
@@ -65,7 +70,7 @@ def compute_delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
     T, n = log.sample_time, arm.n_joints
     angle = np.column_stack([log.channels[f"theta_m{k}"] for k in range(1, n + 1)])
     top = _BAND_SHARE * signal_band(angle[:, i], T)
-    noise = np.array([noise_deviation(each) for each in angle.T])
+    noise = np.array([noise_std(each) for each in angle.T])
     direction = directions(angle, noise, arm, T)[:, i]
     signals = np.column_stack([angle, direction, _command_torque(log, arm, i)])
     profiles = [_band_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
@@ -103,7 +108,7 @@ def _command_torque(log: Log, arm: Arm, i: int) -> FloatArray:
     if name == f"torque{i + 1}":
         return values
     loop = [Lag(1, joint.current_loop_hz)] if joint.current_loop_hz else []
-    return unaliased(values, loop, log.sample_time, "held")
+    return apply_lags_without_aliases(values, loop, log.sample_time, "held")
 
 
 def _band_profile(

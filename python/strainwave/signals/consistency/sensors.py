@@ -14,7 +14,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import differentiate, lagged
+from strainwave.numerics.filters import apply_lags, differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
 
@@ -229,8 +229,8 @@ def _regress_channel(
         cutoff = None
 
     def sensed(part: FloatArray) -> FloatArray:
-        part = lagged(part, sensor, T)
-        return part - lagged(part, [Lag(1, cutoff)], T) if cutoff else part
+        part = apply_lags(part, sensor, T)
+        return part - apply_lags(part, [Lag(1, cutoff)], T) if cutoff else part
 
     parts = {key: sensed(part) for key, part in parts.items()}
     target = record.channels[name][record.inside]
