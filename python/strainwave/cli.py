@@ -72,7 +72,7 @@ def init(
         typer.echo(
             f"{draft.path}: {draft.joints} joint(s), {draft.experiments} record(s), "
             f"{len(draft.channels)} channel(s) guessed ({', '.join(draft.channels)}); "
-            f"{draft.todos} value(s) are TODO"
+            f"{draft.n_todos} value(s) are TODO"
         )
         for warning in draft.warnings:
             typer.echo(f"warning: {warning}")

@@ -132,7 +132,7 @@ def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
     assert completed(without_link, study.arm)["alpha", None] == pytest.approx(whole["alpha", None])
 
 
-def test_one_stiffness_stands_for_three_slopes() -> None:
+def test_one_stiffness_replaces_three_slopes() -> None:
     study = scara.study(Path("x"), "three-slope")
     made = completed(scara.parameters(5, "linear"), study.arm)
     slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}

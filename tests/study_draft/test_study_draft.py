@@ -22,7 +22,7 @@ from strainwave.io.logs import read_log, read_logs, write_log
 from strainwave.io.study import read_study
 from strainwave.signals.motor import drive_torque
 from strainwave.study_draft import start_study
-from strainwave.study_draft.names import Named, parse
+from strainwave.study_draft.names import ParsedName, parse
 from strainwave.study_draft.signal_features import (
     quantum,
     relation,
@@ -150,7 +150,7 @@ VOCABULARIES: dict[str, tuple[Renamed, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("vocabulary", VOCABULARIES)
-def test_columns_of_any_name_and_unit_come_out_in_si(vocabulary: str, tmp_path: Path) -> None:
+def test_columns_of_any_name_and_unit_are_mapped_to_si(vocabulary: str, tmp_path: Path) -> None:
     rename, channels = VOCABULARIES[vocabulary]
     truth = motion()
     log = started(tmp_path, rename(truth))
@@ -175,7 +175,7 @@ def test_a_drive_at_its_limit_is_reported(tmp_path: Path) -> None:
     write_log(tmp_path / "run.csv", columns | {"volt": np.clip(truth["u1"], -limit, limit)})
     start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
-    assert f"now and then it stays at {limit:.4g}: the drive's limit?" in text
+    assert f"it repeatedly stays at {limit:.4g}: the limit of the drive?" in text
 
 
 def test_the_gear_ratio_follows_from_two_encoders(tmp_path: Path) -> None:
@@ -188,7 +188,7 @@ def test_the_gear_ratio_follows_from_two_encoders(tmp_path: Path) -> None:
     assert text.count("encoder_counts = 8192") == 2  # from the quantisation of the angles
 
 
-def test_counts_and_currents_ask_for_their_scale(tmp_path: Path) -> None:
+def test_counts_and_currents_have_a_todo_scale(tmp_path: Path) -> None:
     truth = motion()
     columns = {
         "t_us": 1e6 * truth["t"],
@@ -203,7 +203,7 @@ def test_counts_and_currents_ask_for_their_scale(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.channels["torque2"], 0.08 * truth["u2"], atol=1e-12)
 
 
-def test_what_is_not_understood_is_listed_with_what_it_resembles(tmp_path: Path) -> None:
+def test_unrecognised_columns_are_listed_with_correlated_columns(tmp_path: Path) -> None:
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     columns |= {
@@ -216,26 +216,26 @@ def test_what_is_not_understood_is_listed_with_what_it_resembles(tmp_path: Path)
     write_log(tmp_path / "run.parquet", columns)
     start_study([tmp_path / "run.parquet"], tmp_path / "study.toml")
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
-    assert "\"copy\": it goes with 'theta_m1' (r = 1.000, 2 times it)" in text
-    assert "\"wish\": its integral goes with 'theta_m2'" in text
+    assert "\"copy\": it correlates with 'theta_m1' (r = 1.000, factor 2)" in text
+    assert "\"wish\": its integral correlates with 'theta_m2'" in text
     assert '"spare": it never changes' in text
-    assert "\"q_des1\": a reference of 'theta_m1'; only velocities have one" in text
-    assert '"temperature": not understood' in text
+    assert "\"q_des1\": a reference of 'theta_m1'; only velocity references are used" in text
+    assert '"temperature": not recognised' in text
 
 
-def test_a_sensor_that_names_no_joint_goes_to_the_last_link(tmp_path: Path) -> None:
+def test_a_sensor_without_a_joint_number_is_assigned_to_the_last_link(tmp_path: Path) -> None:
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     write_log(tmp_path / "run.csv", columns | {"acc_y": truth["a2"], "acc_x": truth["a1"]})
     start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
     assert 'a2 = "acc_y"' in text
-    assert "of 2 columns the one that goes with the motor (r = 1.00)" in text
-    assert "no joint in its name: the last is a guess" in text
+    assert "of 2 columns the one that correlates with the motor (r = 1.00)" in text
+    assert "no joint in its name: the last joint is assumed" in text
     assert '"acc_x": another axis of the same sensor' in text
 
 
-def test_a_column_that_some_logs_lack_is_absent_there(tmp_path: Path) -> None:
+def test_a_column_may_be_missing_from_some_logs(tmp_path: Path) -> None:
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     write_log(tmp_path / "a.csv", columns | {"speed_1": truth["omega_m1"], "gyro2": truth["gyro2"]})
@@ -250,7 +250,7 @@ def test_a_column_that_some_logs_lack_is_absent_there(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("still", [False, True])
-def test_columns_that_only_a_shorter_log_has_are_mapped(tmp_path: Path, still: bool) -> None:
+def test_columns_of_only_a_shorter_log_are_mapped(tmp_path: Path, still: bool) -> None:
     """The log with the most columns determines the joints.
 
     This also holds if a joint stands still in another log.
@@ -275,7 +275,7 @@ def test_columns_that_only_a_shorter_log_has_are_mapped(tmp_path: Path, still: b
     assert ["gyro1" in log.channels for log in read_logs(study)] == [True, False]
 
 
-def test_text_and_nan_columns_are_left_out_and_reported(tmp_path: Path) -> None:
+def test_text_and_nan_columns_are_reported_and_not_used(tmp_path: Path) -> None:
     truth = motion()
     names = ["t", "u1", "u2", "theta_m1", "theta_m2", "omega_m1", "state"]
     rows = zip(*(truth[n] for n in names[:5]), strict=True)
@@ -283,31 +283,34 @@ def test_text_and_nan_columns_are_left_out_and_reported(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text("\n".join([",".join(names), *lines]))
     draft = start_study([tmp_path / "run.csv"], tmp_path / "study.toml")
     assert len(draft.warnings) == 2
-    assert "run.csv: column 'state' is left out" in draft.warnings[0]
-    warning_start = f"'omega_m1' has {len(lines)} sample(s) that are no number, the first in row 1"
-    assert f"{warning_start}: it is left out" in draft.warnings[1]
+    assert "run.csv: column 'state' is not used" in draft.warnings[0]
+    warning_start = (
+        f"'omega_m1' has {len(lines)} sample(s) that are not a number, the first in row 1"
+    )
+    assert f"{warning_start}: the column is not used" in draft.warnings[1]
     text = (tmp_path / "study.toml").read_text().replace("\n# ", " ")
     assert all(f"note: {warning}" in text for warning in draft.warnings)
     read_study(filled_in(tmp_path / "study.toml"))
 
 
-def test_a_column_with_one_nan_is_mapped_and_named_in_the_terminal(tmp_path: Path) -> None:
+def test_a_column_with_one_nan_is_mapped_and_reported(tmp_path: Path) -> None:
     columns = {n: v for n, v in motion().items() if n in ("t", "u1", "u2", "theta_m1", "theta_m2")}
     columns["speed_1"] = motion()["omega_m1"].copy()
     columns["speed_1"][700] = np.nan
     write_log(tmp_path / "run.csv", columns)
     output = run_init(tmp_path / "run.csv", "--out", tmp_path / "study.toml").stdout
     assert (
-        "warning: run.csv: column 'speed_1' has 1 sample(s) that are no number, the first" in output
+        "warning: run.csv: column 'speed_1' has 1 sample(s) that are not a number, the first"
+        in output
     )
-    assert "in row 701 (nan): identify refuses the log" in output
+    assert "in row 701 (nan): identify rejects the log" in output
     study = read_study(filled_in(tmp_path / "study.toml"))
     assert study.channels["omega_m1"].column == "speed_1"
     with pytest.raises(InvalidInput, match="line 702"):
         read_logs(study)
 
 
-def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
+def test_more_than_two_joints_give_the_first_warning(tmp_path: Path) -> None:
     truth = motion()
     columns = {"t": truth["t"]}
     for number in range(1, 7):
@@ -318,11 +321,11 @@ def test_more_joints_than_two_are_the_first_thing_said(tmp_path: Path) -> None:
     assert output.startswith(
         "limit: these logs have angles of 6 joints; an arm of one joint, or of two"
     )
-    assert "Taken as joint 1 and 2: 1, 2 of the logs" in output
+    assert "Assigned to joint 1 and 2: 1, 2 of the logs" in output
     del columns["t"]
     write_log(tmp_path / "timeless.csv", columns)
     with pytest.raises(
-        InvalidInput, match="columns are of 6 joints: an arm of one joint, or of two"
+        InvalidInput, match="columns are of 6 joints, but only arms of one joint, or of two"
     ):
         start_study([tmp_path / "timeless.csv"], tmp_path / "other.toml")
 
@@ -347,7 +350,9 @@ def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArra
     return {name: np.asarray(values, dtype=np.float64) for name, values in columns.items()}
 
 
-def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_path: Path) -> None:
+def test_one_step_record_per_joint_is_for_validation_and_steps_require_the_servo(
+    tmp_path: Path,
+) -> None:
     motion_columns = {n: v for n, v in motion().items() if n[:-1] in ("", "u", "theta_m", "a")}
     motion_columns |= {f"ref{i}": motion()[f"omega_m{i}"] for i in (1, 2)}
     write_log(tmp_path / "motion.csv", motion_columns)
@@ -358,7 +363,7 @@ def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_p
     assert not draft.warnings
     text = (tmp_path / "study.toml").read_text()
     assert "\n[servo]\n" in text
-    assert "Needed: a, b, c, d moved under the servo" in text
+    assert "Required: a, b, c, d moved under the servo" in text
     study = read_study(filled_in(tmp_path / "study.toml"))
     assert study.arm.servo is not None
     uses = [(e.name, e.use, e.joint) for e in study.experiments]
@@ -370,7 +375,7 @@ def test_one_step_record_of_each_joint_is_kept_and_steps_ask_for_the_servo(tmp_p
         ("d", "check", 2),
     ]
     draft = start_study(logs[:2], tmp_path / "fewer.toml")
-    assert "no record checks the elastic model of joint 1, 2" in draft.warnings[0]
+    assert "no record validates the elastic model of joint 1, 2" in draft.warnings[0]
 
 
 def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
@@ -392,7 +397,9 @@ def test_amplitudes_are_written_in_volts(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("counts", "decimals"), [(8192, 3), (8192, 9), (10000, 3), (4000, 6)])
-def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_path: Path) -> None:
+def test_encoder_counts_are_rounded_to_common_resolutions(
+    counts: int, decimals: int, tmp_path: Path
+) -> None:
     """Also if the log has few digits: the smallest resolution is 1/40 count."""
     truth = motion()
     angle = np.round(truth["theta_m1"] * counts / (2 * np.pi)) * 360.0 / counts
@@ -405,17 +412,17 @@ def test_encoder_counts_are_those_that_are_sold(counts: int, decimals: int, tmp_
     assert read_study(filled_in(tmp_path / "study.toml")).arm.joints[0].encoder_counts == counts
 
 
-def test_counts_that_nobody_sells_are_not_believed() -> None:
+def test_uncommon_encoder_counts_are_not_proposed() -> None:
     assert usual_counts(8199.0) == 8192
     assert usual_counts(8300.0) is None
     assert [usual_counts(n) for n in (20000.3, 1048576.0, 4096.4)] == [20000, 1048576, 4096]
-    assert parse("gyr1 [deg/s]") == Named("gyro", 1, unit="degs", word="gyr", sure=True)
+    assert parse("gyr1 [deg/s]") == ParsedName("gyro", 1, unit="degs", word="gyr", sure=True)
 
 
 # --- a whole rig ------------------------------------------------------------------------------
 
 
-def test_a_filled_in_stub_identifies_the_arm(tmp_path: Path) -> None:
+def test_a_completed_draft_identifies_the_arm(tmp_path: Path) -> None:
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, 1)
     for seed, name in ((1, "drive-a"), (2, "drive-b")):
@@ -456,7 +463,9 @@ def run_init(*words: str | Path) -> Finished:
 
 
 @pytest.mark.parametrize("rig", ["scara-linear-5kg", "scara-strainwave-3kg", "vertical-linear-0kg"])
-def test_the_labs_records_are_separated(rig: str, shared_data: Path, tmp_path: Path) -> None:
+def test_the_uses_of_lab_records_are_distinguished(
+    rig: str, shared_data: Path, tmp_path: Path
+) -> None:
     reference = read_study(shared_data / "lab" / rig / "study.toml")
     start_study([reference.log_path(e) for e in reference.experiments], tmp_path / "study.toml")
     answers = ANSWERS | {"link_length": "0.35"}
@@ -476,7 +485,7 @@ def test_the_labs_records_are_separated(rig: str, shared_data: Path, tmp_path: P
     assert {name for log in logs for name in log.channels} >= {"ref1", "a2", "gyro1", "theta_m2"}
 
 
-def test_measured_rigs_get_the_channels_they_have(shared_data: Path, tmp_path: Path) -> None:
+def test_channels_of_measured_rigs_are_mapped(shared_data: Path, tmp_path: Path) -> None:
     for rig in ("emps", "dfki-double-pendulum", "ist-flexible-arm"):
         reference = read_study(shared_data / "real" / rig / "study.toml")
         out = tmp_path / f"{rig}.toml"
@@ -495,7 +504,7 @@ def test_measured_rigs_get_the_channels_they_have(shared_data: Path, tmp_path: P
         )
 
 
-def test_a_bag_gets_its_topics_mapped(tmp_path: Path) -> None:
+def test_topics_of_a_bag_are_mapped(tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="the extra `bags` is not installed")
     import bags
 
@@ -515,40 +524,40 @@ def test_a_bag_gets_its_topics_mapped(tmp_path: Path) -> None:
 # --- refusals ---------------------------------------------------------------------------------
 
 
-def test_nothing_is_ever_overwritten(tmp_path: Path) -> None:
+def test_an_existing_file_is_not_overwritten(tmp_path: Path) -> None:
     write_log(tmp_path / "run.csv", motion())
     (tmp_path / "study.toml").write_text("mine")
     process = run_here("init", tmp_path / "run.csv", "--out", tmp_path / "study.toml")
     assert process.returncode == 2
-    assert "is there already" in process.stderr
+    assert "exists already" in process.stderr
     assert (tmp_path / "study.toml").read_text() == "mine"
 
 
-def test_six_axes_without_time_are_answered_with_a_column_to_add_and_the_limit(
+def test_six_axes_without_time_give_a_remedy_and_the_joint_limit(
     tmp_path: Path, shared_data: Path
 ) -> None:
     """Measured logs with one quantity each and equal column names."""
     path = shared_data / "real" / "staubli-tx40" / "pos_read_data.csv"
-    with pytest.raises(InvalidInput, match="no column of time among Joint_1") as error:
+    with pytest.raises(InvalidInput, match="no time column among Joint_1") as error:
         start_study([path], tmp_path / "study.toml")
     remedy = str(error.value.remedy)
-    assert "add a column t [s]: the row's number divided by the sampling rate" in remedy
+    assert "for example the row number divided by the sampling rate" in remedy
     assert "of 6 joints" in remedy
     assert not (tmp_path / "study.toml").exists()
 
 
-def test_shows_logs_that_cannot_be_started_from(tmp_path: Path) -> None:
+def test_unsuitable_logs_are_refused(tmp_path: Path) -> None:
     truth = motion()
     out = tmp_path / "study.toml"
     write_log(tmp_path / "bare.csv", {n: truth[n] for n in ("theta_m1", "u1")})
-    with pytest.raises(InvalidInput, match="no column of time among theta_m1, u1"):
+    with pytest.raises(InvalidInput, match="no time column among theta_m1, u1"):
         start_study([tmp_path / "bare.csv"], out)
     write_log(tmp_path / "atomic.csv", {"t": 1e-9 * truth["t"], "theta_m1": truth["theta_m1"]})
-    with pytest.raises(InvalidInput, match="t increase, but not as a clock"):
+    with pytest.raises(InvalidInput, match="t increase, but not at a rate"):
         start_study([tmp_path / "atomic.csv"], out)
     write_log(tmp_path / "a.csv", truth)
     write_log(tmp_path / "b.csv", {"time": truth["t"], "q": truth["theta_m1"]})
-    with pytest.raises(InvalidInput, match=r"b.csv: has no theta_m1, .* as a.csv has"):
+    with pytest.raises(InvalidInput, match=r"b.csv: has no theta_m1, .* but a.csv has"):
         start_study([tmp_path / "a.csv", tmp_path / "b.csv"], out)
     with pytest.raises(InvalidInput, match="does not exist"):
         start_study([tmp_path / "c.csv"], out)
@@ -572,7 +581,7 @@ def test_a_sequence_is_reported_from_its_samples(
     assert sequence_of(values, 0.001 / samples) == truth
 
 
-def test_other_signals_are_no_sequence() -> None:
+def test_other_signals_are_not_a_sequence() -> None:
     time = 0.001 * np.arange(4000, dtype=float)
     square = np.sign(np.sin(20.0 * time + 0.1))
     coin = np.random.default_rng(0).choice([-1.0, 1.0], 4000)
@@ -645,7 +654,7 @@ WORDS = st.sampled_from(
 @example(names=["", "q", "dq", "U", "q_q", "0", "ref"], seed=1179)  # a step under a servo
 @example(names=["\x7f"], seed=0)  # JSON allows a raw DEL, TOML does not
 @example(names=["", "/\x1f"], seed=35)  # a column name of a table may start like a topic
-def test_any_table_is_started_from_or_refused(
+def test_any_table_gives_a_draft_or_an_error(
     tmp_path_factory: pytest.TempPathFactory, names: list[str], seed: int
 ) -> None:
     folder = tmp_path_factory.mktemp("any")
@@ -676,7 +685,7 @@ def test_any_table_is_started_from_or_refused(
     assert set(drafted) == {"arm", "joint", "channels", "experiment"} | servo_table
 
 
-def test_axes_of_an_imu_under_their_own_names(tmp_path: Path) -> None:
+def test_imu_axes_are_mapped_by_their_channel_names(tmp_path: Path) -> None:
     """IMU axes make the arm elastic; the fit estimates the sensor position."""
     truth = motion()
     columns = {n: truth[n] for n in ("t", "u1", "u2", "theta_m1", "theta_m2")}

@@ -16,27 +16,31 @@ from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import write_whole
 from strainwave.study_draft.candidates import Mapping
 from strainwave.study_draft.channels import add_channels, map_channels
-from strainwave.study_draft.experiment_type import Proposed, propose, unchecked_joints
-from strainwave.study_draft.inspection import Record, in_common, look_at
-from strainwave.study_draft.written import is_elastic, study_text, todos
+from strainwave.study_draft.experiment_type import (
+    ExperimentProposal,
+    propose_uses,
+    unchecked_joints,
+)
+from strainwave.study_draft.inspection import Record, find_fullest_record, read_record
+from strainwave.study_draft.study_text import count_todos, is_elastic, study_text
 
-__all__ = ["Started", "start_study"]
+__all__ = ["StudyDraft", "start_study"]
 
 
 @dataclass(frozen=True, slots=True)
-class Started:
+class StudyDraft:
     """Summary of a drafted study file."""
 
     path: Path
     joints: int
     channels: tuple[str, ...]
     experiments: int
-    todos: int  # number of values that the user must fill in
+    n_todos: int  # number of values that the user must fill in
     limit: str  # why the arm exceeds the supported models; empty if it does not
     warnings: tuple[str, ...]
 
 
-def start_study(logs: Sequence[Path], out: Path) -> Started:
+def start_study(logs: Sequence[Path], out: Path) -> StudyDraft:
     """Write a draft study file from logs of one arm.
 
     Each guess has a comment with its reason; values that cannot be guessed are TODO. Raises
@@ -45,37 +49,37 @@ def start_study(logs: Sequence[Path], out: Path) -> Started:
     """
     if out.exists():
         raise InvalidInput(
-            "is there already, and would be overwritten",
+            "exists already",
             where=str(out),
-            remedy="name another file with --out, or move it away",
+            remedy="choose another file with --out, or move the existing file",
         )
-    records = [look_at(path) for path in logs]
-    fullest = in_common(records)
+    records = [read_record(path) for path in logs]
+    fullest = find_fullest_record(records)
     mapping = map_channels(fullest)
     _check_alike(records, fullest, mapping)
     for record in records:
         add_channels(mapping, record, fullest)
     elastic = any(facts.link_sensors for facts in mapping.joints)
-    experiments = propose(records, mapping, elastic)
+    experiments = propose_uses(records, mapping, elastic)
     if not elastic and any(each.prbs for each in experiments):
-        experiments = propose(records, mapping, True)
+        experiments = propose_uses(records, mapping, True)
     text = study_text(
         [fullest, *(r for r in records if r is not fullest)], mapping, experiments, out
     )
     write_whole(out.parent, {out.name: text.encode()})
-    return Started(
+    return StudyDraft(
         path=out,
         joints=len(mapping.joints),
         channels=tuple(mapping.guesses),
         experiments=len(records),
-        todos=todos(text),
+        n_todos=count_todos(text),
         limit=mapping.limit,
         warnings=tuple(_warnings(records, mapping, experiments)),
     )
 
 
 def _warnings(
-    records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed]
+    records: Sequence[Record], mapping: Mapping, experiments: Sequence[ExperimentProposal]
 ) -> Iterator[str]:
     """Yield the warnings that the user needs before completing the study."""
     for record in records:
@@ -84,8 +88,8 @@ def _warnings(
     unchecked = unchecked_joints(experiments, len(mapping.joints))
     if is_elastic(mapping, experiments) and unchecked:
         yield (
-            f"no record checks the elastic model of joint {', '.join(map(str, unchecked))}: record "
-            "steps of each joint alone, two or more (strainwave excite plans them)"
+            f"no record validates the elastic model of joint {', '.join(map(str, unchecked))}: "
+            "record two or more step responses of each joint alone (strainwave excite plans them)"
         )
 
 
@@ -102,7 +106,7 @@ def _check_alike(records: Sequence[Record], fullest: Record, mapping: Mapping) -
             missing_columns.append(str(fullest.time_column))
         if missing_columns:
             raise InvalidInput(
-                f"has no {', '.join(missing_columns)}, as {fullest.path.name} has",
+                f"has no {', '.join(missing_columns)}, but {fullest.path.name} has",
                 where=str(record.path),
                 remedy="run init for each kind of log, or rename the columns",
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.study_draft.names import UNITS, Named
+from strainwave.study_draft.names import UNITS, ParsedName
 from strainwave.study_draft.signal_features import relation
 
 _MAX_REVERSED_CORRELATION = -0.5  # correlation below which the sensor's sign is reversed
@@ -30,7 +30,7 @@ def chosen_axis(
     return None if best is None else (best, correlations[best])
 
 
-def scale_and_reason(each: Named, quantity: str, r: float, columns: int) -> tuple[float, str]:
+def scale_and_reason(each: ParsedName, quantity: str, r: float, columns: int) -> tuple[float, str]:
     """Return the signed factor to SI units and its reason.
 
     `r` is the correlation with the motor's motion, `columns` the number of candidate columns.
@@ -38,11 +38,11 @@ def scale_and_reason(each: Named, quantity: str, r: float, columns: int) -> tupl
     scale = UNITS[each.quantity or "gyro"].get(each.unit or "", 1.0)
     reason = ""
     if columns > 1:
-        reason += f"; of {columns} columns the one that goes with the motor (r = {r:.2f})"
+        reason += f"; of {columns} columns the one that correlates with the motor (r = {r:.2f})"
     if r < _MAX_REVERSED_CORRELATION:
         scale, reason = -scale, f"{reason}; it points the other way, so the sign is turned"
     if each.unit is None:
-        reason += f"; unit taken as {_SI_UNITS[quantity]}"
+        reason += f"; assumed unit {_SI_UNITS[quantity]}"
     return scale, reason
 
 

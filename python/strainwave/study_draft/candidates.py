@@ -7,7 +7,7 @@ from typing import Literal
 
 Sure = Literal["sure", "likely", "unsure"]
 
-AGREES = 0.9
+MIN_RELATED_CORRELATION = 0.9
 """Minimum correlation at which two columns count as related."""
 
 
@@ -17,7 +17,7 @@ class Guess:
 
     channel: str
     column: str
-    why: str
+    reason: str
     sure: Sure
     scale: float | None = 1.0  # factor to SI units; None: the user must fill it in
     todo: str = ""  # description of the value that the user must fill in

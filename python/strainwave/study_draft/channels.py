@@ -7,10 +7,10 @@ import re
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.study_draft.candidates import AGREES, Guess, Mapping
+from strainwave.study_draft.candidates import MIN_RELATED_CORRELATION, Guess, Mapping
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.joint_columns import JointColumns
-from strainwave.study_draft.joints import named_columns
+from strainwave.study_draft.joints import assign_columns
 from strainwave.study_draft.signal_features import proportion, relation
 
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
@@ -22,11 +22,11 @@ def map_channels(record: Record) -> Mapping:
 
 
 def _map_columns(record: Record, fullest: Record) -> Mapping:
-    named, limit, notes = named_columns(record, fullest)
-    n_joints = max((each.number or 1 for each in named.values()), default=1)
+    parsed_names, limit, notes = assign_columns(record, fullest)
+    n_joints = max((each.number or 1 for each in parsed_names.values()), default=1)
     mapping = Mapping(limit=limit, notes=notes)
     for joint in range(1, n_joints + 1):
-        joint_columns = {n: e for n, e in named.items() if (e.number or 1) == joint}
+        joint_columns = {n: e for n, e in parsed_names.items() if (e.number or 1) == joint}
         JointColumns(record, joint_columns, joint, mapping).map()
     _map_imus(record, mapping)
     used = {guess.column for guess in mapping.guesses.values()}
@@ -42,7 +42,9 @@ def _map_imus(record: Record, mapping: Mapping) -> None:
     for name, values in record.columns.items():
         number = int(name[2]) if _IMU_AXIS.fullmatch(name) else 0
         if 0 < number <= len(mapping.joints) and name not in used and np.ptp(values) > 0.0:
-            mapping.guesses[name] = Guess(name, name, "an axis of an IMU, by its name", "sure")
+            mapping.guesses[name] = Guess(
+                name, name, "an axis of an IMU, according to its name", "sure"
+            )
             mapping.joints[number - 1].link_sensors.add("imu")
 
 
@@ -69,7 +71,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
             mapping.unused[column] = reason
     for column in record.columns:
         if column not in known | used | set(mapping.unused):
-            mapping.unused[column] = f"its channel is another column's in {fullest.path.name}"
+            mapping.unused[column] = f"another column of {fullest.path.name} has this channel"
 
 
 def _describe_unused(record: Record, values: FloatArray, mapping: Mapping) -> str:
@@ -82,7 +84,10 @@ def _describe_unused(record: Record, values: FloatArray, mapping: Mapping) -> st
             continue
         r, ratio = proportion(other - other.mean(), values - values.mean())
         if r > 0.98:
-            return f"it goes with {guess.column!r} (r = {r:.3f}, {ratio:.4g} times it)"
-        if guess.channel.startswith("theta_m") and relation(values, other, record.time)[0] > AGREES:
-            return f"its integral goes with {guess.column!r}: a velocity or its reference?"
-    return "not understood"
+            return f"it correlates with {guess.column!r} (r = {r:.3f}, factor {ratio:.4g})"
+        if (
+            guess.channel.startswith("theta_m")
+            and relation(values, other, record.time)[0] > MIN_RELATED_CORRELATION
+        ):
+            return f"its integral correlates with {guess.column!r}: a velocity or its reference?"
+    return "not recognised"

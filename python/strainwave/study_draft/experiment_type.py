@@ -32,12 +32,12 @@ _CHECK_NAME = re.compile(r"check|val(?!ve)|test|verif", re.IGNORECASE)
 
 
 @dataclass(slots=True)
-class Proposed:
+class ExperimentProposal:
     """Proposed entry of [[experiment]]."""
 
     record: Record
     use: Use
-    why: str
+    reason: str
     joint: int | None = None
     control: tuple[Control, ...] = ()
     prbs: Prbs | None = None
@@ -55,7 +55,9 @@ class _JointInput:
     size: float  # standard deviation of the input
 
 
-def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[Proposed]:
+def propose_uses(
+    records: Sequence[Record], mapping: Mapping, elastic: bool
+) -> list[ExperimentProposal]:
     """Propose a use for every record.
 
     `elastic` states whether the gear stiffness is to be identified.
@@ -66,27 +68,27 @@ def propose(records: Sequence[Record], mapping: Mapping, elastic: bool) -> list[
     return proposals
 
 
-def _assign_elastic_checks(found: list[Proposed]) -> None:
+def _assign_elastic_checks(proposals: list[ExperimentProposal]) -> None:
     """Use the last step record of each joint for validation, if other records fit the model."""
-    checked = {each.joint for each in found if each.use == "check"}
-    excited = {each.joint for each in found if each.use in ("frequency", "sweep")}
-    for joint in {each.joint for each in found if each.use == "tuning"} - checked:
-        steps = [each for each in found if each.use == "tuning" and each.joint == joint]
+    checked = {each.joint for each in proposals if each.use == "check"}
+    excited = {each.joint for each in proposals if each.use in ("frequency", "sweep")}
+    for joint in {each.joint for each in proposals if each.use == "tuning"} - checked:
+        steps = [each for each in proposals if each.use == "tuning" and each.joint == joint]
         if len(steps) > 1 or joint in excited:
             steps[-1].use = "check"
-            steps[-1].why += "; kept to check the elastic model with"
+            steps[-1].reason += "; used to validate the elastic model"
 
 
-def unchecked_joints(found: Sequence[Proposed], joints: int) -> list[int]:
+def unchecked_joints(proposals: Sequence[ExperimentProposal], joints: int) -> list[int]:
     """Return the joints, counted from 1, without a validation record for the elastic model.
 
     `joints` is the number of joints of the arm.
     """
-    checked = {each.joint for each in found if each.use == "check"}
+    checked = {each.joint for each in proposals if each.use == "check"}
     return [joint for joint in range(1, joints + 1) if joint not in checked]
 
 
-def _propose_use(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
+def _propose_use(record: Record, mapping: Mapping, elastic: bool) -> ExperimentProposal:
     inputs = [_classify_input(record, mapping, j) for j in range(1, len(mapping.joints) + 1)]
     control: tuple[Control, ...] = tuple("servo" if each.servo else "open" for each in inputs)
     random_input = max((s for s in inputs if s.kind == "random"), key=_priority, default=None)
@@ -98,18 +100,18 @@ def _propose_use(record: Record, mapping: Mapping, elastic: bool) -> Proposed:
         names = (f"u{random_input.joint}", f"torque{random_input.joint}")
         guesses = [mapping.guesses[name] for name in names if name in mapping.guesses]
         has_scale = all(guess.scale is not None for guess in guesses)
-        return Proposed(
+        return ExperimentProposal(
             record, "frequency", reason, random_input.joint, control, sequence, has_scale
         )
     if len(stepped) == 1 and elastic and len(inputs) > 1 and not _moves_all(record, mapping):
         reason = f"joint {stepped[0].joint} is stepped"
-        return Proposed(record, "tuning", reason, stepped[0].joint, control)
+        return ExperimentProposal(record, "tuning", reason, stepped[0].joint, control)
     if stepped and elastic and len(inputs) == 1:
-        return Proposed(record, "tuning", "the joint is stepped", 1, control)
+        return ExperimentProposal(record, "tuning", "the joint is stepped", 1, control)
     reason = (
-        "a slow motion" if not random_input else "fast, but a rigid arm needs no more than motions"
+        "a slow motion" if not random_input else "a fast motion; a rigid arm requires only motions"
     )
-    return Proposed(record, "motion", reason, None, control)
+    return ExperimentProposal(record, "motion", reason, None, control)
 
 
 def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput:
@@ -135,9 +137,9 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
     return _JointInput(joint, "random" if is_broad else "smooth", None, servo, std)
 
 
-def _priority(seen: _JointInput) -> float:
+def _priority(joint_input: _JointInput) -> float:
     # a detected maximum-length sequence has priority over other random inputs
-    return seen.size * (1e6 if seen.sequence else 1.0)
+    return joint_input.size * (1e6 if joint_input.sequence else 1.0)
 
 
 def _moves_all(record: Record, mapping: Mapping) -> bool:
@@ -154,13 +156,13 @@ def _column(record: Record, mapping: Mapping, *channels: str) -> FloatArray | No
     return None
 
 
-def _assign_sweeps(found: list[Proposed]) -> None:
+def _assign_sweeps(proposals: list[ExperimentProposal]) -> None:
     """Assign `frequency` or `sweep` to records that excite one joint under the same control.
 
     The record with the largest amplitude is `frequency`, weaker ones are `sweep`.
     """
-    groups: dict[tuple[int | None, tuple[Control, ...]], list[Proposed]] = {}
-    for each in found:
+    groups: dict[tuple[int | None, tuple[Control, ...]], list[ExperimentProposal]] = {}
+    for each in proposals:
         if each.prbs:
             groups.setdefault((each.joint, each.control), []).append(each)
     for group in groups.values():
@@ -168,30 +170,33 @@ def _assign_sweeps(found: list[Proposed]) -> None:
         for each in group:
             if _amplitude(each) < 0.95 * _amplitude(strongest):
                 each.use = "sweep"
-                each.why += f", weaker than in {strongest.record.name}"
+                each.reason += f", with a smaller amplitude than in {strongest.record.name}"
 
 
-def _amplitude(each: Proposed) -> float:
+def _amplitude(each: ExperimentProposal) -> float:
     return each.prbs.amplitude if each.prbs else 0.0
 
 
-def _assign_checks(found: list[Proposed]) -> None:
+def _assign_checks(proposals: list[ExperimentProposal]) -> None:
     """Select validation records: by name, else the shortest of several motion records."""
-    for each in found:
+    for each in proposals:
         if _CHECK_NAME.search(each.record.name) and each.use in ("motion", "tuning"):
-            each.use, each.why = "check", f"{each.why}; a record to check with, by its name"
-    motions = [each for each in found if each.use == "motion"]
-    if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in found):
+            each.use, each.reason = (
+                "check",
+                f"{each.reason}; a validation record according to its name",
+            )
+    motions = [each for each in proposals if each.use == "motion"]
+    if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in proposals):
         # of records with equal duration, the last
         shortest = min(reversed(motions), key=lambda each: round(float(np.ptp(each.record.time))))
         shortest.use = "check"
-        shortest.why += "; the shortest of several: kept to check with"
-    excited = {each.joint for each in found if each.use == "frequency"}
-    for each in found:
+        shortest.reason += "; the shortest of several: used for validation"
+    excited = {each.joint for each in proposals if each.use == "frequency"}
+    for each in proposals:
         if each.use == "tuning" and each.joint in excited and "servo" not in each.control:
-            each.use, each.why = "check", f"{each.why} in open loop; kept to check with"
-    _assign_elastic_checks(found)
-    if not any(each.use == "motion" for each in found):
-        motion_checks = [e for e in found if e.use == "check" and e.joint is None]
+            each.use, each.reason = "check", f"{each.reason} in open loop; used for validation"
+    _assign_elastic_checks(proposals)
+    if not any(each.use == "motion" for each in proposals):
+        motion_checks = [e for e in proposals if e.use == "check" and e.joint is None]
         if motion_checks:
             motion_checks[0].use = "motion"

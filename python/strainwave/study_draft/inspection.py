@@ -13,7 +13,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
 from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
-from strainwave.study_draft.names import MOST_JOINTS, UNITS, parse
+from strainwave.study_draft.names import MAX_JOINTS, UNITS, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
 _MAX_INVALID_SHARE = (
@@ -50,7 +50,7 @@ class Record:
         return self.path.name.split(".")[0] or self.path.name
 
 
-def look_at(path: Path) -> Record:
+def read_record(path: Path) -> Record:
     """Read the usable columns of a log.
 
     Raises InvalidInput if the file is not a log, has no time column or has too few samples.
@@ -70,15 +70,15 @@ def _read_table(path: Path) -> Record:
             try:
                 columns |= table.read([name])
             except InvalidInput as error:
-                faults.append(f"column {name!r} is left out: {error.problem}")
+                faults.append(f"column {name!r} is not used: {error.problem}")
     columns, value_faults = _valid_columns(columns)
     n_samples = max((len(values) for values in columns.values()), default=0)
     columns = {name: values for name, values in columns.items() if len(values) == n_samples}
     if n_samples < MIN_SAMPLES:
         raise InvalidInput(
-            f"has {n_samples} row(s) of numbers; at least {MIN_SAMPLES} are needed",
+            f"has {n_samples} row(s) of numbers; at least {MIN_SAMPLES} are required",
             where=str(path),
-            remedy="give a log of an experiment, with a header line",
+            remedy="use the log of an experiment, with a header line",
         )
     name, unit, scale = _time_column(columns, path)
     time = scale * columns.pop(name)
@@ -97,11 +97,11 @@ def _time_column(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, 
         unit_from_period = time_unit(period)
         if unit_from_period:
             return name, *unit_from_period
-    increasing = f" ({', '.join(clocks)} increase, but not as a clock of 20 Hz to 50 kHz)"
+    increasing = f" ({', '.join(clocks)} increase, but not at a rate of 20 Hz to 50 kHz)"
     raise InvalidInput(
-        f"there is no column of time among {', '.join(columns)}{increasing if clocks else ''}",
+        f"there is no time column among {', '.join(columns)}{increasing if clocks else ''}",
         where=str(path),
-        remedy="add a column t [s]: the row's number divided by the sampling rate will do"
+        remedy="add a column t [s], for example the row number divided by the sampling rate"
         + _joint_limit_remark(columns),
     )
 
@@ -109,11 +109,11 @@ def _time_column(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, 
 def _joint_limit_remark(columns: Collection[str]) -> str:
     """Return a remark if the columns have more joints than a supported arm, else an empty text."""
     numbers = {number for name in columns if (number := parse(name).number) is not None}
-    if len(numbers) <= MOST_JOINTS:
+    if len(numbers) <= MAX_JOINTS:
         return ""
     return (
-        f". The columns are of {len(numbers)} joints: an arm of one joint, or of two links in one "
-        "plane, is what can be identified so far"
+        f". The columns are of {len(numbers)} joints, but only arms of one joint, or of two links "
+        "in one plane, are supported"
     )
 
 
@@ -122,9 +122,9 @@ def _read_bag(path: Path) -> Record:
     column_names = [name for name in bag.names if parse(name).quantity not in (None, "time")]
     if not column_names:
         raise InvalidInput(
-            "no topic has numbers that look like those of a robot arm",
+            "no topic contains signals of a robot arm",
             where=str(path),
-            remedy="record joint states, commands and sensors; write [channels] by hand: "
+            remedy="record joint states, commands and sensors, or write [channels] manually; see "
             "docs/study.md",
         )
     tracks, warnings = bag.tracks(column_names)
@@ -138,7 +138,9 @@ def _read_bag(path: Path) -> Record:
     usable.sort(key=_without_angle)
     commanded = {n for t in usable for n in t.columns if parse(n).quantity in ("voltage", "torque")}
     if not usable:
-        raise InvalidInput("the topics are too short", where=str(path), remedy="record for longer")
+        raise InvalidInput(
+            "the topics are too short", where=str(path), remedy="record a longer motion"
+        )
     whole_record = Experiment(path.name, path.name, "motion", ())
     time, columns, clock_warnings = resample_tracks(usable, commanded, whole_record, path)
     notes += [warning.message for warning in clock_warnings]
@@ -164,21 +166,21 @@ def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatAr
         is_valid = np.abs(values) < MAX_MAGNITUDE
         n_invalid = len(values) - int(np.count_nonzero(is_valid))
         fault = (
-            f"column {name!r} has {n_invalid} sample(s) that are no number, "
+            f"column {name!r} has {n_invalid} sample(s) that are not a number, "
             f"the first in row {row + 1}"
         )
         if n_invalid > _MAX_INVALID_SHARE * len(values):
-            messages.append(f"{fault}: it is left out")
+            messages.append(f"{fault}: the column is not used")
             continue
         rows = np.arange(len(values))
         valid_columns[name] = np.interp(rows, rows[is_valid], values[is_valid])
         messages.append(
-            f"{fault} ({values[row]}): identify refuses the log while a channel uses it. Mend it, "
-            "cut it off with start and stop, or rename the column"
+            f"{fault} ({values[row]}): identify rejects the log if a channel uses it. Correct the "
+            "values, exclude them with start and stop, or rename the column"
         )
     return valid_columns, messages
 
 
-def in_common(records: Sequence[Record]) -> Record:
+def find_fullest_record(records: Sequence[Record]) -> Record:
     """Return the record with the most varying columns, which is used to classify columns."""
     return max(records, key=lambda record: sum(np.ptp(v) > 0.0 for v in record.columns.values()))

@@ -8,9 +8,15 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.axes import chosen_axis, scale_and_reason
-from strainwave.study_draft.candidates import AGREES, Guess, JointFacts, Mapping, Sure
+from strainwave.study_draft.candidates import (
+    MIN_RELATED_CORRELATION,
+    Guess,
+    JointFacts,
+    Mapping,
+    Sure,
+)
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import COUNTS, LINEAR, UNITS, Named
+from strainwave.study_draft.names import COUNTS, LINEAR, UNITS, ParsedName
 from strainwave.study_draft.signal_features import (
     flat_top,
     levels,
@@ -20,17 +26,17 @@ from strainwave.study_draft.signal_features import (
     wraps,
 )
 from strainwave.study_draft.signal_features import relation as relation_of
-from strainwave.study_draft.units import NEAR, nearest_unit, unit_pair
+from strainwave.study_draft.units import MAX_UNIT_RATIO_ERROR, nearest_unit, unit_pair
 
 
 class JointColumns:
     """Mapping of one joint's columns in progress."""
 
     def __init__(
-        self, record: Record, named: dict[str, Named], number: int, mapping: Mapping
+        self, record: Record, parsed_names: dict[str, ParsedName], number: int, mapping: Mapping
     ) -> None:
         self.record = record
-        self.named = named
+        self.parsed_names = parsed_names
         self.number = number
         self.mapping = mapping
         self.facts = JointFacts()
@@ -40,7 +46,7 @@ class JointColumns:
         """Map the angles, then classify the other columns by their relation to the motor angle."""
         motor, link = self._angles()
         if motor is None:
-            self.mapping.missing[f"theta_m{self.number}"] = "the motor's angle [rad at the motor]"
+            self.mapping.missing[f"theta_m{self.number}"] = "the motor angle [rad at the motor]"
         else:
             self._velocity(motor)
             self._encoder(motor)
@@ -51,13 +57,13 @@ class JointColumns:
         self._sensors(motor)
 
     def _columns_of(self, quantity: str) -> list[str]:
-        return [name for name, each in self.named.items() if each.quantity == quantity]
+        return [name for name, each in self.parsed_names.items() if each.quantity == quantity]
 
-    def _add(self, channel: str, column: str, why: str, sure: Sure, **more: object) -> None:
+    def _add(self, channel: str, column: str, reason: str, sure: Sure, **more: object) -> None:
         key = f"{channel}{self.number}"
         if column == key and more.get("scale", 1.0) == 1.0:
-            why, sure = "the channel's own name, in SI units", "sure"
-        self.mapping.guesses[key] = Guess(key, column, why, sure, **more)  # type: ignore[arg-type]
+            reason, sure = "a channel name, in SI units", "sure"
+        self.mapping.guesses[key] = Guess(key, column, reason, sure, **more)  # type: ignore[arg-type]
 
     def _values(self, column: str) -> FloatArray:
         return self.record.columns[column]
@@ -68,83 +74,85 @@ class JointColumns:
         Names decide; without a side in the name, the angle with the larger range is the motor's.
         """
         names = sorted(self._columns_of("angle"), key=lambda n: -float(np.ptp(self._values(n))))
-        link = [n for n in names if self.named[n].side == "link"]
-        motor = [n for n in names if self.named[n].side == "motor"]
+        link = [n for n in names if self.parsed_names[n].side == "link"]
+        motor = [n for n in names if self.parsed_names[n].side == "motor"]
         no_side = [n for n in names if n not in link + motor]
         motor_candidates = motor + no_side
         motor_angle = motor_candidates[0] if motor_candidates else link.pop(0) if link else None
         link_angle = next(iter(link + motor_candidates[1:]), None)
         for name in names:
             if name not in (motor_angle, link_angle):
-                self.mapping.unused[name] = f"a further angle of joint {self.number}"
+                self.mapping.unused[name] = f"another angle of joint {self.number}"
         if motor_angle is not None:
-            self._angle(motor_angle, "link" if self.named[motor_angle].side == "link" else "motor")
+            self._angle(
+                motor_angle, "link" if self.parsed_names[motor_angle].side == "link" else "motor"
+            )
         return motor_angle, link_angle
 
     def _angle(self, column: str, side: str) -> None:
-        each = self.named[column]
+        each = self.parsed_names[column]
         sure: Sure = "likely" if each.sure else "unsure"
         name_reason = _evidence(each)
         scale, todo, unit_reason = self._angle_unit(column)
         self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
         if side == "link":
             scale, todo = None, "1/gear_ratio: motor turns per link turn"
-            unit_reason = "an angle of the link, and no motor's is there"
+            unit_reason = "an angle of the link; there is no motor angle"
         elif each.side is None and not self.facts.prismatic:
             unit_reason += (
-                "; taken as the motor's, before the gear: if it is the link's, divide the scale"
+                "; assumed to be the motor angle: if it is the link angle, divide the scale by"
             )
-            unit_reason += " by gear_ratio"
+            unit_reason += " gear_ratio"
         if wraps(self._values(column), 2.0 * pi if scale == 1.0 else 360.0):
-            unit_reason += "; IT JUMPS BY A TURN: unwrap it in the log first"
+            unit_reason += "; IT JUMPS BY ONE TURN: unwrap it in the log first"
         self._add("theta_m", column, f"{name_reason}; {unit_reason}", sure, scale=scale, todo=todo)
 
-    def _inputs(self) -> list[Named]:
-        return [each for each in self.named.values() if each.quantity in ("torque", "velocity")]
+    def _inputs(self) -> list[ParsedName]:
+        return [
+            each for each in self.parsed_names.values() if each.quantity in ("torque", "velocity")
+        ]
 
     def _angle_unit(self, column: str) -> tuple[float | None, str, str]:
-        unit = self.named[column].unit
+        unit = self.parsed_names[column].unit
         if unit in COUNTS:
-            return None, "2 pi / counts per motor turn [rad]", "in counts by its name"
+            return None, "2 pi / counts per motor turn [rad]", "in counts according to its name"
         if unit is not None:
-            return UNITS["angle"][unit], "", f"unit {unit} by its name"
+            return UNITS["angle"][unit], "", f"unit {unit} according to its name"
         for velocity in self._columns_of("velocity"):
             units = self._unit_pair(column, velocity)
-            if units and self.named[velocity].unit is None:
+            if units and self.parsed_names[velocity].unit is None:
                 return units[0], "", f"with {velocity!r}: {units[2]}"
-            rate = UNITS["velocity"].get(self.named[velocity].unit or "")
+            rate = UNITS["velocity"].get(self.parsed_names[velocity].unit or "")
             r, ratio = self._relation(velocity, column)
-            if rate and r > AGREES and ratio > 0.0:
+            if rate and r > MIN_RELATED_CORRELATION and ratio > 0.0:
                 scale = nearest_unit(rate / ratio)
-                return scale, "", f"unit by {velocity!r}, of which it is the integral"
+                return scale, "", f"unit from {velocity!r}, of which it is the integral"
         values = self._values(column)
         if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
             return None, "2 pi / counts per motor turn [rad]", "whole numbers: counts?"
-        return 1.0, "", "unit taken as rad: nothing gives it"
+        return 1.0, "", "assumed unit rad: the log does not state a unit"
 
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)
 
     def _unit_pair(self, angle: str, velocity: str) -> tuple[float, float, str] | None:
         r, ratio = self._relation(velocity, angle)
-        return unit_pair(ratio) if r > AGREES else None
+        return unit_pair(ratio) if r > MIN_RELATED_CORRELATION else None
 
     def _velocity(self, angle: str) -> None:
         angle_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
         for column in self._columns_of("velocity"):
             r, ratio = self._relation(column, angle)
-            agrees = r > AGREES and ratio > 0.0
+            agrees = r > MIN_RELATED_CORRELATION and ratio > 0.0
             if not agrees or angle_scale is None:
-                reason = f"a velocity by its name; it is not that of {angle!r} (r = {r:.2f})"
+                reason = f"a velocity according to its name, but not of {angle!r} (r = {r:.2f})"
                 self.mapping.unused[column] = reason if not agrees else "a velocity of the link"
                 continue
             scale = ratio * angle_scale
             nearest = nearest_unit(scale)
-            if abs(scale / nearest - 1.0) > 2.0 * NEAR:
-                reason = (
-                    f"a velocity, but {angle!r} changes {scale:.4g} times as fast: is one of the "
-                )
-                reason += "two behind the gear?"
+            if abs(scale / nearest - 1.0) > 2.0 * MAX_UNIT_RATIO_ERROR:
+                reason = f"a velocity, but {angle!r} changes {scale:.4g} times as fast: is one of "
+                reason += "them measured at the link?"
                 self.mapping.unused[column] = reason
                 if 5.0 < scale < 1000.0:
                     self.facts.gear_ratio = (1.0 / round(scale), f"{angle!r} over {column!r}")
@@ -159,23 +167,25 @@ class JointColumns:
             return
         counts = 2.0 * pi / (step * scale)
         if 16.0 < counts < 5e6:
-            reason = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} a turn"
+            reason = f"{angle!r} changes in steps of {step * scale:.6g} rad, {counts:.6g} per turn"
             common_counts = usual_counts(counts)
             if common_counts is not None and round(counts) != common_counts:
-                reason += f"; {common_counts} is the nearest number that encoders have"
+                reason += f"; {common_counts} is the nearest common encoder resolution"
             self.facts.encoder_counts = (common_counts, reason) if common_counts else (None, reason)
 
     def _reference(self, angle: str) -> None:
         for column in self._columns_of("reference"):
-            values, each = self._values(column), self.named[column]
+            values, each = self._values(column), self.parsed_names[column]
             velocity_r, _ = self._relation(column, angle)
             centred_angle = self._values(angle) - self._values(angle).mean()
             angle_r, _ = proportion(centred_angle, values - values.mean())
             scale = UNITS["reference"].get(each.unit or "", 1.0)
-            if angle_r > max(velocity_r, AGREES):
-                self.mapping.unused[column] = f"a reference of {angle!r}; only velocities have one"
+            if angle_r > max(velocity_r, MIN_RELATED_CORRELATION):
+                self.mapping.unused[column] = (
+                    f"a reference of {angle!r}; only velocity references are used"
+                )
             else:
-                sure: Sure = "sure" if velocity_r > AGREES else "unsure"
+                sure: Sure = "sure" if velocity_r > MIN_RELATED_CORRELATION else "unsure"
                 reason = f"{_evidence(each)}; {angle!r} is its integral (r = {velocity_r:.2f})"
                 self._add("ref", column, reason, sure, scale=scale)
 
@@ -184,14 +194,18 @@ class JointColumns:
         of_motor, of_link = (self._values(n) - self._values(n).mean() for n in (motor, link))
         r, ratio = proportion(of_motor, of_link)
         scale, todo, unit_reason = self._angle_unit(link)
-        sure: Sure = "likely" if r > AGREES else "unsure"
-        reason = (
-            f"{_evidence(self.named[link])}; it goes with {motor!r} (r = {r:.3f}); {unit_reason}"
-        )
+        sure: Sure = "likely" if r > MIN_RELATED_CORRELATION else "unsure"
+        reason = f"{_evidence(self.parsed_names[link])}; it correlates with {motor!r} "
+        reason += f"(r = {r:.3f}); {unit_reason}"
         self._add("theta_l", link, reason, sure, scale=scale, todo=todo)
         self.facts.link_sensors.add("theta_l")
         motor_scale = self.mapping.guesses[f"theta_m{self.number}"].scale
-        if r > AGREES and motor_scale and scale and 0.0 < ratio * scale / motor_scale <= 1.05:
+        if (
+            r > MIN_RELATED_CORRELATION
+            and motor_scale
+            and scale
+            and 0.0 < ratio * scale / motor_scale <= 1.05
+        ):
             gear_ratio = 1.0 / max(1.0, round(motor_scale / (ratio * scale)))
             self.facts.gear_ratio = (
                 gear_ratio,
@@ -206,31 +220,31 @@ class JointColumns:
                 )
                 if mapped_inputs:
                     other = self.mapping.guesses[mapped_inputs.pop()].column
-                    reason = (
-                        f"a {quantity} by its name; {other!r} is taken. If it acts beside that: "
-                    )
+                    reason = f"a {quantity} according to its name; {other!r} is used. If both act: "
                     self.mapping.unused[column] = reason + "see `add` in docs/study.md"
                     continue
                 self._add_input(column, quantity, channel)
         if not {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses):
-            self.mapping.missing[f"u{self.number}"] = "the drive's voltage [V], or call it torque"
+            self.mapping.missing[f"u{self.number}"] = (
+                "the drive voltage [V]; for a torque, map torque instead"
+            )
 
     def _add_input(self, column: str, quantity: str, channel: str) -> None:
-        each = self.named[column]
+        each = self.parsed_names[column]
         scale: float | None = UNITS[each.quantity or "voltage"].get(each.unit or "", 1.0)
         todo, reason = "", _evidence(each)
         if quantity == "current":
             scale, todo = None, "torque constant [N m/A], at the motor; times 1e-3 for mA"
         input_levels = levels(self._values(column))
         if input_levels is not None and len(input_levels) > 1:
-            reason += f"; it takes {len(input_levels)} levels"
+            reason += f"; it has {len(input_levels)} levels"
         limit = flat_top(self._values(column))
         if input_levels is None and limit is not None:
-            reason += f"; now and then it stays at {limit:.4g}: the drive's limit?"
+            reason += f"; it repeatedly stays at {limit:.4g}: the limit of the drive?"
         if each.word in ("pwm", "duty"):
             scale, todo = None, "volts at full duty"
         if each.unit is None and quantity != "current":
-            reason += f"; unit taken as {'V' if quantity == 'voltage' else 'N m at the motor'}"
+            reason += f"; assumed unit {'V' if quantity == 'voltage' else 'N m at the motor'}"
         self.facts.voltage = channel == "u"
         self._add(
             channel, column, reason, "likely" if each.sure else "unsure", scale=scale, todo=todo
@@ -248,10 +262,10 @@ class JointColumns:
             if best_axis is None:
                 continue
             column, r = best_axis
-            each = self.named[column]
+            each = self.parsed_names[column]
             scale, axis_reason = scale_and_reason(each, quantity, r, len(columns))
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            placement = "" if each.placed else "; no joint in its name: the last is a guess"
+            placement = "" if each.placed else "; no joint in its name: the last joint is assumed"
             self._add(channel, column, _evidence(each) + axis_reason + placement, sure, scale=scale)
             self.facts.link_sensors.add(channel)
             for other, values in columns.items():
@@ -259,7 +273,7 @@ class JointColumns:
                     self.mapping.unused[other] = "another axis of the same sensor"
 
 
-def _evidence(each: Named) -> str:
+def _evidence(each: ParsedName) -> str:
     if each.word:
-        return f"{each.quantity} by its name"
-    return f"{each.quantity} by its unit" if each.unit else f"{each.quantity} by its numbers"
+        return f"{each.quantity} according to its name"
+    return f"{each.quantity} according to its {'unit' if each.unit else 'data'}"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import MOST_JOINTS, Named, parse
+from strainwave.study_draft.names import MAX_JOINTS, ParsedName, parse
 from strainwave.study_draft.signal_features import levels, relation
 
 _MIN_DERIVATIVE_CORRELATION = (
@@ -15,32 +15,32 @@ _MIN_DERIVATIVE_CORRELATION = (
 )
 
 
-def named_columns(
+def assign_columns(
     record: Record, fullest: Record | None = None
-) -> tuple[dict[str, Named], str, tuple[str, ...]]:
+) -> tuple[dict[str, ParsedName], str, tuple[str, ...]]:
     """Return each column's quantity and joint number, a limit and notes.
 
     Joints count from 1. `fullest` is the record of the same arm that determines the moving joints;
     by default `record`. Columns of joints beyond MOST_JOINTS are omitted; the second value then
     states the limit, else it is empty. The last value holds further notes.
     """
-    named = {name: parse(name) for name in record.columns}
+    parsed_names = {name: parse(name) for name in record.columns}
     notes: list[str] = []
-    if not any(each.quantity == "angle" for each in named.values()):
-        named |= _classify_by_data(record, named)
-        notes.append("no name gave an angle away: columns were assigned by their numbers alone")
-    numbered = _number_joints(named)
+    if not any(each.quantity == "angle" for each in parsed_names.values()):
+        parsed_names |= _classify_by_data(record, parsed_names)
+        notes.append("no column name indicates an angle: columns were assigned by their data alone")
+    numbered = _number_joints(parsed_names)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
     moving = [j for j in joints if _is_moving(fullest or record, numbered, j)] or joints
-    chosen = sorted(moving[:MOST_JOINTS])
+    chosen = sorted(moving[:MAX_JOINTS])
     limit = ""
     if len(joints) > len(chosen):
         limit = (
-            f"these logs have angles of {len(joints)} joints; an arm of one joint, or of two links "
-            "in one plane, is what can be identified so far. Taken as joint "
+            f"these logs have angles of {len(joints)} joints, but only arms of one joint, or of "
+            "two links in one plane, are supported. Assigned to joint "
             f"{' and '.join(str(k) for k in range(1, len(chosen) + 1))}: "
             f"{', '.join(_joint_label(numbered, j) for j in chosen)} of the logs. The result holds"
-            " only if the other joints stand still in every record"
+            " only if the other joints are at standstill in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}
     for name, each in numbered.items():
@@ -57,13 +57,17 @@ def named_columns(
     return kept, limit, tuple(notes)
 
 
-def _number_joints(named: Mapping[str, Named]) -> dict[str, Named]:
+def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
     """Number the joints from 1, also if the names count from 0 or use labels."""
-    named = {name: replace(each, label=_label(each, named)) for name, each in named.items()}
-    labels = list(dict.fromkeys(each.label for each in named.values() if each.label))
-    from_zero = {_numbering_group(name, each) for name, each in named.items() if each.number == 0}
+    parsed_names = {
+        name: replace(each, label=_label(each, parsed_names)) for name, each in parsed_names.items()
+    }
+    labels = list(dict.fromkeys(each.label for each in parsed_names.values() if each.label))
+    from_zero = {
+        _numbering_group(name, each) for name, each in parsed_names.items() if each.number == 0
+    }
     numbered = {}
-    for name, each in named.items():
+    for name, each in parsed_names.items():
         if each.label:
             numbered[name] = replace(each, number=labels.index(each.label) + 1)
         elif each.number is not None and _numbering_group(name, each) in from_zero:
@@ -73,25 +77,27 @@ def _number_joints(named: Mapping[str, Named]) -> dict[str, Named]:
     return numbered
 
 
-def _label(each: Named, named: Mapping[str, Named]) -> str:
+def _label(each: ParsedName, parsed_names: Mapping[str, ParsedName]) -> str:
     """Return the joint's label; in a table, the word that distinguishes two or more angles."""
-    angles = [e for e in named.values() if e.quantity == "angle" and e.number is None]
-    words = {e.word_left for e in angles if e.word_left}
-    return each.label or (each.word_left if len(words) > 1 and each.word_left in words else "")
+    angles = [e for e in parsed_names.values() if e.quantity == "angle" and e.number is None]
+    words = {e.unrecognised_word for e in angles if e.unrecognised_word}
+    return each.label or (
+        each.unrecognised_word if len(words) > 1 and each.unrecognised_word in words else ""
+    )
 
 
-def _numbering_group(name: str, each: Named) -> tuple[str, str | None]:
+def _numbering_group(name: str, each: ParsedName) -> tuple[str, str | None]:
     """Return the group of columns that share a numbering: a topic, or a quantity in a table."""
     return (name.partition(".")[0] if name.startswith("/") else "", each.quantity)
 
 
-def _is_moving(record: Record, named: Mapping[str, Named], joint: int) -> bool:
+def _is_moving(record: Record, parsed_names: Mapping[str, ParsedName], joint: int) -> bool:
     return any(
         each.quantity == "angle"
         and (each.number or 1) == joint
         and name in record.columns
         and float(_span(record, name)) > 0.0
-        for name, each in named.items()
+        for name, each in parsed_names.items()
     )
 
 
@@ -100,26 +106,30 @@ def _span(record: Record, name: str) -> float:
     return float(values.max() - values.min())
 
 
-def _joint_label(named: Mapping[str, Named], joint: int) -> str:
-    labels = [e.label for e in named.values() if e.label and e.number == joint]
+def _joint_label(parsed_names: Mapping[str, ParsedName], joint: int) -> str:
+    labels = [e.label for e in parsed_names.values() if e.label and e.number == joint]
     return f"{joint} ({labels[0]})" if labels else str(joint)
 
 
-def _classify_by_data(record: Record, named: Mapping[str, Named]) -> dict[str, Named]:
+def _classify_by_data(
+    record: Record, parsed_names: Mapping[str, ParsedName]
+) -> dict[str, ParsedName]:
     """Classify columns by their data.
 
     An angle is the integral of a velocity; a voltage takes few levels.
     """
-    unclassified = [n for n, e in named.items() if e.quantity is None and _span(record, n) > 0.0]
+    unclassified = [
+        n for n, e in parsed_names.items() if e.quantity is None and _span(record, n) > 0.0
+    ]
     voltages = [n for n in unclassified if levels(record.columns[n]) is not None]
     unclassified = [n for n in unclassified if n not in voltages]
     pairs = sorted(
         _derivative_pairs({n: record.columns[n] for n in unclassified}, record.time), reverse=True
     )
-    classified: dict[str, Named] = {}
+    classified: dict[str, ParsedName] = {}
     for _, angle, velocity in pairs:
         if angle not in classified and velocity not in classified:
-            classified[angle], classified[velocity] = Named("angle"), Named("velocity")
+            classified[angle], classified[velocity] = ParsedName("angle"), ParsedName("velocity")
     for quantity in ("angle", "velocity"):
         same_quantity = [
             n for n in record.columns if n in classified and classified[n].quantity == quantity
@@ -131,7 +141,7 @@ def _classify_by_data(record: Record, named: Mapping[str, Named]) -> dict[str, N
     inputs = voltages + (remaining if len(voltages) + len(remaining) == joints else [])
     inputs.sort(key=list(record.columns).index)
     for k, name in enumerate(inputs, start=1):
-        classified[name] = Named("voltage", k)
+        classified[name] = ParsedName("voltage", k)
     return classified
 
 

@@ -23,7 +23,7 @@ Quantity = Literal[
 ]
 Side = Literal["motor", "link"]
 
-MOST_JOINTS = 2
+MAX_JOINTS = 2
 """Maximum number of joints of a supported arm."""
 
 _WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
@@ -105,23 +105,23 @@ _ROTATIONAL = ("theta", "th", "angle", "ang", "phi", "motorangle", "dtheta", "th
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
+class ParsedName:
     """Parsed column name; None marks information that the name does not contain."""
 
     quantity: Quantity | None
     number: int | None = None  # joint number as written, from 0 or 1
     label: str = ""  # name of the joint in a bag
-    word_left: str = ""  # unrecognised word; in a table it may be the name of the joint
+    unrecognised_word: str = ""  # unrecognised word; in a table it may be the name of the joint
     unit: str | None = None
     side: Side | None = None
     commanded: bool = False  # whether the name has a word of a command
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
-    own: bool = False  # whether the name is a channel name
+    is_channel_name: bool = False  # whether the name is a channel name
     placed: bool = True  # False: the joint is a guess
 
 
-def parse(name: str) -> Named:
+def parse(name: str) -> ParsedName:
     """Parse a column name."""
     text, label, number = name, "", None
     if name.startswith("/"):  # bag column: /topic.field[joint or index]
@@ -132,7 +132,7 @@ def parse(name: str) -> Named:
         text = re.sub(r"\.data$", "", text)
     tokens = _tokens(text)
     if any(token.lower() in _IGNORED_WORDS for token in tokens):
-        return Named(None)
+        return ParsedName(None)
     quantity, word = _quantity(tokens)
     unit, words = _unit(tokens, quantity, word)
     if quantity is None and unit is not None:
@@ -158,7 +158,7 @@ def parse(name: str) -> Named:
     )
     is_channel = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
     sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
-    return Named(
+    return ParsedName(
         quantity, number, label, unknown_word, unit, side, commanded, word, sure, is_channel
     )
 

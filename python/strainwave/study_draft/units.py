@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.study_draft.names import UNITS
 
-NEAR = 0.03  # relative tolerance between a measured and a known ratio
+MAX_UNIT_RATIO_ERROR = 0.03  # relative tolerance between a measured and a known ratio
 _UNIT_RATIOS = (  # change of angle per integral of velocity, SI factors of angle and velocity, text
     (1.0, 1.0, 1.0, "in matching units"),
     (180.0 / pi, pi / 180.0, 1.0, "the angle in degrees, the velocity in rad/s"),
@@ -27,7 +27,7 @@ def unit_pair(ratio: float) -> tuple[float, float, str] | None:
     and velocity and a description, or None if no pair of units has this ratio.
     """
     for known, angle_scale, velocity_scale, description in _UNIT_RATIOS:
-        if abs(ratio / known - 1.0) < NEAR:
+        if abs(ratio / known - 1.0) < MAX_UNIT_RATIO_ERROR:
             return angle_scale, velocity_scale, description
     return None
 

@@ -87,7 +87,7 @@ def test_reads_a_ros1_bag(tmp_path: Path) -> None:
     assert not log.warnings  # every message has a header stamp
 
 
-def test_the_whole_rigid_step_says_the_same_of_a_bag_as_of_a_csv(tmp_path: Path) -> None:
+def test_the_rigid_step_gives_equal_results_for_a_bag_and_a_csv(tmp_path: Path) -> None:
     study = virtual_arms.rigid_two_link()
     log = virtual_arms.motion_log(study, virtual_arms.values_of(study, 1), 1, duration=6.0)
     columns = {"t": log.time, **log.channels, "a1": np.zeros(len(log))}
@@ -114,7 +114,7 @@ def test_the_whole_rigid_step_says_the_same_of_a_bag_as_of_a_csv(tmp_path: Path)
 # --- time -------------------------------------------------------------------------------------
 
 
-def test_topics_of_other_rates_come_to_the_motor_angles_stamps(tmp_path: Path) -> None:
+def test_topics_are_resampled_to_the_time_stamps_of_the_motor_angle(tmp_path: Path) -> None:
     fast, slow = ticks(0.001, 400), 0.0003 + ticks(0.004, 99)
     messages = [m for m in bags.of_columns(signals(fast)) if m[0] != "/imu1"]
     messages += [
@@ -155,7 +155,7 @@ def test_commands_are_held_and_a_silent_one_is_reported(tmp_path: Path) -> None:
     assert "/cmd sends nothing from 0.0984 to 0.3004 s" in warnings[0]
 
 
-def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
+def test_a_window_includes_the_last_command_before_it(tmp_path: Path) -> None:
     time = ticks(0.001, 400)
     messages = [m for m in bags.of_columns(signals(time)) if m[0] != "/cmd"]
     messages += [("/cmd", ns, bags.floats([ns - bags.START, 0])) for ns in bags.stamps(time[::50])]
@@ -165,7 +165,7 @@ def test_a_window_keeps_the_command_set_before_it(tmp_path: Path) -> None:
     assert log.channels["u1"][0] == 100_000_000
 
 
-def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -> None:
+def test_the_recorder_delay_is_reported_and_a_different_clock_refused(tmp_path: Path) -> None:
     for delay, name in ((0.003, "late"), (-1.7e9, "simulated")):
         delay_ns = round(delay * 1e9)
         messages = bags.of_columns(signals(ticks(0.001, 60)))
@@ -184,7 +184,7 @@ def test_a_late_recorder_is_measured_and_another_clock_refused(tmp_path: Path) -
         read(tmp_path, "simulated")
 
 
-def test_unset_headers_count_from_the_recorder(tmp_path: Path) -> None:
+def test_recorder_stamps_replace_unset_headers(tmp_path: Path) -> None:
     messages = bags.of_columns(studies.columns())
     for _, _, message in messages:
         if hasattr(message, "header"):
@@ -299,7 +299,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_shows_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
+def test_the_error_states_what_the_bag_lacks(fault: str, tmp_path: Path) -> None:
     text, message = FAULTS[fault]
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     other_lines = [
@@ -313,7 +313,7 @@ def test_shows_what_is_not_in_the_bag(fault: str, tmp_path: Path) -> None:
     assert error.value.remedy
 
 
-def test_shows_where_a_value_is_no_number(tmp_path: Path) -> None:
+def test_the_error_locates_a_value_that_is_not_a_number(tmp_path: Path) -> None:
     messages = bags.of_columns(studies.columns())
     messages[3 * 7 + 1] = ("/imu1", messages[3 * 7 + 1][1], bags.imu(messages[3 * 7][1], np.nan))
     bags.write(tmp_path / "run", messages)
@@ -322,14 +322,14 @@ def test_shows_where_a_value_is_no_number(tmp_path: Path) -> None:
     read(tmp_path, "run", window="start = 0.01\n")  # the remedy works
 
 
-def test_shows_an_empty_topic(tmp_path: Path) -> None:
+def test_an_empty_topic_is_refused(tmp_path: Path) -> None:
     messages = [m for m in bags.of_columns(studies.columns()) if m[0] != "/imu1"]
     bags.write(tmp_path / "run", messages, silent={"/imu1": "sensor_msgs/msg/Imu"})
     with pytest.raises(InvalidInput, match="the topic '/imu1' has no messages"):
         read(tmp_path, "run")
 
 
-def test_shows_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> None:
+def test_a_damaged_bag_and_another_directory_are_refused(tmp_path: Path) -> None:
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     data = (tmp_path / "run" / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
@@ -340,7 +340,7 @@ def test_shows_a_damaged_bag_and_a_directory_that_is_none(tmp_path: Path) -> Non
         read(tmp_path, "run")
 
 
-def test_the_command_line_refuses_in_one_sentence(tmp_path: Path) -> None:
+def test_the_command_line_prints_one_error_message(tmp_path: Path) -> None:
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))
     text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS.replace("/imu1", "/imu7")
     path = studies.write(tmp_path, text)
@@ -357,7 +357,7 @@ def test_the_command_line_refuses_in_one_sentence(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_a_bag_without_its_library_says_how_to_get_it(
+def test_a_bag_without_rosbags_gives_the_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bags.write(tmp_path / "run", bags.of_columns(studies.columns()))

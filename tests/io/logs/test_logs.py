@@ -46,17 +46,17 @@ def expect(log: Log) -> None:
 
 
 @pytest.mark.parametrize("delimiter", [",", ";", "\t"])
-def test_reads_csv_whatever_parts_its_columns(delimiter: str, tmp_path: Path) -> None:
+def test_csv_is_read_with_any_delimiter(delimiter: str, tmp_path: Path) -> None:
     expect(read(tmp_path, studies.csv_text(studies.columns(), delimiter)))
 
 
-def test_reads_what_spreadsheets_make_of_csv(tmp_path: Path) -> None:
+def test_csv_from_spreadsheets_is_read(tmp_path: Path) -> None:
     text = studies.csv_text(studies.columns(), ";").replace(".", ",").replace("\n", "\r\n")
     log = read(tmp_path, b"\xef\xbb\xbf# rig 3\r\n\r\n" + text.encode())
     expect(log)
 
 
-def test_reads_quoted_names_and_leaves_out_other_columns(tmp_path: Path) -> None:
+def test_quoted_names_are_read_and_unmapped_columns_ignored(tmp_path: Path) -> None:
     text = studies.csv_text(studies.columns() | {"t": studies.columns()["t"]})
     lines = text.splitlines()
     lines[0] = ", ".join(f'"{name}"' for name in lines[0].split(","))
@@ -82,7 +82,7 @@ def test_reads_gzip_parquet_mat_and_hdf5(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["log.csv", "log.csv.gz", "log.parquet"])
-def test_what_is_written_reads_back(name: str, tmp_path: Path) -> None:
+def test_written_tables_read_back_equal(name: str, tmp_path: Path) -> None:
     path = studies.write(tmp_path, studies.STUDY.replace("motion.csv", name))
     write_log(tmp_path / name, studies.columns())
     study = read_study(path)
@@ -91,12 +91,12 @@ def test_what_is_written_reads_back(name: str, tmp_path: Path) -> None:
         np.testing.assert_array_equal(values, studies.columns()[channel])
 
 
-def test_will_not_write_another_kind(tmp_path: Path) -> None:
+def test_writing_an_unknown_file_type_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="cannot be written"):
         write_log(tmp_path / "log.xlsx", studies.columns())
 
 
-def test_maps_scales_shifts_and_adds(tmp_path: Path) -> None:
+def test_channels_apply_scale_offset_and_added_columns(tmp_path: Path) -> None:
     values = studies.columns()
     values = {"time_ms": 1000.0 * values["t"]} | values | {"push": np.full(40, 0.5)}
     del values["t"]
@@ -108,7 +108,7 @@ def test_maps_scales_shifts_and_adds(tmp_path: Path) -> None:
     assert log.time[-1] == pytest.approx(0.039)
 
 
-def test_cuts_the_window_out(tmp_path: Path) -> None:
+def test_only_samples_of_the_window_are_read(tmp_path: Path) -> None:
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nstart = 0.01\nstop = 0.03')
     log = read(tmp_path, None, text)
     assert (log.time[0], log.time[-1], len(log)) == (pytest.approx(0.01), pytest.approx(0.03), 21)
@@ -145,7 +145,7 @@ def test_jittered_stamps_are_resampled_and_reported(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("jitter", [0.01, 0.03, 0.1, 0.3])
-def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
+def test_jittered_stamps_are_moved_to_a_clock_of_round_numbers(
     jitter: float, tmp_path: Path
 ) -> None:
     """The samples are uniform and only the stamps jitter, so the samples do not change."""
@@ -159,7 +159,7 @@ def test_stamps_that_jitter_go_back_to_a_clock_of_round_numbers(
 
 @pytest.mark.parametrize("spread", ["white", "random walk"])
 @pytest.mark.parametrize("seed", range(4))
-def test_stamps_of_any_jitter_go_to_the_nominal_period(
+def test_irregular_stamps_are_resampled_to_the_nominal_period(
     spread: str, seed: int, tmp_path: Path
 ) -> None:
     """Jitter of 10 % of a period: the nominal period is recovered.
@@ -252,7 +252,7 @@ FAULTS: dict[str, tuple[str | bytes, str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
+def test_the_error_locates_every_fault(fault: str, tmp_path: Path) -> None:
     log, message = FAULTS[fault]
     with pytest.raises(InvalidInput, match=message) as error:
         read(tmp_path, log)
@@ -282,12 +282,14 @@ def test_shows_every_fault(fault: str, tmp_path: Path) -> None:
         ("log.xlsx", b"PK", "has an unknown file type"),
     ],
 )
-def test_shows_what_a_file_is_not(name: str, data: bytes, said: str, tmp_path: Path) -> None:
+def test_a_file_of_another_type_is_refused(
+    name: str, data: bytes, said: str, tmp_path: Path
+) -> None:
     with pytest.raises(InvalidInput, match=said):
         renamed(tmp_path, name, data)
 
 
-def test_a_null_in_a_parquet_file_has_its_row(tmp_path: Path) -> None:
+def test_the_error_states_the_row_of_a_null_in_a_parquet_file(tmp_path: Path) -> None:
     table = pa.table(studies.columns())
     index = table.schema.get_field_index("u1")
     with_null = pa.array([None if k == 6 else float(k) for k in range(40)])
@@ -297,7 +299,7 @@ def test_a_null_in_a_parquet_file_has_its_row(tmp_path: Path) -> None:
         renamed(tmp_path, "log.parquet", sink.getvalue())
 
 
-def test_hdf5_without_its_library_says_how_to_get_it(
+def test_hdf5_without_h5py_gives_the_install_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(__import__("sys").modules, "h5py", None)
@@ -305,9 +307,11 @@ def test_hdf5_without_its_library_says_how_to_get_it(
         renamed(tmp_path, "log.h5", b"\x89HDF\r\n\x1a\n")
 
 
-def test_an_empty_window_names_what_the_log_holds(tmp_path: Path) -> None:
+def test_an_empty_window_states_the_time_range_of_the_log(tmp_path: Path) -> None:
     text = studies.STUDY.replace('use = "motion"', 'use = "motion"\nstart = 7.0')
-    with pytest.raises(InvalidInput, match=r"window from 7 to inf s: the log extends from 0 to 0.039 s"):
+    with pytest.raises(
+        InvalidInput, match=r"window from 7 to inf s: the log extends from 0 to 0.039 s"
+    ):
         read(tmp_path, None, text)
 
 
@@ -347,7 +351,7 @@ def test_a_voltage_needs_its_torque(tmp_path: Path) -> None:
         read(tmp_path, None, text)
 
 
-def test_a_dead_sensor_is_doubtful_but_a_free_joint_is_not(tmp_path: Path) -> None:
+def test_a_constant_sensor_gives_a_warning_but_an_unused_joint_does_not(tmp_path: Path) -> None:
     values = studies.columns() | {"a1": np.full(40, 0.13), "u2": np.zeros(40)}
     log = read(tmp_path, studies.csv_text(values))
     assert [(w.code, "'a1'" in w.message) for w in log.warnings] == [("constant-channel", True)]
@@ -370,7 +374,7 @@ def test_reads_every_log_of_the_measured_data(shared_data: Path) -> None:
     assert not any(codes.values())
 
 
-def test_arrow_holds_no_object_of_pythons() -> None:
+def test_arrow_keeps_no_reference_to_python_objects() -> None:
     """Arrow's reader copies its input.
 
     Its threads need the interpreter to release a Python object, possibly after its shutdown.

@@ -34,7 +34,7 @@ def written(variables: dict[str, Any], **how: Any) -> bytes:
 
 @pytest.mark.parametrize("compressed", [False, True])
 @pytest.mark.parametrize("kind", ["f8", "f4", "i1", "u2", "i4", "u8"])
-def test_real_arrays_are_read_beside_anything_else(kind: str, compressed: bool) -> None:
+def test_real_arrays_are_read_from_files_with_other_variables(kind: str, compressed: bool) -> None:
     column = (100.0 * COLUMN).astype(kind)
     data = written(OTHERS | {"t": column, "a_longer_name": column}, do_compression=compressed)
     names = mat.variables(data)
@@ -62,7 +62,7 @@ def test_elements_of_an_unknown_type_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["text", "struct", "turning"])
-def test_what_is_no_vector_of_numbers_is_named(name: str, tmp_path: Path) -> None:
+def test_the_error_states_the_variable_that_is_not_a_vector(name: str, tmp_path: Path) -> None:
     (tmp_path / "log.mat").write_bytes(written(OTHERS))
     with pytest.raises(InvalidInput, match="not a vector of numbers") as error:
         open_table(tmp_path / "log.mat").read([name])

@@ -7,57 +7,61 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from strainwave.study_draft.candidates import Guess, JointFacts, Mapping
-from strainwave.study_draft.experiment_type import Proposed
+from strainwave.study_draft.experiment_type import ExperimentProposal
 from strainwave.study_draft.inspection import Record
 
 TODO = "TODO"
 _WIDTH = 100  # [characters] maximum length of a line
 _HEAD = (
-    "Written by `strainwave init` from {files}. {todo} Every other line is a guess; the comment "
-    "says why, and whether it is sure, likely or unsure. docs/study.md has every key. When all is "
-    "filled in:"
+    "Written by `strainwave init` from {files}. {todo} All other values are guesses; each "
+    "comment states the reason, and whether the guess is sure, likely or unsure. docs/study.md "
+    "describes every key. When the file is complete, run"
 )
 _SERVO_NEEDED = (
-    "Needed: {names} moved under the servo, and only a simulation with the same servo can be "
-    "compared with {them}. Gains that nobody knows: take the table out; the elastic model is then "
+    "Required: {names} moved under the servo, and only a simulation with the same servo can be "
+    "compared with {them}. If the gains are unknown, remove the table; the elastic model is then "
     "fitted, but not validated."
 )
 _SERVO_OPTIONAL = "only for `strainwave simulate` and `strainwave excite`"
 _SERVO = (  # key, value, comment
     ("kind", '"pi-velocity"', "u = kp e + ki integral(e), e = reference - motor velocity"),
-    ("period", "{period:.6g}", "[s] of its clock"),
-    ("kp", "{gains}", "[V s/rad] at the motor, one per joint: the drive's set-up"),
+    ("period", "{period:.6g}", "[s] sampling period of the servo"),
+    ("kp", "{gains}", "[V s/rad] at the motor, one per joint: from the drive's settings"),
     ("ki", "{gains}", "[V/rad]"),
-    ("limit", "TODO", "[V] the drive's largest output"),
+    ("limit", "TODO", "[V] largest output of the drive"),
 )
 _EXPERIMENTS = (
-    "In every [[experiment]], control is unsure: a joint without input, or with one of few levels, "
-    "is taken as open, any other as under a servo. Records to check with are never fitted."
+    "In every [[experiment]], control is unsure: open is assumed for a joint without input, or "
+    "with an input of few levels; servo is assumed otherwise. Validation records are never fitted."
 )
 _VALUE_SOURCES = {  # key -> unit, meaning and source of the value
-    "link_length": "[m] from axis 1 to axis 2: the drawing, or measure it",
-    "gear_ratio": "link turns per motor turn, 0.01 for 100:1: the gear's data sheet; "
-    "1 where torque and angle are both logged behind the gear",
+    "link_length": "[m] from axis 1 to axis 2: from the drawing, or measured",
+    "gear_ratio": "link turns per motor turn, 0.01 for 100:1: from the data sheet; "
+    "1 if torque and angle are both logged at the link",
     "torque_per_volt": "[N m/V] at the motor: amplifier gain [A/V] times the motor's torque "
     "constant [N m/A], from their data sheets",
-    "accelerometer_distance": "[m] from this link's own axis to the sensor: measure it, or take "
-    "the line out, and it is estimated",
+    "accelerometer_distance": "[m] from the axis of this joint to the sensor: measured; "
+    "remove the line to estimate it",
 }
 
 
 _BANDWIDTH = (
-    "bandwidth [Hz] of the sensor with its filter, from the data sheet or the set-up. Without it "
-    "the lag counts as delay or damping; take the line out only where it exceeds the sampling rate"
+    "bandwidth [Hz] of the sensor with its filter, from the data sheet or the settings. Without "
+    "it, the lag biases delay or damping; remove the line only if the bandwidth exceeds the "
+    "sampling rate"
 )
 _IMU = "and xyz [m], rpy [rad], if known"
 _CURRENT_LOOP = (
-    "bandwidth [Hz] from voltage to torque, from the drive's data sheet; take the line out only "
-    "where it exceeds the sampling rate"
+    "bandwidth [Hz] from voltage to torque, from the drive's data sheet; remove the line only "
+    "if the bandwidth exceeds the sampling rate"
 )
 
 
 def study_text(
-    records: Sequence[Record], mapping: Mapping, experiments: Sequence[Proposed], out: Path
+    records: Sequence[Record],
+    mapping: Mapping,
+    experiments: Sequence[ExperimentProposal],
+    out: Path,
 ) -> str:
     """Return the text of a draft study file.
 
@@ -72,7 +76,7 @@ def study_text(
     parts.append("\n".join(_wrapped(_EXPERIMENTS)))
     parts += [_experiment(each, out) for each in experiments]
     body = "\n\n".join(parts) + "\n"
-    count = todos(body)
+    count = count_todos(body)
     todo = f"Complete it: {count} value(s) are {TODO}." if count else f"Nothing is {TODO}."
     files = ", ".join(record.path.name for record in records[:4])
     more = f" and {len(records) - 4} more" if len(records) > 4 else ""
@@ -81,13 +85,13 @@ def study_text(
     return "\n".join(head) + "\n\n" + body
 
 
-def todos(text: str) -> int:
+def count_todos(text: str) -> int:
     """Count the TODO values of a study file, without comments."""
     lines = [line.split("#")[0] for line in text.splitlines()]
     return sum(line.count(TODO) for line in lines)
 
 
-def is_elastic(mapping: Mapping, experiments: Sequence[Proposed]) -> bool:
+def is_elastic(mapping: Mapping, experiments: Sequence[ExperimentProposal]) -> bool:
     """Whether the logs identify gear stiffness: a link sensor or a pseudo-random input exists."""
     sensed = any(facts.link_sensors for facts in mapping.joints)
     return sensed or any(each.prbs for each in experiments)
@@ -113,7 +117,9 @@ def _optional_line(key: str, value: str, comment: str) -> str:
     return f"{code:<26}  # {comment}"
 
 
-def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], elastic: bool) -> str:
+def _servo(
+    record: Record, mapping: Mapping, experiments: Sequence[ExperimentProposal], elastic: bool
+) -> str:
     """Return [servo]: required if step records are compared with a simulation, else optional."""
     gains = "[" + ", ".join([TODO] * len(mapping.joints)) + "]"
     entries = [
@@ -137,7 +143,7 @@ def _servo(record: Record, mapping: Mapping, experiments: Sequence[Proposed], el
 def _arm(mapping: Mapping) -> str:
     is_two_link = len(mapping.joints) == 2
     kind = "planar-two-link" if is_two_link else "single-joint"
-    evidence = "angles of two joints are there" if is_two_link else "one joint's angle is there"
+    evidence = "there are angles of two joints" if is_two_link else "there is one joint angle"
     lines = ["[arm]", _line("kind", _quoted(kind), f"likely: {evidence}")]
     if is_two_link:
         lines.append(_line("link_length", TODO, _VALUE_SOURCES["link_length"]))
@@ -146,8 +152,8 @@ def _arm(mapping: Mapping) -> str:
             _optional_line("gravity", "9.81", "[m/s^2] if the arm moves in a vertical plane: links")
         )
         lines += _wrapped(
-            "then lie along +x at zero angle; where your zero hangs down, give theta_m1 the offset "
-            "-1.5708/gear_ratio"
+            "then lie along +x at zero angle; if your zero hangs down, set the offset of theta_m1 "
+            "to -1.5708/gear_ratio"
         )
     return "\n".join(lines)
 
@@ -155,7 +161,7 @@ def _arm(mapping: Mapping) -> str:
 def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
     lines = [f"[[joint]]                   # {number}"]
     if facts.prismatic:
-        lines.append(_line("motion", '"prismatic"', "likely: by its units; m, N, kg"))
+        lines.append(_line("motion", '"prismatic"', "likely: according to its units; m, N, kg"))
     spring = '"linear"' if elastic else '"rigid"'
     lines += [_line("spring", spring, _spring_reason(facts, elastic)), _gear(facts)]
     if facts.voltage:
@@ -182,13 +188,13 @@ def _joint(number: int, facts: JointFacts, elastic: bool) -> str:
 
 def _spring_reason(facts: JointFacts, elastic: bool) -> str:
     if not elastic:
-        return "unsure: nothing on the link is logged, so no spring is identifiable"
+        return "unsure: no link sensor is logged, so no spring is identifiable"
     sensors = ", ".join(sorted(facts.link_sensors))
     sensor_reason = f"likely: there is a sensor on the link ({sensors})"
     reason = (
         sensor_reason
         if sensors
-        else "unsure: as on the other joint, or as records of vibration are there"
+        else "unsure: the other joint is elastic, or there are vibration records"
     )
     return reason + '; or "three-slope": strain-wave gears stiffen'
 
@@ -196,10 +202,10 @@ def _spring_reason(facts: JointFacts, elastic: bool) -> str:
 def _gear(facts: JointFacts) -> str:
     if facts.gear_ratio:
         ratio, reason = facts.gear_ratio
-        note = f"likely: {reason}; link turns per motor turn, see the gear's data sheet"
+        note = f"likely: {reason}; link turns per motor turn, see the data sheet"
         return _line("gear_ratio", f"{ratio:.6g}", note)
     if facts.prismatic:
-        return _line("gear_ratio", "1.0", "likely: all is logged along the axis")
+        return _line("gear_ratio", "1.0", "likely: all signals are logged along the axis")
     return _line("gear_ratio", TODO, _VALUE_SOURCES["gear_ratio"])
 
 
@@ -217,7 +223,7 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
         rate = 1.0 / record.period
         reason = f"sure: increases by {record.period / record.time_scale:.4g} {record.time_unit}, "
         unit = record.time_unit
-        reason += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if it counts {unit}"
+        reason += f"{rate:.4g} Hz" if unit == "s" else f"{rate:.4g} Hz if its unit is {unit}"
         if record.time_column == "t" and record.time_scale == 1.0:
             lines += _wrapped(f"t: {reason}")
         else:
@@ -225,7 +231,7 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
                 _line("t", _entry(record.time_column, record.time_scale, of_bag=False), reason)
             )
     if direct_channels:
-        lines += _wrapped(f"sure: under their own names, in SI units: {', '.join(direct_channels)}")
+        lines += _wrapped(f"sure: channel names, in SI units: {', '.join(direct_channels)}")
     for guess in mapping.guesses.values():
         if guess.channel not in direct_channels:
             lines.append(_guess(guess, records))
@@ -242,7 +248,7 @@ def _channels(records: Sequence[Record], mapping: Mapping) -> str:
 
 def _guess(guess: Guess, records: Sequence[Record]) -> str:
     """Return the line of one channel, with the logs that lack its column."""
-    comment = f"{guess.sure}: {guess.why}"
+    comment = f"{guess.sure}: {guess.reason}"
     of_bag = any(record.is_bag for record in records if guess.column in record.columns)
     logs_without = [record.path.name for record in records if guess.column not in record.columns]
     if logs_without:
@@ -268,7 +274,7 @@ def _entry(column: str, scale: float | None, of_bag: bool) -> str:
     return text + f"field = {_quoted(rest)}{scaled} }}"
 
 
-def _experiment(each: Proposed, out: Path) -> str:
+def _experiment(each: ExperimentProposal, out: Path) -> str:
     path = os.path.relpath(each.record.path, out.parent).replace(os.sep, "/")
     record = each.record
     span = f"{record.time[-1] - record.time[0]:.4g} s at {1.0 / record.period:.4g} Hz"
@@ -277,17 +283,19 @@ def _experiment(each: Proposed, out: Path) -> str:
         "[[experiment]]",
         f"name = {_quoted(record.name)}",
         _line("file", _quoted(path), span),
-        _line("use", f'"{each.use}"', f"likely: {each.why}"),
+        _line("use", f'"{each.use}"', f"likely: {each.reason}"),
     ]
     if each.joint is not None:
-        lines.append(_line("joint", str(each.joint), "the excited one"))
+        lines.append(_line("joint", str(each.joint), "the excited joint"))
     lines.append(f"control = [{control}]")
     if each.prbs is not None:
         p = each.prbs
         amplitude = repr(p.amplitude) if each.has_known_amplitude else TODO
         value = f"{{ order = {p.order}, clock = {p.clock!r}, periods = {p.periods}, "
         value += f"amplitude = {amplitude} }}"
-        lines.append(_line("prbs", value, "likely: by its runs and repetition; amplitude in V"))
+        lines.append(
+            _line("prbs", value, "likely: from its run lengths and period; amplitude in V")
+        )
     return "\n".join(lines)
 
 
