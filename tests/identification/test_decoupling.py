@@ -122,7 +122,7 @@ def test_inputs_explain_the_motor_and_the_link(gravity: float | None) -> None:
         assert residual.std() < (0.05 if joint.joint == 1 else 0.12) * momentum_scale, joint.joint
 
 
-def test_the_record_says_what_a_model_must_know() -> None:
+def test_the_decoupled_record_contains_the_data_of_the_rigid_model() -> None:
     study, _ = run_of(None)
     values = rig_values(study)
     first, second = decoupled()

@@ -76,7 +76,7 @@ def test_two_inputs_come_apart_over_two_records() -> None:
     assert estimate.response[:, 1] == pytest.approx(np.tile([-1.0, 1.0], (len(truth), 1)), abs=1e-7)
 
 
-def test_distortion_is_what_records_differ_by_beyond_noise() -> None:
+def test_distortion_is_the_difference_between_records_beyond_noise() -> None:
     linear = frequency.by_periods([noisy_periods(k, 0.05) for k in range(6)], 1.0, PERIOD, 1)
     scales = 1.0 + 0.2 * np.array([-1.0, -0.6, -0.2, 0.2, 0.6, 1.0])
     pairs = [noisy_periods(k, 0.05, scale=float(s)) for k, s in enumerate(scales)]
@@ -170,7 +170,7 @@ def joint_records(joint: int) -> tuple[Decoupled, ...]:
 
 
 @pytest.mark.parametrize("joint", [1, 2])
-def test_the_decoupled_joint_rings_like_a_two_inertia_system(joint: int) -> None:
+def test_the_decoupled_joint_has_the_resonances_of_a_two_inertia_system(joint: int) -> None:
     estimate = frequency.respond(joint_records(joint))
     assert estimate.method == "periods"
     assert estimate.noise_variance is not None
@@ -205,7 +205,7 @@ def test_options_choose_inputs_and_segments() -> None:
     assert short.frequencies_hz[0] == pytest.approx(2.0)
 
 
-def test_records_that_do_not_belong_together_are_refused() -> None:
+def test_responses_of_incompatible_records_are_refused() -> None:
     first = joint_records(1)[0]
     with pytest.raises(InvalidInput, match="no record"):
         frequency.respond([])

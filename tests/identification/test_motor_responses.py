@@ -46,7 +46,7 @@ def recorded() -> tuple[Study, Values, Log]:
     inertia=st.floats(1e-3, 10.0),
     ratio=st.sampled_from([1.0, 0.02, 0.01, -0.00625]),
 )
-def test_one_joint_rings_as_in_closed_form(
+def test_one_joint_has_the_modes_of_the_closed_form(
     ring: float, share: float, inertia: float, ratio: float
 ) -> None:
     """Without damping, zeros are sqrt(k / m_L) and poles sqrt(k (1 / m_L + n^2 / m_M))."""

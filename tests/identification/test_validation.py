@@ -123,7 +123,7 @@ def test_short_stretches_are_reversals_and_long_ones_standing() -> None:
     assert np.flatnonzero(standing(direction, 2)).tolist() == [5, 6, 7]
 
 
-def test_an_unknown_model_predicts_nothing() -> None:
+def test_an_unidentified_model_is_refused() -> None:
     study, model, exact = fitted()
     with pytest.raises(NotIdentifiable):
         validation.predict_rigid(

@@ -21,7 +21,7 @@ def test_blocks_have_the_factor_of_the_whole(shape: tuple[int, int]) -> None:
     np.testing.assert_allclose(np.abs(R) / size, np.abs(expected) / size, atol=1e-12)
 
 
-def test_a_factor_keeps_what_normal_equations_lose() -> None:
+def test_a_triangular_factor_is_more_accurate_than_normal_equations() -> None:
     """Two columns that differ by 1e-10: the square of the difference is below rounding."""
     rng = np.random.default_rng(1)
     first = rng.normal(size=2000)

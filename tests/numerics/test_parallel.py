@@ -38,7 +38,7 @@ def test_a_job_that_fails_shows_who_asks() -> None:
 
 
 @pytest.mark.skipif((os.cpu_count() or 1) < 2, reason="there is but one core")
-def test_a_job_that_fails_ends_those_beside_it() -> None:
+def test_a_failed_job_stops_the_parallel_jobs() -> None:
     """Nested jobs end too, and waiting jobs do not start."""
     begun = threading.Barrier(3, timeout=30.0)
     ended = list[threading.Thread]()

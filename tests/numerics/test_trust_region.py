@@ -185,7 +185,7 @@ def test_short_steps_stay_in_a_narrow_valley() -> None:
     assert max(abs(np.sum(x)) for x in problem.looked_at) < 1e-3
 
 
-def test_what_nothing_shows_of_stays_where_it_is() -> None:
+def test_an_unknown_without_information_does_not_change() -> None:
     A, b = linear(0)
     A[:, 2] = 0.0
     result = found_for(lambda x: A @ x - b, [0.0, 0.0, 0.7, 0.0], tolerance=1e-9)
@@ -234,7 +234,7 @@ def test_steps_into_nowhere_are_refused() -> None:
     assert max(x[0] for x in problem.looked_at) > 0.0
 
 
-def test_there_is_nothing_to_find_where_there_is_no_problem() -> None:
+def test_an_invalid_start_gives_no_minimum() -> None:
     looked_at: list[FloatArray] = []
 
     def nowhere(x: FloatArray) -> None:
@@ -259,7 +259,7 @@ def test_it_ends_where_no_step_helps(tolerance: float, converged: bool) -> None:
     assert 1 < result.evaluations < 100
 
 
-def test_no_step_is_taken_that_raises_the_cost() -> None:
+def test_no_step_increases_the_cost() -> None:
     problem = Problem(two_decays)
     start = np.array([3.0, 4.0, -2.0, 0.1])
     reach = np.full(4, 10.0)
@@ -278,7 +278,7 @@ def test_no_step_is_taken_that_raises_the_cost() -> None:
     assert costs[-1] < 0.5 * costs[0]
 
 
-def test_it_says_so_when_evaluations_run_out() -> None:
+def test_an_exhausted_budget_is_not_convergence() -> None:
     result = found_for(rosenbrock, [-1.2, 1.0], max_evaluations=4)
     assert not result.converged
     assert result.evaluations == 4

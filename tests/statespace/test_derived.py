@@ -114,7 +114,7 @@ def test_response_of_slow_samples_is_that_of_continuous_time() -> None:
     np.testing.assert_allclose(sampled, exact * delay, rtol=1e-4)
 
 
-def test_nothing_depends_on_coordinates() -> None:
+def test_results_are_independent_of_state_coordinates() -> None:
     model = fitted()
     T = np.random.default_rng(2).standard_normal((3, 3))
     changed_model = transformed(model, T)
@@ -165,7 +165,7 @@ def test_without_a_covariance_there_is_no_deviation() -> None:
     assert propagate(model, lambda near: near.A.ravel())[1] is None
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_invalid_indices_and_frequencies_are_refused() -> None:
     model = ARM.sampled()
     with pytest.raises(InvalidInput, match="expected input from 0 to 1, got 2"):
         modes(model, 2, 0)

@@ -231,7 +231,7 @@ def test_white_disturbances_have_no_gain_and_correct_standard_deviations() -> No
     assert 1e-3 < chi2.sf(total, 4 * seeds) < 1.0 - 1e-3
 
 
-def test_two_records_know_what_one_twice_as_long_knows() -> None:
+def test_two_records_have_the_information_of_one_of_double_length() -> None:
     whole = pem(noisy(7, 2000), 3)
     data = noisy(7, 2000)
     halves = pem([data.window(0, 1000), data.window(1000, 2000)], 3)
@@ -348,7 +348,7 @@ def test_too_high_an_order_is_not_passed_off_as_known() -> None:
     assert "pem-not-determined" in [warning.code for warning in model.warnings]
 
 
-def test_what_predicts_but_does_not_simulate_says_so() -> None:
+def test_a_model_that_predicts_but_does_not_simulate_has_a_warning() -> None:
     """A drift that is independent of the input is predicted one step ahead but not simulated."""
     rng = np.random.default_rng(0)
     drift = np.cumsum(rng.standard_normal((600, 1)), axis=0)

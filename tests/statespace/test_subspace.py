@@ -114,7 +114,7 @@ def test_constant_and_repeated_channels_do_not_break() -> None:
         assert np.isfinite(model.A).all()
 
 
-def test_means_are_taken_off_each_record() -> None:
+def test_the_mean_of_each_record_is_subtracted() -> None:
     rng = np.random.default_rng(0)
     data = simulate(ARM.sampled(), excitation(rng, 200))
     lifted = replace(data, outputs=data.outputs + np.array([100.0, -3.0]))

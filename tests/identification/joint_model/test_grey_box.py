@@ -125,7 +125,7 @@ def test_the_rigid_models_errors_are_counted() -> None:
     assert uncertain_fit.covariance[k, k] > 4.0 * certain_fit.covariance[k, k]
 
 
-def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
+def test_the_uncertainty_of_a_removed_delay_is_included() -> None:
     """A sensor delay D acts like gear damping k D: the uncertainty of a removed delay is added."""
     record_case = case(1)
     number = record_case.decoupled.joint
@@ -148,7 +148,7 @@ def test_what_a_removed_delay_may_be_wrong_by_is_counted() -> None:
     assert reported.std == pytest.approx(np.sqrt(removed.covariance[index, index]))
 
 
-def test_slow_sampling_biases_nothing() -> None:
+def test_slow_sampling_does_not_bias_the_estimates() -> None:
     """Ideal sensors at 1 kHz; linear interpolation would bias the motor inertia by 1 %."""
     study = rig(counts=None)
     values = rig_values(study)
@@ -166,7 +166,7 @@ def test_slow_sampling_biases_nothing() -> None:
     assert abs(relative_error[NAMES.index("gear_damping")]) < 0.01
 
 
-def test_what_hangs_on_friction_in_doubt_joins_the_deviations(
+def test_uncertain_friction_increases_the_standard_deviations(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Uncertain friction at reversals within an encoder count increases standard deviations."""
@@ -229,7 +229,7 @@ def test_a_link_without_sensor_is_refused() -> None:
         )
 
 
-def test_what_is_hardly_identified_or_impossible_is_said() -> None:
+def test_unidentified_and_implausible_values_have_warnings() -> None:
     joint = Joint(spring="three-slope", gear_ratio=0.01)
     values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
     covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
@@ -342,7 +342,7 @@ def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
     assert np.abs((vector_of(fit) - vector_of(full_model)) / std).max() < 0.2
 
 
-def test_all_of_a_record_is_searched_where_its_middle_rings_elsewhere(
+def test_the_complete_record_is_searched_if_its_middle_gives_another_band(
     monkeypatch: pytest.MonkeyPatch, models: list[tuple[Case, JointModel]]
 ) -> None:
     joint_case, full_model = models[0]

@@ -44,7 +44,7 @@ def frequencies(model: StateSpace) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("which", CASES)
-def test_it_rings_where_the_joint_does(which: tuple[int, int]) -> None:
+def test_the_model_has_the_resonances_of_the_joint(which: tuple[int, int]) -> None:
     model, truth = model_of(*which), case(*which).truth
     assert model.order in (3, 4)  # the low-pass may add one state
     assert model.status == "converged"
@@ -114,11 +114,11 @@ def test_no_stretch_is_long_enough() -> None:
         state_space_of(replace(joint_case, valid=valid), LinearOptions(band_hz=(5.0, 60.0)))
 
 
-def test_records_that_do_not_belong_together() -> None:
+def test_incompatible_records_are_refused() -> None:
     joint_case = case(1, 1).decoupled
     with pytest.raises(InvalidInput, match="different joints"):
         state_space_of([joint_case, replace(joint_case, joint=2)])
-    with pytest.raises(InvalidInput, match="sample times"):
+    with pytest.raises(InvalidInput, match="sampling periods"):
         state_space_of([joint_case, replace(joint_case, sample_time=2.0 * joint_case.sample_time)])
     with pytest.raises(InvalidInput, match="no record"):
         state_space_of([])
@@ -219,7 +219,7 @@ def test_deviations_stay_when_an_alternating_pole_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("which", CASES[:2])
-def test_held_out_data_are_predicted_and_feedback_is_seen(which: tuple[int, int]) -> None:
+def test_held_out_data_are_predicted_and_feedback_is_detected(which: tuple[int, int]) -> None:
     """One-step prediction of the last quarter; the interaction torque is reported as feedback."""
     check = judge(fit_linear(case(*which).decoupled))
     assert min(check.prediction_fit_percent) > 90.0

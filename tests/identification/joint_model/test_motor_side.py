@@ -75,7 +75,9 @@ def test_the_impedance_is_the_inverse_of_the_state_space_response(
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2)))
-def test_a_motor_s_velocity_follows_whatever_the_other_motors_do(seed: int, n: int) -> None:
+def test_the_motor_velocity_follows_from_its_torque_and_the_other_velocities(
+    seed: int, n: int
+) -> None:
     rng = np.random.default_rng(seed)
     arm = linear_arm(n, rng)
     s = np.asarray(2j * np.pi * np.geomspace(1.0, 100.0, 7), dtype=np.complex128)

@@ -177,7 +177,7 @@ def test_a_record_shows_both_ways() -> None:
         assert linear == pytest.approx(grey, rel=0.03)
 
 
-def test_what_fails_is_a_warning() -> None:
+def test_a_failed_estimate_is_a_warning() -> None:
     """Without a link sensor there is no torsion; a band with too short sections gives no model."""
     joint_case = case(1, 1)
     blind = replace(joint_case.signals, sources=("motor", "motor"))

@@ -181,7 +181,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
     assert np.mean(inside) >= 0.85
 
 
-def test_the_compliance_is_taken_out() -> None:
+def test_the_compliance_is_corrected() -> None:
     """With rigid gears, gamma has an error of several per cent; with elastic gears, it has not."""
     study = scara.study(Path("nowhere"), "linear")
     values = scara.parameters(5, "linear")

@@ -33,7 +33,7 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
     return study, values, virtual_arms.exact_signals(motion, torque + noise)
 
 
-def test_it_is_found_where_it_is() -> None:
+def test_the_load_friction_is_recovered() -> None:
     study, values, signals = loaded(SHARES)
     model = rigid.fit([signals], Arm.of(study.arm))
     (share,) = model.load_friction
@@ -45,7 +45,7 @@ def test_it_is_found_where_it_is() -> None:
     assert np.all(np.abs(model.solution - values) < 4.0 * np.sqrt(np.diag(model.covariance)))
 
 
-def test_it_predicts_what_a_model_without_it_does_not() -> None:
+def test_the_load_friction_improves_the_prediction() -> None:
     study, _, signals = loaded(SHARES)
     _, _, other_signals = loaded(SHARES, seed=2)
     models = [

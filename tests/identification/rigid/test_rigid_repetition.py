@@ -48,14 +48,14 @@ def moving(velocity: FloatArray) -> Signals:
 
 
 @pytest.mark.parametrize("periods", [1.6, 2.0, 3.4, 40.0])
-def test_a_period_is_found(periods: float) -> None:
+def test_a_period_is_estimated(periods: float) -> None:
     one_period = multisine(PERIOD, 1)
     velocity = np.tile(one_period, (41, 1))[: round(periods * len(one_period))]
     velocity = velocity + np.random.default_rng(0).normal(0.0, 1.0, velocity.shape)
     assert period_of(moving(velocity)) == pytest.approx(len(one_period), abs=3.0)
 
 
-def test_a_period_between_samples_is_found() -> None:
+def test_a_period_between_samples_is_estimated() -> None:
     time: FloatArray = CLOCK * np.arange(40_000, dtype=np.float64)
     period = 1.2345  # [s]
     waves = [np.sin(2.0 * np.pi * k * time / period + k) for k in (1, 2, 3)]
@@ -63,7 +63,7 @@ def test_a_period_between_samples_is_found() -> None:
     assert period_of(moving(velocity)) == pytest.approx(period / CLOCK, abs=0.05)
 
 
-def test_what_does_not_repeat_has_no_period() -> None:
+def test_motion_without_repetition_has_no_period() -> None:
     time, _, velocity, _ = virtual_arms.exact_motion(2, seed=3)
     assert period_of(moving(velocity)) == len(time)
     assert period_of(moving(np.zeros_like(velocity))) == len(time)
@@ -75,7 +75,7 @@ def test_what_does_not_repeat_has_no_period() -> None:
 
 
 @pytest.mark.parametrize("seed", [2, 4])
-def test_sixteen_periods_say_what_one_says(seed: int) -> None:
+def test_sixteen_periods_give_the_estimate_of_one_period(seed: int) -> None:
     """Blocks shorter than a period would allow 2 Hz, with errors of 18 standard deviations."""
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, seed)

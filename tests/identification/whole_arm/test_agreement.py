@@ -48,7 +48,7 @@ def problem(seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_differences_scatter_as_their_covariance_says(seed: int) -> None:
+def test_differences_scatter_as_their_covariance_predicts(seed: int) -> None:
     """Normalised squares of fits to simulated priors and records are chi-square."""
     rows, errors, information = problem(seed)
     rng = np.random.default_rng(100 + seed)

@@ -51,12 +51,12 @@ def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
     assert k == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
-def test_what_cannot_be_simulated_is_passed_over() -> None:
+def test_candidates_that_cannot_be_simulated_are_skipped() -> None:
     _, values, _ = shaken()
     model = tuned(starts(STIFF), starts(1.0))
     assert model.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
-def test_nothing_that_can_be_simulated_is_said() -> None:
+def test_starts_that_cannot_be_simulated_are_refused() -> None:
     with pytest.raises(NotIdentifiable):
         tuned(starts(STIFF), starts(2.0 * STIFF))

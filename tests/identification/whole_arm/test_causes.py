@@ -48,7 +48,7 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
-def test_what_the_records_demand_is_taken_up(name: str) -> None:
+def test_a_significant_effect_is_added(name: str) -> None:
     """With few rival fits: the test above tells the effects apart."""
     model = tuned((name,), "auto", effort=0.1)
     assert added_effects(model) == [name]
@@ -82,7 +82,7 @@ def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float
         assert parameter.value == pytest.approx(true_values[parameter.name, 1], rel=0.1), parameter
 
 
-def test_what_is_of_unusual_shape_is_taken_up() -> None:
+def test_an_effect_of_unusual_shape_is_added() -> None:
     model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
     assert added_effects(model) == ["flexible-link"]
     for parameter in MENDED:
@@ -132,7 +132,7 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
     assert counts == {(joint, name): numbers[name] for joint, name in POSSIBLE}
 
 
-def test_two_effects_are_taken_up_one_after_the_other() -> None:
+def test_two_effects_are_added_one_after_the_other() -> None:
     model = tuned(("hysteresis", "load-friction"), "auto")
     assert sorted(added_effects(model)) == ["hysteresis", "load-friction"]
     for parameter in MENDED:
@@ -149,7 +149,7 @@ def test_an_arm_without_effects_takes_up_none() -> None:
     assert model.criticism.causes == ()
 
 
-def test_what_a_cause_would_move_is_in_order() -> None:
+def test_the_parameter_shifts_of_a_cause_are_sorted() -> None:
     model = tuned(("hysteresis",), ())
     assert model.criticism is not None
     for cause in model.criticism.causes:
@@ -182,6 +182,6 @@ def test_many_sizes_must_explain_more_than_one(many: float, one: float, more_lik
     assert max(evidence, key=lambda name: evidence[name]) == more_likely
 
 
-def test_an_effect_that_explains_nothing_has_evidence_against_it() -> None:
+def test_an_effect_without_cost_reduction_has_negative_evidence() -> None:
     assert schwarz_decrease(0.0, 1, 4000.0) < 0.0
     assert np.isfinite(schwarz_decrease(1.0, 1, 4000.0))

@@ -199,7 +199,7 @@ def test_at_standstill_errors_are_the_sensors_noise() -> None:
     np.testing.assert_allclose(confidence.steady - 1e-3 * confidence.local, expected, rtol=1e-6)
 
 
-def test_what_the_rigid_step_reported_counts_by_its_own_errors() -> None:
+def test_rigid_estimates_are_weighted_by_their_reported_errors() -> None:
     """The covariance uses the reported errors of the rigid step, not the weights of the fit."""
     table = table_of(16)
     table[..., 2] = 0.0
@@ -259,7 +259,7 @@ def test_records_with_errors_of_their_own_scatter() -> None:
     assert np.all(local < 0.01 * np.var(fits, axis=0))
 
 
-def test_a_right_models_records_scatter_as_the_local_covariance_says() -> None:
+def test_records_of_the_true_model_scatter_as_the_local_covariance() -> None:
     """Valid also if a single record identifies a parameter, for which a jackknife would fail."""
     rng = np.random.default_rng(7)
     tables = [table_of(30 + k, 200) for k in range(5)]
@@ -347,7 +347,7 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     np.testing.assert_allclose(raised, np.sqrt(1.0 + share), rtol=5e-3)
 
 
-def test_an_error_that_is_small_beside_the_noise_counts_where_a_parameter_sees_it() -> None:
+def test_an_error_below_the_noise_counts_in_the_band_of_a_parameter() -> None:
     """Slow errors of a tenth of the noise affect slow columns, but not fast ones."""
     rng = np.random.default_rng(21)
     rows = 4 * N
@@ -375,7 +375,7 @@ def test_an_error_that_is_small_beside_the_noise_counts_where_a_parameter_sees_i
 
 
 @pytest.mark.parametrize("n", [1, 4, 9])
-def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
+def test_a_common_error_of_all_records_is_not_reduced_by_averaging(n: int) -> None:
     """More records reduce the effect of noise, but not that of a common model error."""
     rng = np.random.default_rng(12)
     error = rng.normal(0.0, 1.0, (200, 1))
@@ -388,7 +388,7 @@ def test_what_all_records_have_in_common_does_not_average_away(n: int) -> None:
     np.testing.assert_allclose(raised, 1.0 + 0.8 * n, rtol=1e-9)
 
 
-def test_what_nothing_shows_of_is_very_uncertain() -> None:
+def test_a_parameter_without_information_has_a_large_variance() -> None:
     table = table_of(10)
     table[..., 2] = 0.0
     confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
@@ -418,7 +418,7 @@ def test_a_pair_that_is_reported_only_together() -> None:
     assert list(only_together(["a", "b", "c"], TRUTH, with_prior.combined)) == []
 
 
-def test_one_that_is_vague_by_itself_is_no_group() -> None:
+def test_a_single_uncertain_parameter_is_no_group() -> None:
     covariance = np.diag([1e-6, 0.25, 1e-6])
     assert list(only_together(["a", "b", "c"], np.ones(3), covariance)) == []
     # two uncertain, uncorrelated parameters are no group either

@@ -45,7 +45,7 @@ def shaken(cubic: bool, spring: str) -> tuple[Study, Values, tuple[Log, ...]]:
     return written, derived(values, study.arm), logs
 
 
-def test_a_gear_that_stiffens_is_found() -> None:
+def test_a_stiffening_gear_is_recovered() -> None:
     true_values, model = run(True)
     assert model.status == "converged"
     estimates = {(p.name, p.joint): p for p in model.parameters}

@@ -141,7 +141,7 @@ def test_a_servoed_record_is_driven_by_its_voltages() -> None:
     assert np.max(np.abs(np.std(error, axis=0) / dataset.noise - 1.0)) < 0.5
 
 
-def test_noise_is_what_sensors_leave_behind_the_low_pass() -> None:
+def test_noise_is_the_filtered_sensor_noise() -> None:
     study, _, (log, *_) = ideal()
     rng = np.random.default_rng(1)
     sizes = {"theta_m1": 1e-3, "theta_m2": 2e-3, "a1": 0.05, "a2": 0.02}
@@ -158,7 +158,7 @@ def test_noise_is_what_sensors_leave_behind_the_low_pass() -> None:
     np.testing.assert_allclose(noisy.noise, noise_std, rtol=0.3)
 
 
-def test_noise_is_not_what_an_arm_makes_of_its_motion() -> None:
+def test_the_noise_estimate_excludes_the_simulated_motion() -> None:
     """At the PRBS clock rate, fast motion resembles noise until the model explains it."""
     study, values, (log, *_) = ideal()
     rng = np.random.default_rng(2)
@@ -293,7 +293,7 @@ def test_derivatives_are_those_of_the_rows(spring: str) -> None:
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
-def test_a_record_from_rest_is_seen_as_one(spring: str) -> None:
+def test_a_record_from_rest_is_classified_as_at_rest(spring: str) -> None:
     """A motor at standstill accelerates gradually, whatever the voltage and the noise."""
     for amplitude in (3.0, 10.0):
         study, _, logs = shaken(spring, amplitude)
@@ -306,7 +306,7 @@ def test_a_record_from_rest_is_seen_as_one(spring: str) -> None:
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 300), (1, 900), (2, 300), (2, 900)])
-def test_a_record_cut_in_motion_is_seen_as_one(joint: int, first: int) -> None:
+def test_a_record_cut_in_motion_is_classified_as_moving(joint: int, first: int) -> None:
     study, _, logs = shaken()
     assert dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF).moving
 

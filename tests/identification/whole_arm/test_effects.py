@@ -69,13 +69,13 @@ def test_an_arm_without_effects_gets_none() -> None:
     assert model.iterations > reference.iterations  # the effects were fitted first
 
 
-def test_a_search_for_effects_that_is_cut_short_says_so() -> None:
+def test_a_truncated_search_for_effects_has_the_status_iteration_limit() -> None:
     model = tuned(ALL, ALL, most=8)
     assert model.status == "iteration-limit"
     assert 8 < model.iterations <= 2 * 8
 
 
-def test_only_what_is_there_stays() -> None:
+def test_only_the_true_effects_remain() -> None:
     model = tuned(("hysteresis",), ALL)
     assert reported_out(model) == ["stribeck", "kinematic-error"]
     for name in effect_named("hysteresis").names:
@@ -101,7 +101,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
     assert reduced.prior.rows.shape == (1, 4)
 
 
-def test_an_effect_is_idle_within_three_deviations_of_nothing() -> None:
+def test_an_effect_within_three_standard_deviations_of_zero_is_insignificant() -> None:
     empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
     arm = Arm.of(rig(ALL).arm)
     values_of_joint: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
@@ -157,7 +157,7 @@ def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
-def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
+def test_a_named_effect_is_recovered_and_removes_the_bias_of_the_others(name: str) -> None:
     model = tuned((name,), (name,))
     assert model.status == "converged"
     reported = {(p.name, p.joint): p for p in model.parameters}

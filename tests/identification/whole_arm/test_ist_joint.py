@@ -43,7 +43,7 @@ def _tuned(found: Identification, name: str) -> Parameter:
     return next(p for p in found.tuned.parameters if p.name == name)
 
 
-def test_what_the_motor_alone_says_is_what_both_say(
+def test_the_motor_encoder_alone_gives_the_estimates_of_both_sensors(
     both: tuple[Identification, Identification],
 ) -> None:
     for name in PRIMARY:

@@ -73,5 +73,5 @@ def test_an_ordinary_gear_has_no_such_reason() -> None:
     assert not any("gear" in text for text in texts)
 
 
-def test_of_links_with_sensors_nothing_is_said() -> None:
+def test_links_with_sensors_have_no_warning() -> None:
     assert said("gear_stiffness", 1.0, 500.0, sensors=True) == {}

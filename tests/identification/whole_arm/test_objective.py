@@ -155,7 +155,7 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
     assert np.sum((R @ reduced + r) ** 2) == pytest.approx(remaining_cost, rel=1e-8)
 
 
-def test_an_added_constant_is_found_and_costs_nothing() -> None:
+def test_an_added_bias_is_recovered_without_an_increase_of_the_cost() -> None:
     space, (record, _), true = rig("linear")
     names = [channel.name for channel in record.channels]
     reference = Objective.of(space, [record]).update_weights(true)
@@ -185,7 +185,7 @@ def test_only_where_a_record_begins_in_motion_is_moved() -> None:
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 900), (1, 300), (1, 400), (2, 400), (2, 900)])
-def test_a_beginning_in_motion_is_found(joint: int, first: int) -> None:
+def test_initial_states_of_a_moving_record_are_recovered(joint: int, first: int) -> None:
     """The initial state converges from unloaded gears to the true state."""
     space, _, true = rig("linear")
     study, true_values, logs = shaken("linear", settling=SETTLING)
@@ -376,7 +376,7 @@ def test_known_weights_predict_how_the_cost_bends() -> None:
     assert np.all(np.diag(guess.T @ guess) > 1.3 * np.diag(second))
 
 
-def test_the_error_of_the_integrators_step_is_made_good() -> None:
+def test_the_integrator_step_error_is_corrected() -> None:
     """The correction is exact at its point, accurate nearby, and independent of repetition."""
     two_records, z = near_truth("three-slope")
     objective = with_records(two_records, two_records.records[0])

@@ -153,7 +153,7 @@ def test_the_second_knee_lies_above_the_first(seed: int) -> None:
     assert (KNEES[0], 2) not in values
 
 
-def test_it_starts_from_what_was_found() -> None:
+def test_the_fit_starts_from_the_estimates_of_the_earlier_stages() -> None:
     _, true_values, space = mixed()
     start = space.values(np.zeros(len(space.unknowns)))
     # inertias, friction, damping and gravity are exactly those of the models
@@ -190,7 +190,7 @@ def test_the_rigid_friction_is_preferred() -> None:
     assert start["motor_coulomb_friction", 1] == pytest.approx(0.06)
 
 
-def test_friction_starts_above_nothing() -> None:
+def test_the_start_of_friction_is_positive() -> None:
     study, true_values = truth()
     model = rigid_model(study, true_values, 0.01)
     parameters = [
@@ -241,7 +241,7 @@ def test_one_knee_can_be_held(knee: str) -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_prior_rows_weigh_what_the_rigid_model_shows(seed: int) -> None:
+def test_prior_rows_have_the_covariance_of_the_rigid_model(seed: int) -> None:
     """|rows p - target|^2 = e' C^-1 e, where e is the error of the rigid model's parameters."""
     rng = np.random.default_rng(seed)
     study = mixed_study()
@@ -288,7 +288,7 @@ def test_the_floor_widens_the_prior() -> None:
         assert np.sum(residual**2) == pytest.approx(1.0, rel=1e-6)
 
 
-def test_what_the_rigid_step_says_may_be_off_for_lack_of_an_effect() -> None:
+def test_a_missing_effect_loosens_the_prior_of_the_rigid_step() -> None:
     _, _, space = mixed()
     prior, coulomb = space.prior, (COULOMB, 1)
     index = prior.names.index(coulomb)
@@ -319,7 +319,7 @@ def test_what_the_rigid_step_says_may_be_off_for_lack_of_an_effect() -> None:
     np.testing.assert_allclose(column, np.linalg.solve(prior.factor, shifted) - prior.target)
 
 
-def test_what_the_rigid_model_does_not_show_is_no_row() -> None:
+def test_unidentified_rigid_parameters_have_no_prior_row() -> None:
     study, true_values = truth()
     model = rigid_model(study, true_values, 0.01)
     missing = [p.name for p in model.parameters].index("beta")

@@ -64,7 +64,7 @@ def test_without_link_sensors_gears_are_known_less_well() -> None:
         assert motor_only["gear_damping", joint] > 1.5 * with_accelerometers["gear_damping", joint]
 
 
-def test_records_that_excite_no_gear_predict_nothing() -> None:
+def test_records_without_gear_excitation_give_no_prediction() -> None:
     study, true_values, logs = shaken()
     motion = [replace(log, experiment=replace(log.experiment, use="motion")) for log in logs]
     assert predicted_parameters(motion, Arm.of(study.arm), true_values) == ()

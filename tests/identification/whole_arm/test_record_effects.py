@@ -130,7 +130,7 @@ def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
 
 
 @EACH
-def test_an_effect_that_the_study_names_is_found_and_mends_the_others(name: str) -> None:
+def test_a_named_effect_is_recovered_and_removes_the_bias_of_the_others(name: str) -> None:
     fit, has = model(name, named=True), case(name)
     assert fit.status == "converged"
     size_keys = sizes_of((has.joint, has.effect), has.records.names)
@@ -166,7 +166,7 @@ def in_records(values: Mapping[Key, float], has: Case) -> Values:
     return values_of_case | dict(changes) | {has.by_record: float(products.mean())}
 
 
-def test_what_the_rigid_step_knows_is_of_its_own_records() -> None:
+def test_rigid_estimates_refer_to_the_records_of_the_rigid_step() -> None:
     """The Coulomb friction of the rigid step is wrong; its other parameters are correct."""
     has = case("friction")
     wrong = replace(has.records, known={**has.records.known, (COULOMB, 1): 0.045})
@@ -217,7 +217,7 @@ def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> Non
         assert np.linalg.norm(tangent[..., k] - slope) < 2e-3 * np.linalg.norm(slope), key
 
 
-def test_what_no_record_can_show_stays_at_its_prior() -> None:
+def test_a_parameter_without_information_stays_at_its_prior() -> None:
     """The zero of joint 1 of a horizontal arm is not identifiable."""
     model_without = plain()
     assert model_without.criticism is not None
@@ -304,7 +304,7 @@ def test_virtual_encoders_have_zeros() -> None:
             np.testing.assert_allclose(samples + turned_by, expected.channels[name], atol=1e-12)
 
 
-def test_a_second_effect_is_named_beside_one_that_changes_by_record() -> None:
+def test_a_second_effect_is_named_in_addition_to_an_effect_by_record() -> None:
     """The change in the records of the rigid step is included once."""
     has = case("friction")
     turned_too = has.records.beside({"theta_m2": -ZERO / 0.01})

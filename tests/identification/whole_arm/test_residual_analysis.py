@@ -58,7 +58,7 @@ def test_a_forgotten_mode_has_another_colour() -> None:
     assert has_noise_spectrum(residual, ROW, KERNELS.smooth, T, 48.0) < 1e-3
 
 
-def test_what_is_independent_of_inputs_follows_none() -> None:
+def test_residuals_independent_of_inputs_have_no_input_correlation() -> None:
     rng = np.random.default_rng(3)
     p_values = []
     for _ in range(300):
@@ -69,7 +69,7 @@ def test_what_is_independent_of_inputs_follows_none() -> None:
 
 
 @pytest.mark.parametrize("delay", [0, 3, 9])
-def test_what_follows_an_input_says_which_and_how_late(delay: int) -> None:
+def test_an_input_correlation_gives_the_input_and_the_delay(delay: int) -> None:
     rng = np.random.default_rng(4)
     inputs = np.column_stack([behind(rng.normal(size=6000)) for _ in range(2)])
     residual = rng.normal(size=len(inputs)) * np.std(inputs)
@@ -81,7 +81,7 @@ def test_what_follows_an_input_says_which_and_how_late(delay: int) -> None:
     assert p_value < 1e-6
 
 
-def test_a_still_channel_follows_nothing() -> None:
+def test_a_constant_channel_has_no_input_correlation() -> None:
     assert follows(np.zeros(100), np.ones((100, 2)), ROW) == (1, 0.0, 0.0, 1.0)
     assert has_noise_spectrum(np.zeros(100), ROW, KERNELS.smooth, T, 48.0) == 1.0
 
@@ -93,7 +93,7 @@ def left_over(channel: str, deviation: float, odds: float) -> ResidualTest:
     )
 
 
-def test_only_what_is_of_high_variance_is_worth_a_word() -> None:
+def test_only_residuals_far_above_the_noise_have_a_warning() -> None:
     tests = [left_over("a1", 2.0, 1e-9), left_over("a2", 5.0, 1e-9), left_over("a2", 4.0, 0.5)]
     (warning,) = residual_warnings(tests, explained=True)
     assert warning.code == "residual-not-noise"
@@ -134,7 +134,7 @@ def test_an_effect_that_is_not_in_the_model_is_named(effect: EffectName) -> None
         ((False,), (-2.0,), (0.0,)),
     ],
 )
-def test_sizes_without_sign_are_not_below_nothing(
+def test_sizes_without_sign_are_not_negative(
     signed: tuple[bool, ...], true: tuple[float, ...], expected: tuple[float, ...]
 ) -> None:
     columns = np.array([[1.0, 1.0], [1.0, 0.0]])[:, : len(signed)]
@@ -155,7 +155,7 @@ def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
     assert not any(c.code.endswith("-likely") for c in model.warnings)
 
 
-def test_what_is_fitted_is_no_longer_a_candidate() -> None:
+def test_fitted_effects_are_not_candidates() -> None:
     model = tuned(("hysteresis",), ("hysteresis",))
     assert model.criticism is not None
     tested = {(test.joint, test.effect) for test in model.criticism.score_tests}

@@ -54,13 +54,13 @@ def predicted(model: ArmModel, link: int, name: str, joint: int) -> float:
 
 
 @pytest.mark.parametrize("link", [1, 2])
-def test_an_accelerometer_buys_what_is_predicted(link: int) -> None:
+def test_an_additional_accelerometer_gives_the_predicted_gain(link: int) -> None:
     without, with_it = tuned(1, 2), tuned(3 - link)
     ratios = [predicted(without, link, *gear) / std_of(with_it, *gear) for gear in GEARS]
     assert all(1.0 / 1.5 < ratio < 1.5 for ratio in ratios), ratios
 
 
-def test_a_place_where_the_link_hardly_moves_buys_nothing() -> None:
+def test_an_accelerometer_at_a_still_point_gives_no_gain() -> None:
     """At 0.27 m, the accelerometer is near the centre of percussion of the second link."""
     without, with_it = tuned(1, 2), tuned(1)
     for gear in GEARS:

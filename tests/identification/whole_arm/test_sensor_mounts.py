@@ -56,7 +56,9 @@ def errors(known: Values, model: ArmModel, name: str) -> list[float]:
     ("joint", "frequency", "damping"),
     [(1, 55.0, 0.04), (1, 120.0, 0.02), (2, 55.0, 0.02), (2, 120.0, 0.05), (2, 85.0, 0.1)],
 )
-def test_a_mount_is_found_named_and_corrected(joint: int, frequency: float, damping: float) -> None:
+def test_a_mount_resonance_is_detected_named_and_corrected(
+    joint: int, frequency: float, damping: float
+) -> None:
     true_values, model = fit_of(joint, frequency, damping)
     assert model.status == "converged"
     estimates = {(p.name, p.joint): p for p in model.parameters}
@@ -72,7 +74,7 @@ def test_a_mount_is_found_named_and_corrected(joint: int, frequency: float, damp
     assert text in mount_warnings[0].message
 
 
-def test_a_mount_that_is_ignored_passes_for_a_delay_and_widens_intervals() -> None:
+def test_an_ignored_mount_resonance_resembles_a_delay_and_widens_intervals() -> None:
     """Gear errors stay below 0.1 % in stiffness and 0.5 % in damping."""
     (_, with_mount), (true_values, ignored) = (
         fit_of(1, 55.0, 0.04, options) for options in (None, HELD)
@@ -91,7 +93,7 @@ def test_a_mount_that_is_ignored_passes_for_a_delay_and_widens_intervals() -> No
         assert without > 2.0 * with_it, name
 
 
-def test_a_clean_rig_pays_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_mount_is_tested_if_residuals_are_noise(monkeypatch: pytest.MonkeyPatch) -> None:
     """The residuals are noise, so no mount is tested."""
 
     def refused(*_: object) -> None:
@@ -161,7 +163,7 @@ def test_derivatives_are_those_of_the_difference() -> None:
     )
 
 
-def test_what_is_tested_is_what_a_mount_adds() -> None:
+def test_the_tested_column_is_the_contribution_of_a_mount() -> None:
     study, true_values, logs = shaken(noisy=False, counts=False)
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     mounts = {names(2): [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}

@@ -71,7 +71,7 @@ def test_a_clean_rig_has_no_sensor_constants() -> None:
         ((0.7e-3, 0.0), (0.96, 1.02), False),
     ],
 )
-def test_late_sensors_and_wrong_scales_are_found_and_corrected(
+def test_sensor_delays_and_scale_errors_are_corrected(
     late: tuple[float, float], scale: tuple[float, float], reported: bool
 ) -> None:
     _, true_values, model = tuned(late, scale, reported=reported)
@@ -96,7 +96,7 @@ def test_late_sensors_and_wrong_scales_are_found_and_corrected(
         assert (f"sensor-{name.rsplit('_', 1)[1]}", f"joint {joint}") in warned
 
 
-def test_what_is_held_is_not_estimated() -> None:
+def test_held_constants_are_not_estimated() -> None:
     study, true_values, logs = shaken()
     records = [read_so(log, (1e-3, 1e-3), (1.0, 1.0)) for log in logs]
     joints = joint_models(study, true_values, 0.05, FACTORS)
@@ -166,7 +166,7 @@ def tuned_drifting(*held: str) -> ArmModel:
     return tune(drifting(RATES), rigid, joints, Arm.of(study.arm), options)
 
 
-def test_drifting_sensors_are_found_and_corrected() -> None:
+def test_sensor_drifts_are_corrected() -> None:
     true_values, model = shaken()[1], tuned_drifting()
     assert model.status == "converged"
     wrong = {(of_record("accelerometer_drift", name), 1): r for name, r in RATES.items()}
@@ -216,7 +216,7 @@ def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
     assert slope == pytest.approx(1.0)
 
 
-def test_a_scale_that_is_nothing_does_not_stay() -> None:
+def test_an_insignificant_scale_is_removed() -> None:
     study, true_values, _ = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
     rigid = rigid_model(study, true_values, 0.01, 1.0)

@@ -121,7 +121,7 @@ def test_wrong_starts_come_back() -> None:
             assert parameter.ci95 == (parameter.value - half_width, parameter.value + half_width)
 
 
-def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
+def test_the_fit_improves_and_predicts_validation_records() -> None:
     model = standard()
     study, records = rig_logs()
     assert list(model.fit_percent) == ["prbs-j1", "prbs-j2", "step-j2"]
@@ -140,7 +140,7 @@ def test_the_fit_rises_and_records_never_seen_are_predicted() -> None:
             assert prediction.unexplained == {}
 
 
-def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
+def test_a_wrong_servo_is_distinguished_from_a_wrong_arm() -> None:
     """The recorded voltages explain doubled servo gains, but not softer gears."""
     model = standard()
     study, records = rig_logs()
@@ -165,7 +165,7 @@ def test_a_wrong_servo_is_told_from_a_wrong_arm() -> None:
     assert not validation.predict_elastic(vague, log, Arm.of(study.arm)).unexplained
 
 
-def test_what_is_derived_adds_up() -> None:
+def test_derived_parameters_are_the_sums_of_their_parts() -> None:
     model = standard()
     value = model.values
     by_name = {(p.name, p.joint): p for p in model.parameters}
@@ -219,7 +219,7 @@ def test_slopes_and_knees_of_gears_that_are_under_large_torque() -> None:
             assert fits[f"omega_m{log.experiment.joint}"] > 99.0
 
 
-def test_what_a_small_amplitude_does_not_reach_is_reported() -> None:
+def test_stiffnesses_beyond_a_small_amplitude_are_reported() -> None:
     model = curved(1.5)
     missing = {(p.name, p.joint) for p in model.parameters if p.value is None}
     curve = {key for key in missing if key[0] in (*SLOPES, *KNEES)}
@@ -243,7 +243,7 @@ def test_no_slope_is_reported_that_was_not_reached() -> None:
             assert abs(errors.get((name, joint), (0.0, 0.0))[1]) < 5.0, (name, joint)
 
 
-def test_friction_that_settles_is_found() -> None:
+def test_a_friction_settling_time_is_recovered() -> None:
     times = (3e-4, 2e-4)
     study, true_values, records = shaken("linear", 8.0, times)
     model = from_wrong_starts(records, study, true_values)
@@ -495,7 +495,7 @@ def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, wh
             assert abs(relative) < 0.003, key
 
 
-def test_a_start_that_nothing_shows_is_refused() -> None:
+def test_undetermined_starting_values_are_refused() -> None:
     study, true_values, records = rig_records()
     joints = joint_models(study, true_values, 0.05, FACTORS)
     negative_inertia = replace(joints[1], values={**joints[1].values, "link_inertia": -0.2})
@@ -562,7 +562,7 @@ def test_a_lab_arm_is_searched_to_the_end(arm: str, shared_data: Path) -> None:
     assert lab_model(shared_data / "lab" / arm)[2].status == "converged"
 
 
-def test_a_curve_whose_knee_starts_out_of_reach_is_found() -> None:
+def test_a_curve_with_a_start_knee_beyond_the_load_is_recovered() -> None:
     """A knee at twice the largest torque does not affect the records: its derivative is zero."""
     study, true_values, records = shaken("three-slope", 10.0)
     start: Values = {(KNEES[1], joint): 8.0 * true_values[KNEES[1], joint] for joint in (1, 2)}
