@@ -18,7 +18,15 @@ from benchmarks.timing import Row
 
 def main() -> None:
     table = Table(
-        "what", "ours", "peer", "peer's", "ratio", "error", "peer's", box=None, pad_edge=False
+        "task",
+        "time",
+        "peer",
+        "peer time",
+        "ratio",
+        "error",
+        "peer error",
+        box=None,
+        pad_edge=False,
     )
     for column in table.columns[1:]:
         column.justify = "right"

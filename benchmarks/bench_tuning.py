@@ -100,7 +100,7 @@ def _compare(
     except (
         ImportError,
         AttributeError,
-    ):  # mujoco without its extra has the module, but nothing in it
+    ):  # without its extra, the module of mujoco is empty
         return Row(task, time_s, peer, None, error=error)
     return Row(task, time_s, peer, time.perf_counter() - start, error, peer_error)
 

@@ -44,7 +44,7 @@ EXAMINED = {
     "apsw": "any licence that the Open Source Initiative has approved",
     "docutils": "public domain and BSD; one of its files, an editor's mode, is under the GPL",
 }
-"""Packages whose metadata are ambiguous -> their licence."""
+"""Package with ambiguous metadata -> its licence."""
 
 
 @dataclass(frozen=True, slots=True)

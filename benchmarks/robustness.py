@@ -85,7 +85,7 @@ class Run:
 
     @property
     def group(self) -> Group:
-        """What was drawn with the arm; unknown if its worker died."""
+        """Properties drawn with the arm; unknown if its worker died."""
         if not self.classes:
             return "never opened"
         if self.classes.get("fault"):
@@ -170,7 +170,7 @@ def wilson(count: int, total: int) -> tuple[float, float]:
 
 
 def tables(runs: Sequence[Run]) -> list[Table]:
-    """Verdicts, coverage, faults and silent wrong answers, by what was drawn."""
+    """Verdicts, coverage, faults and silent wrong answers, by drawn property."""
     groups = [group for group in get_args(Group) if any(run.group == group for run in runs)]
     summaries = [_verdicts(runs, groups), _coverage(runs, groups)]
     if "faulty" in groups:

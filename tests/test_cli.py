@@ -329,7 +329,7 @@ def test_trend_refuses_wrong_arguments(tmp_path: Path) -> None:
     few = {"arm-1": visited_arms.healthy}
     store = str(visited_arms.fleet(tmp_path / "store", few, visits=3))
     for arguments, code, message in (
-        ((str(tmp_path),), 2, "holds no runs"),
+        ((str(tmp_path),), 2, "contains no runs"),
         ((store, "--arm", "("), 2, "not a regular expression"),
         ((store, "--covariates", str(tmp_path / "none.csv")), 2, "does not exist"),
         ((store,), 3, "enough visits"),

@@ -1,4 +1,4 @@
-"""Whole-arm fits by other tools, with the records and starting values of ours.
+"""Whole-arm fits by other tools, with the same records and starting values.
 
 Gears are linear, joints in open loop. Each tool is used well: exact current loops, one zero-phase
 low-pass on both sides of the comparison, channels scaled by their noise, robust residuals, and

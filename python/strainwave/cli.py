@@ -60,7 +60,7 @@ def init(
     ] = Path("study.toml"),
     quiet: Quiet = False,
 ) -> None:
-    """Write a draft of a study file from logs: guesses with reasons; what is unknown is TODO."""
+    """Write a draft of a study file from logs: guesses with reasons; unknown values are TODO."""
     from strainwave.study_draft import start_study
 
     with _progress(quiet) as report:
@@ -272,7 +272,9 @@ def compare(
     ] = None,
     level: Annotated[
         float,
-        typer.Option("--level", help="Probability of reporting a difference where there is none."),
+        typer.Option(
+            "--level", help="Probability of a false alarm between results of an unchanged arm."
+        ),
     ] = 0.05,
     quiet: Quiet = False,
 ) -> None:

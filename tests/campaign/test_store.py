@@ -160,7 +160,7 @@ def test_a_foreign_file_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs" / "foreign.parquet").write_bytes(b"nothing")
     with pytest.raises(sw.InvalidInput, match=r"foreign\.parquet: is not a Parquet file"):
         sw.read_runs(tmp_path)
-    with pytest.raises(sw.InvalidInput, match="holds no runs"):
+    with pytest.raises(sw.InvalidInput, match="contains no runs"):
         sw.read_runs(tmp_path / "absent")
 
 

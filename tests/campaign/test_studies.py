@@ -189,7 +189,7 @@ def test_wrong_campaign_files_are_refused(text: str, message: str, folder: Path)
     [
         ("absent", "does not exist"),
         ("b", "there is no study.toml in this folder or below"),
-        ("a/*.toml", "matches nothing"),
+        ("a/*.toml", "matches no file"),
         ("none.txt", "lists no studies"),
         ("none.csv", "has no column 'study'"),
         ("absent.csv", "the list of studies does not exist"),

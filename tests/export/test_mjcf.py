@@ -241,7 +241,7 @@ def test_effects_and_sensor_errors_are_noted(tmp_path: Path) -> None:
     study = replace(study, arm=replace(study.arm, joints=(first, study.arm.joints[1])))
     export = to_mjcf(exports.arm_of(study, exports.values_of(study)))
     effects, sensors = export.notes[:2]
-    assert effects.startswith("left out: hysteresis, kinematic-error (joint 1): ")
+    assert effects.startswith("omitted: hysteresis, kinematic-error (joint 1): ")
     assert "accelerometer_hz" in sensors
     for note in export.notes:
         assert f"<!-- L{note[1:]}. -->" in export.data.decode()

@@ -36,8 +36,8 @@ def test_study_and_parameters_are_read(tmp_path: Path) -> None:
     [
         (lambda d: d.pop("schema"), 'has no key "schema"'),
         (lambda d: d.update(schema="strainwave/comparisons/1"), "strainwave/comparisons/1"),
-        (lambda d: d.update(parameters=[]), "holds no parameters"),
-        (lambda d: d.update(parameters={"alpha": 1.0}), "holds no parameters"),
+        (lambda d: d.update(parameters=[]), "contains no parameters"),
+        (lambda d: d.update(parameters={"alpha": 1.0}), "contains no parameters"),
         (lambda d: d["parameters"].insert(2, "alpha"), "entry 3"),
         (lambda d: d["parameters"][1].update(value="1.0"), "entry 2: 'value' is invalid"),
         (lambda d: d["parameters"][1].update(joint=True), "entry 2: 'joint' is invalid"),

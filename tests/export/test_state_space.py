@@ -110,7 +110,7 @@ def test_the_file_contains_the_matrices(tmp_path: Path) -> None:
     document = json.loads(export.data)
     assert export.warnings == ()
     assert document["notes"] == list(export.notes)
-    assert export.notes[0].startswith("left out: beta, gamma: each joint is modelled alone")
+    assert export.notes[0].startswith("omitted: beta, gamma: each joint is modelled alone")
     assert document["states"] == ["torsion", "motor_velocity", "link_velocity"]
     for joint in (1, 2):
         found = [document["joints"][joint - 1][name] for name in "ABCD"]

@@ -160,7 +160,7 @@ def test_all_parts_that_urdf_cannot_hold_are_noted(tmp_path: Path) -> None:
     for name, joint in values:
         assert name in text or name == "motor_coulomb_friction" or joint is None, name
     assert export.notes[0].startswith(
-        "left out: motor_inertia (joint 1, 2): URDF has no motor inertia"
+        "omitted: motor_inertia (joint 1, 2): URDF has no motor inertia"
     )
     for name in ("torque_per_volt", "accelerometer_hz", "servo", "standard deviations"):
         assert name in text

@@ -142,7 +142,7 @@ def test_wrong_tables_are_refused(store: Path, tmp_path: Path) -> None:
 
 
 def test_another_folder_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput, match="holds no runs"):
+    with pytest.raises(InvalidInput, match="contains no runs"):
         read_histories(tmp_path)
 
 

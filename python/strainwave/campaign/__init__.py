@@ -66,11 +66,11 @@ def run(studies: Sequence[str], settings: Settings) -> Summary:
     """Identify many studies, and record each run in the store when it ends.
 
     `studies` are study files, folders, globs, tables of paths, URLs, or one campaign.toml. Raises
-    `InvalidInput` if there is nothing to run or an argument is at fault.
+    `InvalidInput` if there is no study to run or an argument is invalid.
     """
     selection = find(studies)
     if not selection.cases:
-        raise InvalidInput("there is nothing to run", remedy="name study files, folders or a glob")
+        raise InvalidInput("there is no study to run", remedy="give study files, folders or a glob")
     plan = _plan(selection, settings)
     tally = Tally(len(selection.cases))
     with (

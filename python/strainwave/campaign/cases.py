@@ -54,7 +54,7 @@ class Case(Protocol):
     def opened(self) -> AbstractContextManager[Opened]:
         """The study to identify; temporary copies are removed on exit.
 
-        Raises `InvalidInput` if the study or an input is at fault.
+        Raises `InvalidInput` if the study or an input is invalid.
         """
 
     def fields(self) -> dict[str, Any]:

@@ -25,7 +25,7 @@ class DrawnArm:
 
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """No options: the campaign has them."""
+        """No options: the campaign contains the options."""
         return {}
 
     def fields(self) -> dict[str, Any]:

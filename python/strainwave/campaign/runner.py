@@ -223,7 +223,7 @@ def failed(
 ) -> Outcome:
     """Record a failed run, unless its process recorded the run before it ended.
 
-    `message` is one sentence, `started` in UTC; `store` is that of the task, if at hand.
+    `message` is one sentence, `started` in UTC; `store` is that of the task, if already open.
     """
     store, unrecorded = store or Store.at(task.store), ""
     recorded = store.recorded(task.run)

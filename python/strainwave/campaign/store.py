@@ -255,7 +255,7 @@ def _open_existing(where: Path | str) -> Store:
     store = Store.at(where)
     if not store.place.names("runs", ".parquet"):
         raise InvalidInput(
-            "holds no runs",
+            "contains no runs",
             where=str(where),
             remedy="name the store that strainwave campaign wrote, its --out",
         )

@@ -38,7 +38,7 @@ def find(arguments: Sequence[str]) -> Selection:
 
     Arguments are study files; folders, searched for files named study.toml; globs; tables, .txt
     with one path per line or .csv with a column `study`; URLs of these; or one campaign.toml.
-    Raises `InvalidInput` if an argument names nothing or a file is at fault.
+    Raises `InvalidInput` if an argument matches no study or a file is invalid.
     """
     documents = [path for path in map(Path, arguments) if _is_campaign(path)]
     if documents:
@@ -69,7 +69,7 @@ def _expand_argument(argument: str) -> list[str]:
     if _GLOB & set(argument) and not where.exists():
         matches = where.matches()
         if not matches:
-            raise InvalidInput("matches nothing", where=argument, remedy="check the pattern")
+            raise InvalidInput("matches no file", where=argument, remedy="check the pattern")
         return [name for match in matches for name in _expand_argument(match)]
     if where.is_folder():
         names = where.search()

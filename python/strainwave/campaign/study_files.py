@@ -28,7 +28,7 @@ class StudyFile:
 
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """No options: the file has its own."""
+        """No options: the study file contains the options."""
         return {}
 
     def fields(self) -> dict[str, Any]:

@@ -32,7 +32,7 @@ _ORPHAN_GRACE_S = 30.0  # [s] beyond the time limit before a run without a paren
 def perform(task: Task) -> Record:
     """Identify a case; every outcome is a record.
 
-    Exit code 2 if the input is at fault, 1 after any other error.
+    Exit code 2 if the input is invalid, 1 after any other error.
     """
     from strainwave import pipeline
 

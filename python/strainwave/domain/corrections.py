@@ -93,7 +93,7 @@ def _describe_log_change(channel: str, correction: Correction) -> str:
         return f"resample {channel} at {1.0 + value:.7g} times its spacing in every log"
     if correction.key == "high_pass_hz":
         return f"couple the amplifier of {channel} to DC, or remove its column from the logs"
-    return f"remove or rename the column of {channel} in the logs, so that it is not used"
+    return f"remove or rename the column of {channel} in the logs to exclude it"
 
 
 def channel_line(study: Study, name: str) -> str:

@@ -165,7 +165,7 @@ def _key(parameter: Parameter) -> Key:
 
 
 def _impossible_parameters(parameters: Iterable[Parameter]) -> list[Parameter]:
-    """Parameters whose value is significantly negative although it cannot be."""
+    """Parameters with a physically impossible, significantly negative value."""
     return [
         p
         for p in parameters
@@ -364,7 +364,7 @@ def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> 
         reason = f"{p.value:.3g} {p.unit} is physically impossible"
     if p.value is None or reason:
         without_value = replace(p, value=None, std=None, ci95=None)
-        # without a value, there is nothing to reject
+        # a parameter without a value is not identified instead of rejected
         return Decision(
             without_value,
             identified=False,

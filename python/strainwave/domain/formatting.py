@@ -8,7 +8,7 @@ UNKNOWN = "not known"
 
 
 def plus_minus(value: float | None, std: float | None) -> tuple[str, str]:
-    """A value and its standard deviation, both to the second significant digit of the latter.
+    """Text of a value and its standard deviation, to the second digit of the standard deviation.
 
     None and non-finite numbers give `UNKNOWN`. Large and small numbers share one exponent, as in
     ("1.502e-04", "0.012e-04").

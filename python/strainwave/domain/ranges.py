@@ -125,7 +125,7 @@ class ImplausibleJoint:
         if self.torque_per_volt is None:
             return f"torque{self.joint} is likely in {self.unit}, and its column needs a scale"
         return (
-            f"torque_per_volt is likely in {self.unit}/V and has to be written as"
+            f"torque_per_volt is likely in {self.unit}/V and must be written as"
             f" torque_per_volt = {self.torque_per_volt:.4g}"
         )
 

@@ -47,7 +47,7 @@ class Registry(Generic[T]):
         return tuple(self._entries.values())
 
     def check_new(self, name: str) -> None:
-        """Raise InvalidInput if a name is taken."""
+        """Raise InvalidInput if a name is already in use."""
         if name in self._entries:
             raise InvalidInput(
                 f"{self._article} {self._kind} {name!r} exists already",
@@ -55,7 +55,7 @@ class Registry(Generic[T]):
             )
 
     def add(self, entry: T) -> None:
-        """Add an entry whose name is free."""
+        """Add an entry with an unused name."""
         self._entries[entry.name] = entry
 
     def remove(self, name: str) -> None:

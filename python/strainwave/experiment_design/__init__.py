@@ -161,7 +161,7 @@ def _omission(where: str, reason: str) -> Diagnostic:
 def _warn_slow_clocks(
     bands: Mapping[int, Band | None], records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
-    """Warnings of joints whose excitation the clock limits to less than the wanted band."""
+    """Warnings of joints whose excitation the clock limits to less than the required band."""
     warnings = []
     for joint, band in bands.items():
         first = next((r for r in records if r.experiment.joint == joint), None)

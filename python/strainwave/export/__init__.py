@@ -60,8 +60,8 @@ def export_arm(
     """Write an identified arm in the format of another program.
 
     `form` is one of `FORMATS`; by default the ending of `out` decides. MATLAB gets a script if
-    `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. Returns what was written
-    with its warnings and notes. Raises `InvalidInput` if a file or the format is at fault, or a
+    `out` ends in .m, else a MAT-file. `out` may not be one of `inputs`. Returns the export
+    with its warnings and notes. Raises `InvalidInput` if a file or the format is invalid, or a
     parameter that the format needs is missing.
     """
     form = _checked_format(form, out)

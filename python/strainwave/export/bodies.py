@@ -12,7 +12,7 @@ from strainwave.domain.kinds.bodies import Body
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
 
-_MAX_GRAVITY_ERROR = 0.01  # relative; a larger one exceeds what a good torque constant explains
+_MAX_GRAVITY_ERROR = 0.01  # relative; errors of torque constants are smaller
 
 
 def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
@@ -20,7 +20,7 @@ def link_bodies(arm: IdentifiedArm, gravity: float) -> tuple[Body, ...]:
 
     Motion identifies only base parameters; the kind of arm chooses one of the sets of masses that
     have them. Under `gravity` [m/s^2] link 1 has the measured gravity torque; without, its centre
-    of mass lies on the axis. Raises `InvalidInput` if a base parameter is missing or no bodies
+    of mass is on the axis. Raises `InvalidInput` if a base parameter is missing or no bodies
     have these parameters.
     """
     with _source_in_message(arm):

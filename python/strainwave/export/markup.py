@@ -12,7 +12,7 @@ def numbers(*values: float) -> str:
 
 
 def root(tag: str, name: str, notes: Iterable[str]) -> ET.Element:
-    """The outermost element, with comments on its origin and on what the file cannot hold.
+    """The outermost element, with comments on its origin and on omitted parts.
 
     `name` is the attribute that has the name of the model.
     """

@@ -74,9 +74,9 @@ def _joints(arm: IdentifiedArm) -> FloatArray:
 
 
 def _notes(arm: IdentifiedArm) -> tuple[str, ...]:
-    """What the matrices neglect, and what the file does not contain at all."""
+    """Notes on parts that the matrices neglect and parts that the file omits."""
     neglected = names_of(arm, [part for part in OMISSIONS if part not in _ELSEWHERE])
-    matrices = f"left out of the matrices: {neglected}: the struct parameters has the values"
+    matrices = f"not in the matrices: {neglected}: the struct parameters contains the values"
     servo = notes_of(arm, {Part.SERVO: "the study file has its gains"})
     return (matrices, *servo, CORRELATIONS)
 

@@ -30,7 +30,7 @@ _LINK_RADIUS = 0.02  # [m] of the drawn links
 _OMISSIONS = {
     Part.EFFECTS: "MuJoCo has no element for them",
     Part.SENSORS: "sensors in the file have no lag, noise, rounding, scale error or delay, and an "
-    "IMU is left out",
+    "IMU is omitted",
     Part.SERVO: "MuJoCo controls are the voltages",
     Part.UNCERTAINTY: "see result.json",
 }

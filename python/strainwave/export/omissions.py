@@ -55,19 +55,19 @@ _SENSOR_KEYS = (
 
 
 def notes_of(arm: IdentifiedArm, reasons: Mapping[Part, str]) -> tuple[str, ...]:
-    """One note per part that the arm has and the format cannot hold: names, joints, reason."""
+    """One note per part of the arm that the format cannot represent: names, joints, reason."""
     parts = _parts_of(arm)
     return tuple(
-        f"left out: {parts[part]}: {reason}" for part, reason in reasons.items() if part in parts
+        f"omitted: {parts[part]}: {reason}" for part, reason in reasons.items() if part in parts
     )
 
 
-CORRELATIONS = "left out: correlations between parameters: see covariance in result.json"
-"""Note of formats that hold standard deviations."""
+CORRELATIONS = "omitted: correlations between parameters: see covariance in result.json"
+"""Note of formats that contain standard deviations."""
 
 
 def names_of(arm: IdentifiedArm, parts: Iterable[Part]) -> str:
-    """Names of what the arm has of some parts, in one list."""
+    """Names of the values of the arm in some parts, in one list."""
     present = _parts_of(arm)
     return ", ".join(present[part] for part in parts if part in present)
 

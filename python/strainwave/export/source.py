@@ -29,7 +29,7 @@ class Export:
 
     data: bytes
     warnings: tuple[Diagnostic, ...] = ()  # assumptions behind the numbers
-    notes: tuple[str, ...] = ()  # what the format cannot hold
+    notes: tuple[str, ...] = ()  # parts that the format cannot represent
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,7 +118,7 @@ class IdentifiedArm:
         return InvalidInput(
             f"{name}{of_joint} is {problem}, and this format needs it",
             where=f"{self.source}: parameters",
-            remedy="see the warnings of the result for what to record, or export to json or c",
+            remedy="follow the warnings of the result, or export to json or c",
         )
 
 
@@ -126,9 +126,9 @@ def read_arm(path: Path | str, study_path: Path | str | None = None) -> Identifi
     """Read the arm of a result.json or of a directory that contains one.
 
     Gear ratios, lengths and torques per volt come from the result. Results of earlier versions do
-    not contain them: then, and where `study_path` is given, they come from the study file. It is
-    looked for beside the result and at the path in the result, relative to the folder of the
-    result or one above. Logs need not exist.
+    not contain them: then, and where `study_path` is given, they come from the study file. The
+    study file is searched for in the folder of the result and at the path in the result, relative
+    to the folder of the result or one above. Logs need not exist.
     """
     path = result_path(Path(path))
     return arm_of(read_document(path), path, study_path)
@@ -140,9 +140,9 @@ def arm_of(
     """The arm of a result document; `path` names it in messages. See `read_arm`."""
     if not isinstance(document.get("parameters"), list) or not document["parameters"]:
         raise InvalidInput(
-            "holds no parameters",
+            "contains no parameters",
             where=f"{path}: parameters",
-            remedy="identify again; the reason in the result says what is missing",
+            remedy="identify again; the reason in the result states the cause",
         )
     parameters = parameters_of(document, str(path))
     _check_names(parameters, path)
@@ -191,7 +191,7 @@ def _drop_rejected(
 
 
 def _check_names(parameters: Sequence[Parameter], path: Path) -> None:
-    """Names are unique, and identifiers in other languages; a record may follow in brackets."""
+    """Check that names are unique identifiers; the name of a record may follow in brackets."""
     labels: set[str] = set()
     for number, parameter in enumerate(parameters, start=1):
         place = f"{path}: parameters, entry {number}"

@@ -74,7 +74,7 @@ class Pair:
 class ResultComparison:
     """Two or more results: the first with each of the others, and all together."""
 
-    level: float  # probability of reporting a difference where there is none
+    level: float  # probability of a false alarm between results of an unchanged arm
     results: tuple[Estimates, ...]
     pairs: tuple[Pair, ...]
     homogeneity: JointTest | None  # over all results, if there are more than two

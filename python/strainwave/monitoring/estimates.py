@@ -57,7 +57,7 @@ def read_estimates(paths: Sequence[Path]) -> tuple[Estimates, ...]:
 def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
     """Estimates of a result document that was read from `path`.
 
-    Parameters of one record, such as the drift of a sensor bias, are left out.
+    Parameters of one record, such as the drift of a sensor bias, are omitted.
     """
     study = document.get("study") or {}
     return Estimates(

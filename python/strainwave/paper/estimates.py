@@ -99,7 +99,7 @@ def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
 
 
 def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Evidence:
-    """Evidence of a physical model of which only the response counts, not single parameters."""
+    """Evidence of a physical model that is judged by its response, not by single parameters."""
     return replace(evidence_of(model, name), growth=growth_of(joint))
 
 

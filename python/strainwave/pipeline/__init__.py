@@ -1,8 +1,8 @@
 """Run the stages in order: logs, consistency, rigid, decoupled, tuned, checks, report.
 
 Each stage is one function from records to one record. This package calls the stages and decides
-what follows if a stage has no result. `elastic_joints` leads from logs to joint models; `run` holds
-the state of a run, its times and its progress.
+the consequence if a stage has no result. `elastic_joints` computes joint models from logs; `run`
+holds the state of a run, its times and its progress.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def identify(
     `threads` is the number of threads at a time, one per core by default.
 
     Raises `InvalidInput` if the study, a log or an argument is invalid. Data that do not determine
-    a parameter raise nothing: the result has a `verdict`.
+    a parameter raise no error: the result has a `verdict`.
     """
     with one_blas_thread(), limited(threads):  # set once: the limit is shared by all threads
         run = Run(check_stages(stages), progress)

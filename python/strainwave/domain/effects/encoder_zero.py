@@ -8,7 +8,7 @@ _TYPICAL_OFFSET = 0.1  # [rad], or [m] for a prismatic joint: one or two teeth o
 
 
 class EncoderZero(RecordEffect):
-    """The encoder's zero is not the posture in which the links lie along x."""
+    """The zero of the encoder differs from the posture with the links along x."""
 
     name = "encoder-zero"
     sizes = ("encoder_zero",)

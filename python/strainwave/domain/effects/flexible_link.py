@@ -16,7 +16,7 @@ _TESTED_FREQUENCIES_HZ = (30.0, 12.0, 18.0, 24.0, 45.0, 65.0)
 
 
 class FlexibleLink(Effect):
-    """A part of the link has a vibration mode of its own."""
+    """A part of the link has a vibration mode."""
 
     name = "flexible-link"
     sizes = ("flexible_inertia",)

@@ -34,7 +34,7 @@ class KnownJoint:
 class Effect(ABC):
     """An optional term of the joint model, in addition to spring and dry friction.
 
-    Effects hold no state. Values are passed by name, without the joint's number.
+    Effects are stateless. Values are passed by name, without the joint's number.
     """
 
     name: str

@@ -41,7 +41,7 @@ class GearParameter:
 class GearLaw(ABC):
     """An elastic law T(delta): gear torque over torsion, link side, odd and increasing.
 
-    Laws hold no state. Values are passed by name, without the joint's number. Arrays of torsions
+    Laws are stateless. Values are passed by name, without the joint's number. Arrays of torsions
     [rad] and torques [N m] have shape (n,).
     """
 
@@ -138,7 +138,7 @@ class GearLaw(ABC):
         return {p.name: stiffness if p.is_slope else 0.0 for p in self.parameters}
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
-        """Starting values of a fit from one stiffness [N m/rad]; none of them is zero.
+        """Starting values of a fit from one stiffness [N m/rad]; all are nonzero.
 
         `largest_torque` [N m] is the largest gear torque of the records.
         """

@@ -134,7 +134,7 @@ def _spread(
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Standard deviations of modulus and phase, by the covariance of a model or measured noise.
 
-    Noise has no preferred direction, so half of its variance lies along the modulus.
+    Noise has no preferred direction, so half of its variance is along the modulus.
     """
     if response.noise_variance is not None:
         size = np.sqrt(0.5 * response.noise_variance[:, output, input])

@@ -122,7 +122,7 @@ class Section:
 
     key: str  # id of its element
     title: str
-    blocks: tuple[Block, ...]  # a section without blocks is left out
+    blocks: tuple[Block, ...]  # a section without blocks is omitted
 
 
 def paragraph(*parts: str | Span) -> Paragraph:
@@ -137,7 +137,7 @@ def table(
     *,
     heading: bool = True,
 ) -> Iterator[Table]:
-    """A table, or nothing if there are no rows. The first cell of a row is its head."""
+    """Yield a table, or no block if there are no rows. The first cell of a row is its head."""
     cells = tuple(row if isinstance(row, Group) else _cells(row) for row in rows)
     if cells:
         yield Table(label, _cells(heads), cells, heading)
@@ -177,7 +177,7 @@ def keyed(sections: Iterable[Section]) -> dict[str, Plot]:
 
 
 def slug(text: str) -> str:
-    """Text as lower-case letters and digits joined by dashes; "figure" if nothing remains."""
+    """Text as lower-case letters and digits joined by dashes; "figure" if the result is empty."""
     return re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "figure"
 
 

@@ -19,7 +19,7 @@ from strainwave.presentation.figures import (
 
 MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
 _MAX_LISTED_PAIRS = 8
-# a parameter that follows from others is correlated with them by definition, and is left out
+# derived parameters are omitted: they are correlated with their parts by definition
 _COMPONENTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
 
 

@@ -28,7 +28,7 @@ from strainwave.presentation.figures import (
 
 _POINTS_PER_SEGMENT = 200  # of a curve between two knees
 _RANGE_BEYOND_LAST_KNEE = 1.5  # largest torque drawn over the last knee if the loads are unknown
-_KNEE_MARGIN = 1e-9  # share of a segment left out at its ends, where the stiffness jumps
+_KNEE_MARGIN = 1e-9  # share of a segment omitted at its ends, where the stiffness jumps
 _KNEE_SIZE = 9.0  # [px] of a knee marker
 
 

@@ -30,7 +30,9 @@ _ELLIPSE_POINTS = 40
 _MAX_DAMPING = 0.5  # of the oscillating roots shown: others describe the edge of the band
 _SYMBOL_SIZE = 9.0  # [px]
 _HEIGHT = 2.2  # of the panel, in usual panels: the map is nearly square
-_WIDEST_ELLIPSE = 1.0  # largest standard deviation over the modulus: a wider ellipse says nothing
+_WIDEST_ELLIPSE = (
+    1.0  # largest standard deviation over the modulus; wider ellipses are not informative
+)
 
 
 def pole_zero_map(

@@ -95,7 +95,7 @@ def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatA
 
 
 def _panel_lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> Iterator[Line]:
-    """Coloured by joint, axes of an IMU by dash; references are grey and lie below the others."""
+    """Coloured by joint, axes of an IMU by dash; references are grey and below the others."""
     for name, kind, time, values in sorted(series, key=lambda line: line[1] != "ref"):
         number = int(name[len(kind) :] or 1)
         if kind == "ref":

@@ -132,7 +132,7 @@ _DATA = {
         "Shield and ground the sensor's cable.",
     ),
     "misaligned": Advice(
-        "Nothing is shifted. The delay acts like damping and moves the resonances.",
+        "The delay is not corrected. It acts like damping and shifts the resonances.",
         "Check the logger's time stamps; give accelerometer_hz and current_loop_hz.",
     ),
     "sensor-delay": Advice(
@@ -156,7 +156,7 @@ _DATA = {
     ),
     "no-link-sensor": Advice(
         "The gear is identified from the motor; intervals are 1.5 to 5 times wider.",
-        "Nothing; or add a sensor to the link for narrower intervals.",
+        "No action is required. For narrower intervals, add a sensor to the link.",
     ),
     "silent-command": Advice(
         "The last command is held; the torque is wrong if the drive did otherwise.",
@@ -186,7 +186,8 @@ _DATA = {
         "Move faster and reverse less often.",
     ),
     "load-friction": Advice(
-        "The rigid model includes this friction; simulated and exported arms do not.", "Nothing."
+        "The rigid model includes this friction; simulated and exported arms do not.",
+        "No action is required.",
     ),
     "not-settled": Advice(
         "A parameter may be wrong by the given fraction of its standard deviation.",
@@ -219,7 +220,8 @@ _DATA = {
         "Check gear_ratio, torque_per_volt and accelerometer_distance.",
     ),
     "lag-not-slow": Advice(
-        "Parameters by (17) and (18) are rough.", "Use those of the equations of motion."
+        "The parameters by (17) and (18) are approximate.",
+        "Use the parameters of the equations of motion.",
     ),
     "unstable-model": Advice(
         "The simulated fit is meaningless; the resonances are not affected.",
@@ -229,7 +231,9 @@ _DATA = {
         "The record has no state-space model; the joint model does not need one.",
         "Record a longer interval without saturation.",
     ),
-    "transfer-function-failed": Advice("Only the equations of motion give parameters.", "Nothing."),
+    "transfer-function-failed": Advice(
+        "Only the equations of motion give parameters.", "No action is required."
+    ),
     "modes-failed": Advice(
         "The state-space model gives no resonance.", "Raise the amplitude, or change the order."
     ),
@@ -243,7 +247,7 @@ _DATA = {
     ),
     "order-reduced": Advice(
         "The model has the three states of a joint; the resonances are valid.",
-        "Nothing; or record longer for a model of more states.",
+        "No action is required. For a model with more states, record longer.",
     ),
     "negative-fit": Advice(
         "Do not simulate with this state-space model.", "Remove drifts, or change the order."
@@ -276,14 +280,14 @@ _SCOPE = {
         "The model does not include the effect.",
         "Remove it from the joint's effects, or record slow motions and reversals.",
     ),
-    "friction-settles": Advice("The time constant is fitted.", "Nothing."),
+    "friction-settles": Advice("The time constant is estimated.", "No action is required."),
     "nothing-to-predict": Advice(
-        "The channel has no fit.", "Nothing; or move that joint in a check record."
+        "The channel has no fit.", "To validate this channel, move the joint in a check record."
     ),
-    "reordered": Advice("The messages are sorted by stamp.", "Nothing."),
+    "reordered": Advice("The messages are sorted by stamp.", "No action is required."),
     "resampled": Advice(
         "The log is interpolated to a uniform clock, which smooths fast content.",
-        "Nothing if the motion is slow; else log at a uniform rate.",
+        "If the motion is not slow, log at a uniform rate.",
     ),
 }
 """Warnings about the scope of the result."""

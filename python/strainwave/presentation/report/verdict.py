@@ -1,4 +1,4 @@
-"""The verdict: what is identified, what is not, and how well check records are predicted."""
+"""Verdict: identified and unidentified parameters, and fits of check records."""
 
 from __future__ import annotations
 

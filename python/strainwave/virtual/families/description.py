@@ -60,7 +60,7 @@ class Family:
     payload: tuple[NonNegative, NonNegative] | None = None  # [kg] at the tip
     gravity: Share = 0.0  # share of arms with gravity in the plane of motion
     friction: Friction | None = None  # None: the catalogue's
-    sensors: Sensors | None = None  # None: those of a good rig
+    sensors: Sensors | None = None  # None: the sensors of the default rig
     faults: Share | tuple[str, ...] = 0.0  # share of arms with a fault, or kinds of faults
     effects: Share | tuple[str, ...] = 0.0  # unmentioned effects: share of arms, or names
 
