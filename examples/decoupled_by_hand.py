@@ -33,14 +33,14 @@ def main(study_path: Path) -> None:
     for log in all_logs.values():
         if log.experiment.use != "frequency":
             continue
-        both_sides = links.link_side(log, arm)  # link motion from accelerometers, (8)-(10)
-        for joint in decoupling.decouple(both_sides, model, arm):  # (13), (14)
+        link_signals = links.link_side(log, arm)  # link motion from accelerometers, (8)-(10)
+        for joint in decoupling.decouple(link_signals, model, arm):  # (13), (14)
             if joint.joint != log.experiment.joint:
                 continue
             print(f"\n{log.name}, joint {joint.joint}: inputs {joint.inputs.shape}")
             for check in joint.checks:
                 print(f"  {'ok  ' if check.passed else 'FAIL'} {check.message}")
-            joint_model = physical.identify_joint([(both_sides, joint)], model, arm)
+            joint_model = physical.identify_joint([(link_signals, joint)], model, arm)
             for p in joint_model.parameters:
                 print(f"  {p.name:24s} {p.value} +- {p.std} {p.unit}")
             assert joint_model.anti_resonance is not None

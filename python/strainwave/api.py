@@ -33,7 +33,7 @@ from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 from strainwave.io.logs.in_memory import Data
-from strainwave.io.study import checked_study
+from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
 from strainwave.monitoring import comparison, estimates
 from strainwave.numerics.parallel import Stopped, limited
@@ -613,10 +613,10 @@ def _model_response(
 def _study_of(study: Study | Path | str, data: Data) -> Study:
     """The checked study; experiments without data need their files."""
     if isinstance(study, Study):
-        return checked_study(study, list(data))
+        return check_study(study, list(data))
     if not data:  # messages name the line of the study file
         return _read_study(study)
-    return checked_study(_read_study(study, logs_exist=False), list(data))
+    return check_study(_read_study(study, logs_exist=False), list(data))
 
 
 def _run_in_thread(

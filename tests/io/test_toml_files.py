@@ -7,19 +7,19 @@ from pathlib import Path
 import pytest
 
 from strainwave.errors import InvalidInput
-from strainwave.io.toml_files import check_keys, parsed_toml
+from strainwave.io.toml_files import check_keys, parse_toml
 
 PATH = Path("some.toml")
 
 
 def test_valid_toml_is_parsed() -> None:
-    assert parsed_toml("a = [1, 2]", PATH) == {"a": [1, 2]}
+    assert parse_toml("a = [1, 2]", PATH) == {"a": [1, 2]}
 
 
 @pytest.mark.parametrize("text", ["a = ", "[a", "a = 1\na = 2", "a = " + "[" * 5000])
 def test_invalid_toml_is_refused(text: str) -> None:
     with pytest.raises(InvalidInput, match=r"some\.toml: is not valid TOML .*correct that line"):
-        parsed_toml(text, PATH)
+        parse_toml(text, PATH)
 
 
 def test_an_unknown_key_is_refused_with_the_nearest() -> None:

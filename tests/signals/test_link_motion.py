@@ -323,16 +323,16 @@ def test_delays_of_link_sensors_are_removed_in_all_records() -> None:
     pairs = [run_of(joint=joint) for joint in (1, 2)]
     study, logs = pairs[0][0], [log_of(run, j, seed=3) for j, (_, run) in enumerate(pairs, 1)]
     late = [shifted(shifted(log, "a1", 8), "a2", -4) for log in logs]
-    reference, no_delays = links.both_sides(logs, Arm.of(study.arm))
-    corrected, delays = links.both_sides(late, Arm.of(study.arm))
+    reference, no_delays = links.compute_link_signals(logs, Arm.of(study.arm))
+    corrected, delays = links.compute_link_signals(late, Arm.of(study.arm))
     assert [delay.value for delay in no_delays] == [0.0, 0.0]
-    assert not list(links.corrected(no_delays))
+    assert not list(links.build_delay_warnings(no_delays))
     for delay, samples in zip(delays, (8, -4), strict=True):
         assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
         assert delay.std < 0.1e-3
     constants = links.constants_of(corrected, delays)
     assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
-    warnings = list(links.corrected(delays))
+    warnings = list(links.build_delay_warnings(delays))
     assert [(c.code, c.where) for c in warnings] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
     for before, after in zip(reference, corrected, strict=True):
         assert not after.warnings
@@ -347,10 +347,10 @@ def test_an_implausibly_long_delay_is_not_corrected() -> None:
     """A delay above `MAX_SENSOR_DELAY` is reported but not corrected."""
     study, run = run_of()
     log = log_of(run, 1, seed=3)
-    (motion,), delays = links.both_sides([shifted(log, "a", 24)], Arm.of(study.arm))
+    (motion,), delays = links.compute_link_signals([shifted(log, "a", 24)], Arm.of(study.arm))
     assert [delay.value for delay in delays] == [0.0, 0.0]
     assert "misaligned" in {w.code for w in motion.warnings}
-    assert not list(links.corrected(delays))
+    assert not list(links.build_delay_warnings(delays))
 
 
 @pytest.mark.parametrize("joint", [1, 2])

@@ -319,7 +319,7 @@ def test_more_than_two_joints_give_the_first_warning(tmp_path: Path) -> None:
     write_log(tmp_path / "six.csv", columns)
     output = run_init(tmp_path / "six.csv", "--out", tmp_path / "study.toml").stdout
     assert output.startswith(
-        "limit: these logs have angles of 6 joints; an arm of one joint, or of two"
+        "limit: these logs have angles of 6 joints, but only arms of one joint, or of two"
     )
     assert "Assigned to joint 1 and 2: 1, 2 of the logs" in output
     del columns["t"]

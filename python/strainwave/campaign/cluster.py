@@ -28,7 +28,7 @@ from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
 from strainwave.errors import InvalidInput, StrainwaveError, require
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.toml_files import check_keys, parsed_toml
+from strainwave.io.toml_files import check_keys, parse_toml
 
 _CONNECT_TIMEOUT_S = 10.0  # of the scheduler
 _POLL_S = 0.5  # between two checks of the scheduler
@@ -249,7 +249,7 @@ class _Capacity:
 def _started(path: Path) -> Any:
     """The cluster that a TOML file describes."""
     text = decode(read_bytes(path, "the cluster's description"), path)
-    document = parsed_toml(text, path)
+    document = parse_toml(text, path)
     check_keys(document, _KEYS, path)
     types = {"class": str, "arguments": dict, "workers": int}
     values: dict[str, Any] = {"arguments": {}, "workers": 0} | document

@@ -16,7 +16,7 @@ from strainwave.campaign.places import file_system, is_url
 from strainwave.campaign.study_files import StudyFile
 from strainwave.errors import InvalidInput, nearest
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.toml_files import check_keys, parsed_toml
+from strainwave.io.toml_files import check_keys, parse_toml
 from strainwave.virtual.families import family_of
 
 _STUDY = "study.toml"
@@ -193,7 +193,7 @@ def _is_campaign(path: Path) -> bool:
 
 def _read_campaign(path: Path) -> Selection:
     text = decode(read_bytes(path, "the campaign"), path)
-    document = parsed_toml(text, path)
+    document = parse_toml(text, path)
     check_keys(document, _KEYS, path)
     stages, options = document.get("stages"), document.get("options", {})
     if stages is not None and not _is_list_of_text(stages):

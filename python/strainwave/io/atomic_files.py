@@ -71,7 +71,7 @@ def read_bytes(path: Path, description: str) -> bytes:
         ) from error
     except IsADirectoryError as error:
         raise InvalidInput(
-            f"{description} is a directory", where=str(path), remedy="name a file in it"
+            f"{description} is a directory", where=str(path), remedy="use the path of a file in it"
         ) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error

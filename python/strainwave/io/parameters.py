@@ -33,7 +33,9 @@ def read_parameters(path: Path) -> Values:
         document = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
         raise InvalidInput(
-            f"is not JSON ({error})", where=str(path), remedy="give a result.json or a file like it"
+            f"is not JSON ({error})",
+            where=str(path),
+            remedy="use a result.json or a parameter file",
         ) from error
     if not isinstance(document, dict):
         raise _unknown_layout(path)
@@ -48,7 +50,7 @@ def _unknown_layout(path: Path) -> InvalidInput:
     return InvalidInput(
         'contains neither a list "parameters" nor a list "joints"',
         where=str(path),
-        remedy="give a result.json, or see docs/parameters.md for the layout",
+        remedy="use a result.json, or see docs/parameters.md for the layout",
     )
 
 

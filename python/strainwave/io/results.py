@@ -136,10 +136,10 @@ def study_of(document: Mapping[str, Any], path: Path) -> Study | None:
 
 def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tuple[Parameter, ...]:
     """The final table of a result; `source` names it in messages."""
-    found: tuple[Parameter, ...] = _validated(
+    entries: tuple[Parameter, ...] = _validated(
         tuple[Parameter, ...], document.get("parameters", []), f"{source}: parameters"
     )
-    for number, parameter in enumerate(found, start=1):
+    for number, parameter in enumerate(entries, start=1):
         for value in (parameter.value, parameter.std):
             if value is not None and not math.isfinite(value):
                 raise InvalidInput(
@@ -147,15 +147,15 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
                     where=f"{source}: parameters, entry {number}",
                     remedy="write a number or null",
                 )
-    return found
+    return entries
 
 
 def warnings_of(document: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
     """The warnings of a result."""
-    found: tuple[Diagnostic, ...] = _validated(
+    entries: tuple[Diagnostic, ...] = _validated(
         tuple[Diagnostic, ...], document.get("warnings", []), "the result: warnings"
     )
-    return found
+    return entries
 
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:

@@ -10,7 +10,7 @@ from typing import Any
 from strainwave.errors import InvalidInput, nearest
 
 
-def parsed_toml(text: str, path: Path) -> dict[str, Any]:
+def parse_toml(text: str, path: Path) -> dict[str, Any]:
     """The parsed text; `InvalidInput` naming `path` if it is not valid TOML."""
     try:
         return tomllib.loads(text)

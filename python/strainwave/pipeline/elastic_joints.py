@@ -30,7 +30,7 @@ from strainwave.identification import joint_model as physical
 from strainwave.numerics.parallel import run_parallel
 from strainwave.pipeline.run import Run
 from strainwave.signals import link_motion as links
-from strainwave.signals.mounting_start import with_stand_ins
+from strainwave.signals.mounting_start import substitute_equivalent_sensors
 
 _DecoupledRecord = tuple[Log, LinkSignals, tuple[Decoupled, ...]]
 """A log, the signals of both sides of its gears, and the decoupled joints."""
@@ -68,9 +68,9 @@ def decoupled(
 
     with run.time_part("decoupled", "decoupling the joints"):
         # a sensor of unknown mounting gets an approximate one until the whole-arm fit
-        placed_logs, placed_arm = with_stand_ins(excited, run.arm, all_logs)
-        sides, delays = links.both_sides(placed_logs, placed_arm, the_study.options.links)
-        run.warnings.extend(links.corrected(delays))
+        placed_logs, placed_arm = substitute_equivalent_sensors(excited, run.arm, all_logs)
+        sides, delays = links.compute_link_signals(placed_logs, placed_arm, the_study.options.links)
+        run.warnings.extend(links.build_delay_warnings(delays))
         run.sensors = links.constants_of(sides, delays)
         if any("motor" in side.sources for side in sides):
             return JointStage(_from_motors(run, the_study, model, sides))
@@ -82,10 +82,10 @@ def decoupled(
             run.failures.append(str(failure))
             return JointStage()
         decoupled_records = list(zip(excited, sides, joints, strict=True))
-        for log, both_sides, parts in decoupled_records:
-            run.warnings.extend(both_sides.warnings)
+        for log, link_signals, parts in decoupled_records:
+            run.warnings.extend(link_signals.warnings)
             run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
-            run.links += both_sides.summaries
+            run.links += link_signals.summaries
         stage = _fit_joints(run, the_study, model, decoupled_records)
     for joint in stage.joints:
         run.warnings.extend(joint.warnings)
@@ -141,10 +141,10 @@ def _fit_joints(
     record_options = physical.RecordOptions(options.physical, options.statespace)
     at_full = [parts for log, _, parts in decoupled_records if log.experiment.use == "frequency"]
     records_by_joint: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
-    for log, both_sides, parts in decoupled_records:
+    for log, link_signals, parts in decoupled_records:
         for part in _excited_joints(parts, log):
             if log.experiment.use == "frequency":
-                records_by_joint.setdefault(part.joint, []).append((both_sides, part))
+                records_by_joint.setdefault(part.joint, []).append((link_signals, part))
 
     def fit_joint(
         joint: int,
@@ -198,10 +198,10 @@ def _record_models(
     record_options = physical.RecordOptions(options.physical, options.statespace)
     starts: dict[int, StateSpace] = {}  # by joint
 
-    def fit_record(log: Log, both_sides: LinkSignals, part: Decoupled) -> physical.RecordFit:
+    def fit_record(log: Log, link_signals: LinkSignals, part: Decoupled) -> physical.RecordFit:
         own_options = replace(record_options, judged=log.experiment.use == "frequency")
         together, near = fits.get(part.joint), starts.get(part.joint)
-        fit = physical.fit_record(both_sides, part, model, arm, own_options, together, near)
+        fit = physical.fit_record(link_signals, part, model, arm, own_options, together, near)
         record = replace(fit.record, response=_response([part], options.responses))
         return replace(fit, record=record)
 

@@ -16,7 +16,7 @@ from strainwave.domain import (
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
 
-def late_sensors(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, ...]:
+def estimate_sensor_delays(records: Sequence[LinkSignals], n_joints: int) -> tuple[Delay, ...]:
     """Estimate the delay of each link sensor from all records; zero if it is not significant.
 
     The estimate is the weighted mean over the records. The errors of the regression model are
@@ -43,7 +43,9 @@ def _combine_delays(delays: Sequence[Delay]) -> Delay:
     return Delay(mean if is_significant else 0.0, combined_std)
 
 
-def misaligned(delay: Delay | None, channel: str, place: Place) -> Iterator[Diagnostic]:
+def build_misalignment_warnings(
+    delay: Delay | None, channel: str, place: Place
+) -> Iterator[Diagnostic]:
     """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
     if delay is None or abs(delay.value) < _MIN_SIGNIFICANCE * delay.std:
         return
@@ -68,7 +70,7 @@ def constants_of(
     }
 
 
-def corrected(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
+def build_delay_warnings(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
     """Yield a warning for each link sensor whose delay was removed; `delays` has one per joint."""
     for joint, delay in enumerate(delays, start=1):
         if not delay.value:

@@ -90,7 +90,7 @@ def _with_positive_distance(values: dict[Key, float], joint: int) -> dict[Key, f
     return flipped
 
 
-def in_mirror(values: Mapping[Key, float], joint: int) -> dict[Key, float]:
+def mirror_mounting(values: Mapping[Key, float], joint: int) -> dict[Key, float]:
     """The mounting on the other side of the link, with the same factors of f_y and alpha.
 
     The factors of f_x and w^2 change their sign, which only fast or large motions show. `values`

@@ -42,10 +42,21 @@ from strainwave.signals.channels import (
     torque_channel,
     unmeasured,
 )
-from strainwave.signals.delays import constants_of, corrected, late_sensors, misaligned
+from strainwave.signals.delays import (
+    build_delay_warnings,
+    build_misalignment_warnings,
+    constants_of,
+    estimate_sensor_delays,
+)
 from strainwave.signals.fusion import bias_of, complement, fuse
 
-__all__ = ["LinkOptions", "both_sides", "constants_of", "corrected", "link_side"]
+__all__ = [
+    "LinkOptions",
+    "build_delay_warnings",
+    "compute_link_signals",
+    "constants_of",
+    "link_side",
+]
 
 _EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
 _MAX_DELAY_STD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
@@ -62,7 +73,7 @@ _MIN_INTERPOLATED_SAMPLES = 3  # samples of an interpolated stretch that linear 
 _MAX_ITERATIONS = 4
 
 
-def both_sides(
+def compute_link_signals(
     logs: Sequence[Log], arm: Arm, options: LinkOptions | None = None
 ) -> tuple[list[LinkSignals], tuple[Delay, ...]]:
     """Compute motor-side and link-side motion of several records, corrected for sensor delays.
@@ -78,7 +89,7 @@ def both_sides(
     for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
         records = run_parallel([partial(link_side, log, arm, options, delays) for log in logs])
-        remaining = late_sensors(records, arm.n_joints)
+        remaining = estimate_sensor_delays(records, arm.n_joints)
         total = tuple(
             Delay(removed.value + remainder.value, remainder.std)
             for removed, remainder in zip(total, remaining, strict=True)
@@ -422,9 +433,11 @@ def _with_delays(
     drive = tuple(_discard_uncertain(drive_delay(found, arm, i, view.band)) for i in joints)
     for i in joints:
         if alone:
-            warnings.extend(misaligned(sensor[i], f"the link sensor of joint {i + 1}", place))
+            warnings.extend(
+                build_misalignment_warnings(sensor[i], f"the link sensor of joint {i + 1}", place)
+            )
         description = f"motor {i + 1}'s response to the channel {view.channels[i]}"
-        warnings.extend(misaligned(drive[i], description, place))
+        warnings.extend(build_misalignment_warnings(drive[i], description, place))
     return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 

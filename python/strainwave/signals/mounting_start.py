@@ -153,7 +153,9 @@ def distance_of(rows: FloatArray) -> float:
     return float(alpha @ tangential) / max(float(alpha @ alpha), 1e-300)
 
 
-def with_stand_ins(logs: Sequence[Log], arm: Arm, known: Sequence[Log]) -> tuple[list[Log], Arm]:
+def substitute_equivalent_sensors(
+    logs: Sequence[Log], arm: Arm, known: Sequence[Log]
+) -> tuple[list[Log], Arm]:
     """Replace sensors at unknown positions by equivalent tangential accelerometers or gyros.
 
     The steps before the whole-arm fit use them. A weighted sum of the axes of an IMU equals one

@@ -33,7 +33,7 @@ from strainwave.identification.whole_arm.solver import (
     resumed_coarse_search,
     search_minimum,
 )
-from strainwave.signals.imu_attitude import imu_candidates, in_mirror
+from strainwave.signals.imu_attitude import imu_candidates, mirror_mounting
 from strainwave.signals.mounting_start import distance_of
 
 _MAX_STARTS = 3  # mountings of least cost that start a short search
@@ -80,7 +80,7 @@ def _choose_mounting(
         return objective, z
     has_attitude = (IMU_ROTATION[0], joint) in objective.space.keys
     if has_attitude:
-        mountings += [in_mirror(one, joint) for one in mountings]
+        mountings += [mirror_mounting(one, joint) for one in mountings]
     starts = [_with_mounting(objective, values, one) for one in mountings]
     if (
         has_attitude
@@ -89,7 +89,7 @@ def _choose_mounting(
     ):
         held: dict[Key, float] = {(name, joint): 0.0 for name in IMU_ROTATION[:2]}
         lying = _simulated_mountings(objective, values, axes, arm, flat=True)
-        lying += [in_mirror(one, joint) for one in lying]
+        lying += [mirror_mounting(one, joint) for one in lying]
         starts += [
             _hold(*_with_mounting(objective, values, {**one, **held}), held) for one in lying
         ]
@@ -150,7 +150,7 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
             continue
         flat = _is_in_plane(space, joint)
         mountings = _simulated_mountings(fit.objective, values, axes, arm, flat=flat)
-        mountings += [in_mirror(one, joint) for one in mountings]
+        mountings += [mirror_mounting(one, joint) for one in mountings]
         starts = [_with_mounting(fit.objective, values, one) for one in mountings]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_MAX_STARTS]:
             trial = search_minimum(

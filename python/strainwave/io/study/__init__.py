@@ -19,9 +19,9 @@ from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
 from strainwave.io.study.flags import Flag, parse_flag
 from strainwave.io.study.reader import Reader
-from strainwave.io.toml_files import parsed_toml
+from strainwave.io.toml_files import parse_toml
 
-__all__ = ["checked_study", "document_of", "read_study", "with_options", "write_study"]
+__all__ = ["check_study", "document_of", "read_study", "with_options", "write_study"]
 
 _TODO = re.compile(r'\s*(\w+)\s*=\s*(?:"?TODO\b|\[\s*TODO\b|\{[^#]*=\s*"?TODO\b)')
 
@@ -38,7 +38,7 @@ def read_study(
     data = read_bytes(path, "the study file")
     text = decode(data, path)
     _check_placeholders(text, path)
-    document = parsed_toml(text, path)
+    document = parse_toml(text, path)
     reader = Reader(path, text)
     sha256 = hashlib.sha256(data).hexdigest()
     study = reader.study(document, sha256, experiments_exist=experiments_exist)
@@ -92,7 +92,7 @@ def _check_placeholders(text: str, path: Path) -> None:
         )
 
 
-def checked_study(study: Study, given: Collection[str] = ()) -> Study:
+def check_study(study: Study, given: Collection[str] = ()) -> Study:
     """Check a study that was built or changed in memory as a study file is checked.
 
     `given` names the experiments whose data are passed in memory and need no file. A study that was

@@ -106,10 +106,10 @@ def check_options(study: Study, reader: Reader) -> None:
     numbers = range(1, study.arm.n_joints + 1)
     constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
     # `ranges` are factors, which cannot bound a sensor constant whose nominal value is zero
-    held = (*fitted, *SENSOR_PARAMETERS, *constants)
+    holdable_names = (*fitted, *SENSOR_PARAMETERS, *constants)
     for key, names, known in (
         ("ranges", tuple(options.tuning.ranges), fitted),
-        ("hold", options.tuning.hold, held),
+        ("hold", options.tuning.hold, holdable_names),
     ):
         for name in names:
             if name not in known:
@@ -145,17 +145,19 @@ def _check_count(values: tuple[Any, ...], count: int, place: str, key: str) -> N
 
 def _check_channels(study: Study, reader: Reader) -> None:
     known = channel_names(study.arm.n_joints)
-    named: list[tuple[str, int | None, str]] = [("channels", None, name) for name in study.channels]
+    named_channels: list[tuple[str, int | None, str]] = [
+        ("channels", None, name) for name in study.channels
+    ]
     for index, experiment in enumerate(study.experiments):
-        named += [("experiment", index, name) for name in experiment.add]
-    for table, position, name in named:
+        named_channels += [("experiment", index, name) for name in experiment.add]
+    for table, position, name in named_channels:
         if name not in known:
             raise InvalidInput(
                 f"'{name}' is not a channel of this arm",
                 where=reader.place(table, position, name),
                 remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
             )
-    for table, position, name in named:
+    for table, position, name in named_channels:
         for effect in _moving_encoders(study.arm, name):
             raise InvalidInput(
                 f"'{name}' does not measure the absolute link angle with the effect '{effect}'",

@@ -150,27 +150,27 @@ class Reader:
 
     def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
         """One `[[joint]]` whose spring and effects are registered."""
-        spring, named = table.get("spring"), table.get("effects")
+        spring, names = table.get("spring"), table.get("effects")
         if spring is not None:
             self._check_registered([spring], gear_laws.names(), spring, index, "spring")
-        if isinstance(named, str) and named != "auto":
+        if isinstance(names, str) and names != "auto":
             raise InvalidInput(
-                f"'effects' is {_abbreviated(named)}, but it should be a list of effects or "
+                f"'effects' is {_abbreviated(names)}, but it should be a list of effects or "
                 '"auto"',
                 where=self.place("joint", index, "effects"),
                 remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
-        if isinstance(named, list):
-            self._check_registered(named, effects.names(), named, index, "effects")
+        if isinstance(names, list):
+            self._check_registered(names, effects.names(), names, index, "effects")
         return self.record(Joint, table, "joint", index)
 
     def _check_registered(
-        self, named: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str
+        self, names: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str
     ) -> None:
         """Raise InvalidInput if a joint's value contains a name that is not registered."""
-        if all(name in known for name in named):
+        if all(name in known for name in names):
             return
-        unknown = next(name for name in named if name not in known)
+        unknown = next(name for name in names if name not in known)
         near = nearest(unknown, known) if isinstance(unknown, str) else ""
         *others, last = [repr(name) for name in known]
         raise InvalidInput(
