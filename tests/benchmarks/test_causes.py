@@ -243,6 +243,6 @@ def test_contradicting_torques_are_attributed_to_their_cause(
     cause: str, number: int, series: int, outcome: str
 ) -> None:
     run = draw_run(cause, number, series)
-    result = evaluate(run, engine="own", series=series, with_effect=False)
+    result = evaluate(run, engine="own", series=series, healthy=False, with_effect=False)
     assert naming_outcome(result) == outcome
     assert result["plain"]["status"] != "determined"

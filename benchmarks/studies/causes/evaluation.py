@@ -45,12 +45,18 @@ _MAX_DAMPING_ERROR = 0.05  # the same for gear damping
 
 
 def evaluate(
-    run: Run, *, engine: Engine, series: int, with_effect: bool = True, auto: bool = False
+    run: Run,
+    *,
+    engine: Engine,
+    series: int,
+    healthy: bool = True,
+    with_effect: bool = True,
+    auto: bool = False,
 ) -> dict[str, Any]:
     """Simulate and identify one run; the result is JSON.
 
-    `with_effect` also identifies with the cause in the study if a study can name it, `auto` with
-    effects that the fit selects.
+    `healthy` also identifies the arm without the cause if a value is inaccurate, `with_effect` with
+    the cause in the study if a study can name it, `auto` with effects that the fit selects.
     """
     name = run.cause.name
     begin = time.process_time()
@@ -64,10 +70,10 @@ def evaluate(
         "seconds_simulated": time.process_time() - begin,
         "plain": _identify(run.rig.study, logs, run),
     }
-    if not _all_accurate(result["plain"]):
-        healthy = replace(run, cause=Cause(NO_CAUSE, run.cause.joint, {}))
+    if healthy and not _all_accurate(result["plain"]):
+        without_cause = replace(run, cause=Cause(NO_CAUSE, run.cause.joint, {}))
         result["healthy"] = _identify(
-            run.rig.study, simulate_logs(healthy, engine, series), healthy
+            run.rig.study, simulate_logs(without_cause, engine, series), without_cause
         )
     if with_effect and can_be_named(name):
         study = _with_effects(run.rig.study, {run.cause.joint}, (name,))
