@@ -75,7 +75,7 @@ def to_c_header(arm: IdentifiedArm) -> Export:
     lines = [
         "/* Parameters of an arm, identified by strainwave. SI units, angles in rad.",
         " * A number at the end of a name is the number of the joint, from the base.",
-        *(f" * {_comment(f'L{note[1:]}')}." for note in notes),
+        *(f" * {_comment(note[:1].upper() + note[1:])}." for note in notes),
         " */",
         "#ifndef STRAINWAVE_ARM_H",
         "#define STRAINWAVE_ARM_H",
