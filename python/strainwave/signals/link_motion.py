@@ -159,7 +159,7 @@ def link_side(
         sensor_delay=(None,) * arm.n_joints,
         drive_delay=(None,) * arm.n_joints,
     )
-    return _with_delays(signals, arm, view, warnings, alone=delays is None)
+    return _with_delays(signals, arm, view, warnings, is_single_record=delays is None)
 
 
 def _remove_delays(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
@@ -201,11 +201,11 @@ class _FilteredLog:
         self.motor_angle = self.through(self.raw_angle)
 
     def through(
-        self, signal: FloatArray, own: Sequence[Lag] = (), between: Between = "smooth"
+        self, signal: FloatArray, sensor_lags: Sequence[Lag] = (), between: Between = "smooth"
     ) -> FloatArray:
-        """Apply the shared low-pass filters, except those of the sensor itself (`own`)."""
+        """Apply the shared low-pass filters, except those of the sensor itself (`sensor_lags`)."""
         rest = list(self.shared)
-        for lag in own:
+        for lag in sensor_lags:
             rest.remove(lag)
         return self.smooth(apply_lags_without_aliases(signal, rest, self.log.sample_time, between))
 
@@ -421,24 +421,29 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
 
 
 def _with_delays(
-    found: LinkSignals, arm: Arm, view: _FilteredLog, warnings: list[Diagnostic], *, alone: bool
+    signals: LinkSignals,
+    arm: Arm,
+    view: _FilteredLog,
+    warnings: list[Diagnostic],
+    *,
+    is_single_record: bool,
 ) -> LinkSignals:
     """Signals with the remaining channel delays and their warnings.
 
-    For a single record (`alone`) this includes the delays of link sensors; otherwise they are
-    estimated from all records.
+    For a single record (`is_single_record`) this includes the delays of link sensors; otherwise
+    they are estimated from all records.
     """
-    joints, place = range(arm.n_joints), Place.in_records(found.experiment.name)
-    sensor = tuple(_discard_uncertain(sensor_delay(found, arm, i)) for i in joints)
-    drive = tuple(_discard_uncertain(drive_delay(found, arm, i, view.band)) for i in joints)
+    joints, place = range(arm.n_joints), Place.in_records(signals.experiment.name)
+    sensor = tuple(_discard_uncertain(sensor_delay(signals, arm, i)) for i in joints)
+    drive = tuple(_discard_uncertain(drive_delay(signals, arm, i, view.band)) for i in joints)
     for i in joints:
-        if alone:
+        if is_single_record:
             warnings.extend(
                 build_misalignment_warnings(sensor[i], f"the link sensor of joint {i + 1}", place)
             )
         description = f"motor {i + 1}'s response to the channel {view.channels[i]}"
         warnings.extend(build_misalignment_warnings(drive[i], description, place))
-    return replace(found, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
+    return replace(signals, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 
 
 def _discard_uncertain(delay: Delay | None) -> Delay | None:

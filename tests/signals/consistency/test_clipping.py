@@ -13,7 +13,7 @@ from strainwave.signals.consistency import clipping
 TIME = np.arange(8000) / 4000.0
 
 
-def found(
+def find_clipped_channels(
     values: FloatArray, channel: str = "theta_l1", motor: FloatArray | None = None
 ) -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
@@ -38,15 +38,15 @@ def test_reversals_of_an_angle_are_not_clipping(
     size: float, hz: float, decay: float, counts: int
 ) -> None:
     swing = size * np.exp(-decay * TIME) * np.sin(2.0 * np.pi * hz * TIME)
-    assert found(rounded(swing, counts)) == []
+    assert find_clipped_channels(rounded(swing, counts)) == []
 
 
 @given(share=st.floats(0.4, 0.8), hz=st.floats(0.6, 20.0))
 def test_a_saturated_angle_is_reported_as_clipped(share: float, hz: float) -> None:
     swing = np.sin(2.0 * np.pi * 1.0137 * hz * TIME)  # The period is not a whole number of samples.
     clipped = rounded(np.clip(swing, -share, share), 131072)
-    assert found(clipped) == ["theta_l1"]
-    assert found(clipped, motor=100.0 * swing) == ["theta_l1"]
+    assert find_clipped_channels(clipped) == ["theta_l1"]
+    assert find_clipped_channels(clipped, motor=100.0 * swing) == ["theta_l1"]
 
 
 @given(
@@ -59,7 +59,7 @@ def test_an_angle_at_rest_after_a_step_is_not_clipped(
 ) -> None:
     edges = np.clip((TIME - 0.3) / rise, 0.0, 1.0) - np.clip((TIME - 1.0) / rise, 0.0, 1.0)
     angle = size * edges**2 * (3.0 - 2.0 * edges)
-    assert found(rounded(angle, counts), motor=100.0 * angle) == []
+    assert find_clipped_channels(rounded(angle, counts), motor=100.0 * angle) == []
 
 
 def of_16_bits(acceleration: FloatArray, noise: float, seed: int = 0) -> FloatArray:
@@ -78,7 +78,7 @@ def test_a_slow_peak_of_an_accelerometer_is_not_clipping(
     size: float, hz: float, noise: float, seed: int
 ) -> None:
     a = of_16_bits(size * np.sin(2.0 * np.pi * hz * TIME), noise, seed)
-    assert found(a, "a1") == []
+    assert find_clipped_channels(a, "a1") == []
 
 
 @given(
@@ -91,4 +91,4 @@ def test_a_saturated_accelerometer_is_reported_as_clipped(
     size: float, hz: float, noise: float, share: float
 ) -> None:
     a = of_16_bits(size * np.sin(2.0 * np.pi * 1.0137 * hz * TIME), noise)
-    assert found(np.clip(a, -share * size, share * size), "a1") == ["a1"]
+    assert find_clipped_channels(np.clip(a, -share * size, share * size), "a1") == ["a1"]

@@ -146,7 +146,7 @@ VERTICAL: dict[str, tuple[Fault, tuple[str, ...]]] = {
 }
 
 
-def obeyed(given: Input, corrections: Sequence[Correction]) -> Input:
+def apply_remedy(given: Input, corrections: Sequence[Correction]) -> Input:
     """Apply corrections to the logs and the study, and read the input again."""
     logs, study = given
     data = {}
@@ -176,7 +176,7 @@ def assert_remedied(given: Input, codes: tuple[str, ...]) -> None:
         text = correction_text(given[1], each.corrections)
         assert text[1:] in each.remedy or each.code == "clipped"
     corrections = [one for each in suspected for one in each.corrections]
-    assert check(*obeyed(given, corrections)).suspected == ()
+    assert check(*apply_remedy(given, corrections)).suspected == ()
 
 
 @pytest.mark.parametrize("fault", EVERYWHERE)

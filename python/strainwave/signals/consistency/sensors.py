@@ -278,8 +278,8 @@ def _tilt(fit: Fit, arm: Arm, first: int) -> tuple[float, float] | None:
     """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
     if arm.gravity:
         return None
-    own = slice(first, first + 2)
-    components, covariance = fit.value[own], fit.covariance[own, own]
+    tilt_columns = slice(first, first + 2)
+    components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
     size = float(np.hypot(*components))
     return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
 
