@@ -220,7 +220,7 @@ def simulated(
     record: Dataset, values: Mapping[tuple[str, int | None], float], local: FloatArray
 ) -> FloatArray:
     """Channels of a record simulated without derivatives: (n_rows, n_channels)."""
-    return record.seen(record.run(values, local, record.quantities()))
+    return record.filtered_channels(record.run(values, local, record.quantities()))
 
 
 @dataclass(frozen=True, slots=True)

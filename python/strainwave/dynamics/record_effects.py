@@ -30,7 +30,7 @@ class RecordInputs:
     offsets: Mapping[Key, float]  # increments of initial states
     slopes: Mapping[Key, Mapping[Key, float]]  # derivatives by input of the core and parameter
 
-    def begun(self, drive: Drive) -> Drive:
+    def shift_start(self, drive: Drive) -> Drive:
         """Drive with shifted initial states."""
         if not self.offsets:
             return drive

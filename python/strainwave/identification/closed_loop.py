@@ -101,7 +101,7 @@ class Observation:
         runs = simulate_arms(
             arm,
             [inputs.values],
-            inputs.begun(self.drive),
+            inputs.shift_start(self.drive),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,

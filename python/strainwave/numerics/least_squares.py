@@ -272,7 +272,7 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     to_parameters = basis / factor.singular[factor.seen]
     normal = _NormalEquations.of(equations, factor.root, to_parameters)
     reference = normal.solution()
-    shifts = [normal.without(label) - reference for label in normal.lost]
+    shifts = [normal.without(label) - reference for label in normal.block_grams]
     m = len(shifts)
     inner_covariance = (m - 1) / m * np.array(shifts).T @ np.array(shifts) + normal.lean()
     k = to_parameters.shape[1]
@@ -285,7 +285,7 @@ class _NormalEquations:
     """Normal equations of w and the common nuisance parameters, without the local parameters."""
 
     gram: FloatArray  # (k, k + 1), the last column is the right-hand side
-    lost: dict[int, FloatArray]  # contribution of each block to the gram matrix
+    block_grams: dict[int, FloatArray]  # contribution of each block to the gram matrix
     priors: FloatArray  # (k, k) contribution of the errors of the priors
 
     @staticmethod
@@ -297,7 +297,7 @@ class _NormalEquations:
         n = rows.shape[1]
         gram, priors = np.zeros((n, n)), np.zeros((n, n))
         has_no_local = equations.group != PRIOR_GROUP
-        lost: dict[int, FloatArray] = {}
+        block_grams: dict[int, FloatArray] = {}
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
                 continue
@@ -306,17 +306,17 @@ class _NormalEquations:
             gram += part_gram
             priors += coefficients.T @ coefficients
             for label, remaining in without.items():
-                lost[label] = lost.get(label, 0.0) + part_gram - remaining
+                block_grams[label] = block_grams.get(label, 0.0) + part_gram - remaining
             has_no_local[part.rows] = False
         for label in np.unique(equations.block[has_no_local]).tolist():
             block_rows = rows[has_no_local & (equations.block == label)]
-            lost[label] = lost.get(label, 0.0) + block_rows.T @ block_rows
+            block_grams[label] = block_grams.get(label, 0.0) + block_rows.T @ block_rows
             gram += block_rows.T @ block_rows
         n_own = n - 1 - common.shape[1]
         prior_rows = np.vstack([rows[equations.group == PRIOR_GROUP], np.eye(n)[n_own:-1]])
         gram += prior_rows.T @ prior_rows
         priors += prior_rows.T @ prior_rows
-        return _NormalEquations(gram[:-1], lost, priors[:-1, :-1])
+        return _NormalEquations(gram[:-1], block_grams, priors[:-1, :-1])
 
     def solution(self) -> FloatArray:
         """Estimate of w and the common nuisance parameters."""
@@ -327,7 +327,7 @@ class _NormalEquations:
 
         A small ridge keeps a direction that only these rows determine at a finite value.
         """
-        gram = self.gram - self.lost[label][:-1]
+        gram = self.gram - self.block_grams[label][:-1]
         gram[np.diag_indices(len(gram))] += 1e-9
         return np.asarray(np.linalg.solve(gram[:, :-1], gram[:, -1]))
 

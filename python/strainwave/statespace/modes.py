@@ -137,6 +137,6 @@ def _damping(values: ComplexArray) -> FloatArray:
     return np.where(moduli > 0.0, -values.real / np.where(moduli > 0.0, moduli, 1.0), 1.0)
 
 
-def _least_damped(found: tuple[Mode, ...]) -> Mode | None:
-    pairs = [mode for mode in found if mode.oscillates]
+def _least_damped(candidates: tuple[Mode, ...]) -> Mode | None:
+    pairs = [mode for mode in candidates if mode.oscillates]
     return min(pairs, key=lambda mode: abs(mode.damping)) if pairs else None

@@ -63,7 +63,7 @@ def record_experiment(
     trajectory = simulator(
         arm,
         inputs.values,
-        inputs.begun(plan.drive),
+        inputs.shift_start(plan.drive),
         sample_time=plan.sample_time,
         samples=plan.samples,
         record=record,

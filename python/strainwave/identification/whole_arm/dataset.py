@@ -134,7 +134,7 @@ class Dataset:
         runs = simulate_arms(
             self._arm_at(values),
             [inputs.values],
-            inputs.begun(self._begun(local)),
+            inputs.shift_start(self._start_at(local)),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
@@ -160,7 +160,7 @@ class Dataset:
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
-            inputs.begun(self._begun(local)),
+            inputs.shift_start(self._start_at(local)),
             [*core_directions, *self.local],
             sample_time=self.log.sample_time,
             samples=len(self.log),
@@ -169,7 +169,7 @@ class Dataset:
             low_pass=None if resonates else self.low_pass(),
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
-        to_channels = self.seen if resonates else self._stack_channels
+        to_channels = self.filtered_channels if resonates else self._stack_channels
         channels, tangent = to_channels(motion, values) + self.lacking, to_channels(slopes, values)
         tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
@@ -218,7 +218,7 @@ class Dataset:
 
     def sensor_tangent(
         self,
-        seen: FloatArray,
+        simulated: FloatArray,
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,
         keys: Sequence[tuple[str, int | None]],
@@ -226,19 +226,19 @@ class Dataset:
         """Derivatives of simulated minus measured channels with respect to sensor constants.
 
         s x(t) + r (t - t_m) - y(t + D) has the derivatives x with respect to s, t - t_m with
-        respect to r, and -y' with respect to D, approximated by -s x'. `seen` (n_rows, n_channels)
-        is x, without scale factors; `local` (n_local,) are the initial states; `keys` are sensor
-        constants. Returns (n_rows, n_channels, n_keys).
+        respect to r, and -y' with respect to D, approximated by -s x'. `simulated` (n_rows,
+        n_channels) is x, without scale factors; `local` (n_local,) are the initial states; `keys`
+        are sensor constants. Returns (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
         if any(is_mounting(key) or is_of_mount(key) for key in keys):
             motion = self.run(values, local, self.quantities())
             motion = motion if self._has_resonant_mount(values) else self._rows(motion)
-        return self._sensor_tangent(seen, motion, values, local, keys)
+        return self._sensor_tangent(simulated, motion, values, local, keys)
 
     def _sensor_tangent(
         self,
-        seen: FloatArray,
+        simulated: FloatArray,
         motion: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,
@@ -249,17 +249,17 @@ class Dataset:
         `motion` holds samples (n_samples, n_joints) if any mount resonates, otherwise rows
         (n_rows, n_joints).
         """
-        tangent, scales = np.zeros((*seen.shape, len(keys))), self.sensor_scales(values)
+        tangent, scales = np.zeros((*simulated.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
         mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
         for k, channel in enumerate(self.channels):
             for at, key in enumerate(keys):
                 if key == scale_of(channel.scaled, channel.joint):
-                    tangent[:, k, at] = seen[:, k]
+                    tangent[:, k, at] = simulated[:, k]
                 elif key == drift_of(channel.scaled, channel.joint, self.log.name):
                     tangent[:, k, at] = self.since_middle
                 elif key == delay_of(channel.sensor, channel.joint):
-                    tangent[:, k, at] = -scales[k] * differentiate_rows(seen[:, k], row_time)
+                    tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
             if channel.axis is not None and mounting:
@@ -278,7 +278,7 @@ class Dataset:
                 keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
             }
             runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
-            wider_rows, nominal = (self.seen(run, values) for run in runs)
+            wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
                     if keys[at] == bandwidth_of(channel.sensor, channel.joint):
@@ -389,7 +389,7 @@ class Dataset:
         )
         refined = replace(self, max_time_step=step)
         exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
-        return exact, self.seen(exact, values) - self.seen(coarse, values)
+        return exact, self.filtered_channels(exact, values) - self.filtered_channels(coarse, values)
 
     def _residual_noise(
         self, runs: Mapping[Quantity, FloatArray], values: Mapping[tuple[str, int | None], float]
@@ -407,7 +407,7 @@ class Dataset:
         ]
         return noise_behind(self.channels, residuals, self.kernels, self.counts)
 
-    def _begun(self, local: FloatArray) -> Drive:
+    def _start_at(self, local: FloatArray) -> Drive:
         """Inputs of the simulation with initial states (n_local,)."""
         if not self.moving:
             return self.drive
@@ -426,7 +426,7 @@ class Dataset:
         taps = {name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.reads}
         return LowPass(taps, self.kernels.step)
 
-    def seen(
+    def filtered_channels(
         self,
         runs: Mapping[Quantity, FloatArray],
         values: Mapping[tuple[str, int | None], float] | None = None,

@@ -68,11 +68,11 @@ class _Pass:
             records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
         )
 
-    def columns(self, k: int, begun: FloatArray) -> FloatArray:
+    def columns(self, k: int, record_parameters: FloatArray) -> FloatArray:
         """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
-        record, keys = self.records[k], [key for own in self.sizes.values() for key in own]
-        own = record.linearised(self.values, begun[: len(record.local)], keys)[1]
-        return own[..., : len(keys)]
+        record, keys = self.records[k], [key for sizes in self.sizes.values() for key in sizes]
+        tangent = record.linearised(self.values, record_parameters[: len(record.local)], keys)[1]
+        return tangent[..., : len(keys)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,9 @@ class EffectColumns:
         """
         objective, n = fit.objective, len(fit.objective.space.unknowns)
         each = [
-            _Pass.of(fit, arm, {one: own for one, own in tested.items() if one.number == number})
+            _Pass.of(
+                fit, arm, {one: shapes for one, shapes in tested.items() if one.number == number}
+            )
             for number in sorted({one.number for one in tested})
         ]
         sizes = {one: keys for run in each for one, keys in run.sizes.items()}
@@ -112,15 +114,17 @@ class EffectColumns:
         width = prior_rows.shape[1]
 
         def tangent(k: int, _: Evaluation) -> FloatArray:
-            found = np.concatenate(
+            size_columns = np.concatenate(
                 [run.columns(k, objective.memory.record_parameters[k]) for run in each], 2
             )
-            return np.concatenate([found, np.zeros((*found.shape[:2], width - n_sizes))], axis=2)
+            return np.concatenate(
+                [size_columns, np.zeros((*size_columns.shape[:2], width - n_sizes))], axis=2
+            )
 
         whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
         if not np.isfinite(whole).all():
             raise NumericalFailure("the derivative by an effect's size overflows")
-        stds = [effect_named(one.effect).prior_std for one, own in sizes.items() for _ in own]
+        stds = [effect_named(one.effect).prior_std for one, keys in sizes.items() for _ in keys]
         stds += [1.0] * (width - n_sizes)
         known = [k for k, std in enumerate(stds) if std is not None]
         prior = np.zeros((len(known), whole.shape[1]))
@@ -133,7 +137,7 @@ class EffectColumns:
         """The residual that the unknowns do not explain."""
         return self.factor[self.n_unknowns :, -1]
 
-    def seen(self, one: Hypothesis) -> FloatArray:
+    def effect_columns(self, one: Hypothesis) -> FloatArray:
         """An effect's columns after projection, zero where only rounding is left."""
         place = self._place(one)
         left = self.factor[self.n_unknowns :, place].copy()
@@ -145,7 +149,9 @@ class EffectColumns:
         """Residual effect of errors in the rigid-step estimates due to the missing effect."""
         return self.factor[self.n_unknowns :, self._shifts(one)]
 
-    def answer(self, one: Hypothesis, size: FloatArray, shift: FloatArray) -> FloatArray:
+    def change_of_unknowns(
+        self, one: Hypothesis, size: FloatArray, shift: FloatArray
+    ) -> FloatArray:
         """Change of the unknowns (n_unknowns,) for sizes of an effect and rigid-step shifts."""
         n = self.n_unknowns
         by_effect = self.factor[:n, self._place(one)] @ size
@@ -153,7 +159,7 @@ class EffectColumns:
         return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
 
     def _place(self, one: Hypothesis) -> slice:
-        counts = {key: len(own) for key, own in self.sizes.items()}
+        counts = {key: len(sizes) for key, sizes in self.sizes.items()}
         at = self.n_unknowns
         for key, count in counts.items():
             if key == one:

@@ -40,8 +40,8 @@ def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
 def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
     """Share of samples by torque of each gear, over all records."""
     together = np.concatenate(gear_loads)
-    found = []
+    histograms = []
     for joint, torque in enumerate(together.T, start=1):
         count, edges = np.histogram(torque, bins=HISTOGRAM_BINS, range=(0.0, float(torque.max())))
-        found.append(TorqueHistogram(joint, edges, count / len(torque)))
-    return tuple(found)
+        histograms.append(TorqueHistogram(joint, edges, count / len(torque)))
+    return tuple(histograms)

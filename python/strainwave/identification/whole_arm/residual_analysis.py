@@ -67,7 +67,7 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
     noise_density = 2.0 * T * raw**2 * gain**2
     band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
     ratio = density[band] / np.maximum(noise_density[band], 1e-300)
-    joint, correlation, delay, probability = follows(left, inputs, kernels.step * T)
+    joint, correlation, delay, probability = correlate_with_inputs(left, inputs, kernels.step * T)
     return ResidualTest(
         experiment=record.log.name,
         channel=channel.name.replace("theta", "omega"),
@@ -129,7 +129,7 @@ def has_noise_spectrum(
     return float(np.clip(2.0 * np.sum((-1.0) ** (k - 1) * np.exp(-2.0 * (k * x) ** 2)), 0.0, 1.0))
 
 
-def follows(
+def correlate_with_inputs(
     left: FloatArray, inputs: FloatArray, row_time: float
 ) -> tuple[int, float, float, float]:
     """Find the input and delay with the most significant correlation with a residual.

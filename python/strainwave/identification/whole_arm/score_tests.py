@@ -182,7 +182,7 @@ def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[TestedEffect]:
         remaining.remove(hypothesis)
         if score_test.evident:
             selected = np.column_stack(
-                [selected, columns.seen(hypothesis), columns.shifts(hypothesis)]
+                [selected, columns.effect_columns(hypothesis), columns.shifts(hypothesis)]
             )
             steps = [_step(columns, other, selected) for other in remaining]
         else:
@@ -201,7 +201,7 @@ def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
 
 def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
     """Values of the unknowns after the linear step of an effect."""
-    change = columns.answer(step.candidate, step.size, step.shift)
+    change = columns.change_of_unknowns(step.candidate, step.size, step.shift)
     space = fit.objective.space
     return space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
 
@@ -283,7 +283,7 @@ def _step(columns: EffectColumns, one: Hypothesis, selected: FloatArray) -> _Ste
     Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing
     effect are free.
     """
-    parts = (columns.shifts(one), columns.seen(one), columns.target)
+    parts = (columns.shifts(one), columns.effect_columns(one), columns.target)
     shifts, columns_of_effect, target = _project_out(selected, *parts)
     projected, remaining = _project_out(shifts, columns_of_effect, target)
     names = tuple(name for name, _ in columns.sizes[one])

@@ -75,21 +75,21 @@ def models_from_motors(
 
 
 def _models(
-    found: Minimum,
+    minimum: Minimum,
     family: Family,
     arm: Arm,
-    seen: Sequence[Piece],
+    pieces_in_posture: Sequence[Piece],
     experiments: Sequence[tuple[str, ...]],
 ) -> tuple[JointModel, ...]:
     """One model per joint from a minimum."""
-    joints = family.joints(found.point)
+    joints = family.joints(minimum.point)
     band = (
-        float(min(piece.s[0].imag for piece in seen) / (2.0 * np.pi)),
-        float(max(piece.s[-1].imag for piece in seen) / (2.0 * np.pi)),
+        float(min(piece.s[0].imag for piece in pieces_in_posture) / (2.0 * np.pi)),
+        float(max(piece.s[-1].imag for piece in pieces_in_posture) / (2.0 * np.pi)),
     )
     models = []
     for i, joint in enumerate(joints):
-        covariance = _covariance(found, family, i)
+        covariance = _covariance(minimum, family, i)
         values = dict(zip(NAMES, joint.vector.tolist(), strict=True))
         standard_deviations = np.sqrt(np.diag(covariance))
         identified = [
@@ -98,7 +98,7 @@ def _models(
         ]
         estimate = values, covariance, identified, arm.joints[i], i + 1
         warnings = tuple(warnings_of(*estimate, ", ".join(experiments[i])))
-        fit_percent = found.fit_percent[i]
+        fit_percent = minimum.fit_percent[i]
         models.append(
             JointModel(
                 joint=i + 1,
@@ -118,22 +118,22 @@ def _models(
     return tuple(models)
 
 
-def _covariance(found: Minimum, family: Family, i: int) -> FloatArray:
+def _covariance(minimum: Minimum, family: Family, i: int) -> FloatArray:
     """Covariance (6, 6) of one joint's physical parameters, without the errors of the rigid model.
 
     Only the sum of the viscous frictions is determined, so their split has a variance of its full
     size.
     """
     columns = []
-    for step in _DIFFERENCE_STEP * np.eye(len(found.point)):
-        above, below = (family.parts(found.point + sign * step) for sign in (1.0, -1.0))
+    for step in _DIFFERENCE_STEP * np.eye(len(minimum.point)):
+        above, below = (family.parts(minimum.point + sign * step) for sign in (1.0, -1.0))
         columns.append(
             [(above[name][i] - below[name][i]) / (2.0 * _DIFFERENCE_STEP) for name in NAMES]
         )
     J = np.array(columns).T
-    covariance = J @ found.covariance @ J.T
+    covariance = J @ minimum.covariance @ J.T
     motor, link = (NAMES.index(name) for name in _VISCOUS_FRICTIONS)
-    parts = family.parts(found.point)
+    parts = family.parts(minimum.point)
     split = np.zeros(len(NAMES))
     split[motor] = parts[_VISCOUS_FRICTIONS[0]][i]
     split[link] = -split[motor] / family.ratio[i] ** 2

@@ -158,13 +158,13 @@ def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
 
 
 def _errors(
-    family: Family, points: FloatArray, seen: _PieceInPosture
+    family: Family, points: FloatArray, piece_in_posture: _PieceInPosture
 ) -> Iterator[tuple[ComplexArray, FloatArray]]:
     """Yield the velocity error and the velocity of each motor in a piece, relative to its RMS.
 
     The shapes are (..., n_lines) for the arms of the points, and (n_lines,).
     """
-    piece, posture = seen
+    piece, posture = piece_in_posture
     Z = family.linear(points, posture).impedance(piece.s)
     for i in piece.rows:
         norm = np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s))
@@ -180,9 +180,12 @@ def _errors(
         yield error / norm, np.abs(piece.velocity[:, i]) / norm
 
 
-def _costs(family: Family, points: FloatArray, seen: _PieceInPosture) -> FloatArray:
+def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture) -> FloatArray:
     """Sums of squared errors, (n_points,)."""
-    costs = [np.sum(np.abs(error) ** 2, axis=-1) for error, _ in _errors(family, points, seen)]
+    costs = [
+        np.sum(np.abs(error) ** 2, axis=-1)
+        for error, _ in _errors(family, points, piece_in_posture)
+    ]
     return np.asarray(sum(costs, np.zeros(len(points))))
 
 
