@@ -27,7 +27,7 @@ from rich.table import Table
 
 from strainwave import pipeline
 from strainwave.campaign import Settings, run
-from strainwave.campaign.schema import PARAMETERS, RUNS
+from strainwave.campaign.schema import PARAMETERS_SCHEMA, RUNS_SCHEMA
 from strainwave.campaign.store import Record, Store
 from strainwave.numerics.parallel import configure_process
 
@@ -102,7 +102,7 @@ def store_times(folder: Path) -> list[Figure]:
         return Record(row, parameters, b"x" * 200_000)
 
     merged = [record(number) for number in range(ROWS - 1000)]
-    for kind, schema in (("runs", RUNS), ("parameters", PARAMETERS)):
+    for kind, schema in (("runs", RUNS_SCHEMA), ("parameters", PARAMETERS_SCHEMA)):
         rows = [entry.row for entry in merged]
         if kind == "parameters":
             rows = [row for entry in merged for row in entry.parameters]
