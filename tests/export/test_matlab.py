@@ -54,7 +54,7 @@ def test_both_files_note_what_they_leave_out(arm: IdentifiedArm) -> None:
     assert "motor_coulomb_friction" in mat.notes[0]
     assert mat.notes[0].startswith("not in the matrices: ")
     for note in script.notes:
-        assert f"% L{note[1:]}." in script.data.decode().splitlines()
+        assert f"% {note[:1].upper()}{note[1:]}." in script.data.decode().splitlines()
 
 
 def assigned(script: str, name: str, end: str = "") -> str:

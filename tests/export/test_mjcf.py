@@ -244,7 +244,7 @@ def test_effects_and_sensor_errors_are_noted(tmp_path: Path) -> None:
     assert effects.startswith("omitted: hysteresis, kinematic-error (joint 1): ")
     assert "accelerometer_hz" in sensors
     for note in export.notes:
-        assert f"<!-- L{note[1:]}. -->" in export.data.decode()
+        assert f"<!-- {note[:1].upper()}{note[1:]}. -->" in export.data.decode()
     assert not any("motor_inertia" in note or "gear" in note for note in export.notes)
 
 

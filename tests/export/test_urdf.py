@@ -155,7 +155,7 @@ def test_all_parts_that_urdf_cannot_hold_are_noted(tmp_path: Path) -> None:
     }
     export = to_urdf(exports.arm_of(study, values))
     for note in export.notes:
-        assert f"<!-- L{note[1:]}. -->" in export.data.decode()
+        assert f"<!-- {note[:1].upper()}{note[1:]}. -->" in export.data.decode()
     text = " ".join(export.notes)
     for name, joint in values:
         assert name in text or name == "motor_coulomb_friction" or joint is None, name

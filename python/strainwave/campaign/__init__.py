@@ -154,18 +154,18 @@ def _follow(outcomes: Iterator[Outcome], store: Store, tally: Tally) -> str:
 
 def _undetermined(tally: Tally, store: Store) -> Iterator[str]:
     """A line per undetermined run: study, status, exit code, reason, and path of its result."""
-    listed = tally.undetermined
-    if tally.n_undetermined > len(listed):
+    listed_runs = tally.undetermined
+    if tally.n_undetermined > len(listed_runs):
         yield from tally.causes()
-    for outcome in listed:
+    for outcome in listed_runs:
         result = f"results/{outcome.run}/result.json"
         name = result if store.place.exists(result) else f"runs, run {outcome.run[:8]}"
         yield (
             f"  {outcome.study}: {outcome.status} (exit code {outcome.exit_code}): "
             f"{reason(outcome.message)} [{store.place}/{name}]"
         )
-    if tally.n_undetermined > len(listed):
-        yield f"  ... and {tally.n_undetermined - len(listed)} more: see sw.read_runs"
+    if tally.n_undetermined > len(listed_runs):
+        yield f"  ... and {tally.n_undetermined - len(listed_runs)} more: see sw.read_runs"
 
 
 def _merged(store: Store) -> str:

@@ -90,14 +90,14 @@ class Store:
                 f"results/{run}/result.json": record.result,
                 f"parameters/{run}.parquet": parameters,
             } | files
-        written: list[str] = []
+        written_files: list[str] = []
         try:
             for name, data in files.items():
                 self.place.put(name, data)
-                written.append(name)
+                written_files.append(name)
         except OSError:
             if self.recorded(run) is None:
-                self.place.delete(written)
+                self.place.delete(written_files)
             raise
 
     def recorded(self, run: str) -> Recorded | None:
@@ -203,17 +203,19 @@ class Store:
     def _merge(self, kind: str) -> int:
         """Merge the files of a kind; returns the number of small files in the new part."""
         names = self.place.names(kind, ".parquet")
-        chosen = [n for n in names if not _is_part(n) or self._rows(n) < _MAX_MERGED_ROWS[kind]]
-        tables = {name: self._table(name) for name in chosen}
-        chosen_runs = pa.concat_tables(
+        merged_names = [
+            n for n in names if not _is_part(n) or self._rows(n) < _MAX_MERGED_ROWS[kind]
+        ]
+        tables = {name: self._table(name) for name in merged_names}
+        merged_runs = pa.concat_tables(
             [
                 pa.table({"run": pa.array([], pa.string())}),
                 *(t.select(["run"]) for t in tables.values()),
             ]
         )["run"]
-        for name in set(names) - set(chosen):  # a repeated run is also in a large part
+        for name in set(names) - set(merged_names):  # a repeated run is also in a large part
             runs = self._table(name, ["run"])["run"]
-            if pc.any(pc.is_in(runs, value_set=chosen_runs.combine_chunks())).as_py():
+            if pc.any(pc.is_in(runs, value_set=merged_runs.combine_chunks())).as_py():
                 tables[name] = self._table(name)
         if len(tables) < 2:
             return 0

@@ -132,8 +132,8 @@ class ImplausibleJoint:
     @property
     def text(self) -> str:
         """Observation and likely unit, in one clause."""
-        listed = ", ".join(value.text for value in self.values)
-        return f"{listed}: these sizes are outside the range of robot joints, so {self.remedy}"
+        values = ", ".join(value.text for value in self.values)
+        return f"{values}: these sizes are outside the range of robot joints, so {self.remedy}"
 
 
 def implausible_joints(

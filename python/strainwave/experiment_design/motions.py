@@ -163,12 +163,14 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
     std = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
     sizes = _sizes(arm, values)
     worst = max(s / sizes[k] for k, s in enumerate(std) if k in sizes)
-    needed = int(np.ceil((worst / _TARGET_RELATIVE_STD) ** 2))
-    if needed == 1:
+    required_periods = int(np.ceil((worst / _TARGET_RELATIVE_STD) ** 2))
+    if required_periods == 1:
         text = f"{single}; the encoder noise causes a standard deviation of {100.0 * worst:.2g} %"
         return 1, f"{text} of the worst parameter"
-    periods = min(needed, _MAX_PERIODS)
-    count = f"{periods} periods" if needed == periods else f"the maximum of {periods} periods"
+    periods = min(required_periods, _MAX_PERIODS)
+    count = (
+        f"{periods} periods" if required_periods == periods else f"the maximum of {periods} periods"
+    )
     remaining = 100.0 * worst / np.sqrt(periods)
     text = f"{count}, for a standard deviation of {remaining:.2g} % of the worst parameter"
     return periods, f"{text} due to encoder noise"

@@ -62,14 +62,14 @@ def _precision(design: Design) -> Iterator[str]:
 def _sensors(study: Study) -> Iterator[str]:
     """Sensors of each joint."""
     for number, joint in enumerate(study.arm.joints, start=1):
-        named = [
+        listed_parameters = [
             f"encoder of {joint.encoder_counts:g} counts" if joint.encoder_counts else "encoder"
         ]
-        named += ["accelerometer"] if joint.accelerometer_distance else []
-        named += ["gyro"] if joint.gyro_hz else []
-        named += ["link encoder"] if f"theta_l{number}" in study.channels else []
-        named += [] if len(named) > 1 else ["no link sensor"]
-        yield f"joint {number}'s {' and '.join(named)}"
+        listed_parameters += ["accelerometer"] if joint.accelerometer_distance else []
+        listed_parameters += ["gyro"] if joint.gyro_hz else []
+        listed_parameters += ["link encoder"] if f"theta_l{number}" in study.channels else []
+        listed_parameters += [] if len(listed_parameters) > 1 else ["no link sensor"]
+        yield f"joint {number}'s {' and '.join(listed_parameters)}"
 
 
 def _table(design: Design) -> Table:

@@ -122,10 +122,12 @@ def voltage_record(
         if not feasible:
             raise _limit_error(signal, periods, limits, controls[0])
         amplitude, control, motion = max(feasible, key=lambda f: f[2].gear_torque[joint - 1])
-        needed, reason = _required_periods(signal, signal.drive(amplitude, periods, control), band)
-        if needed + _SETTLING_PERIODS <= periods:
+        required_periods, reason = _required_periods(
+            signal, signal.drive(amplitude, periods, control), band
+        )
+        if required_periods + _SETTLING_PERIODS <= periods:
             break
-        periods = needed + _SETTLING_PERIODS
+        periods = required_periods + _SETTLING_PERIODS
     name = f"{kind}-j{joint}"
     prbs = Prbs(signal.order, signal.clock, periods, amplitude) if kind == "prbs" else None
     return Planned(
@@ -312,12 +314,12 @@ def _required_periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, st
     sensor, worst = max(
         ((sensor, float(ratio.max())) for sensor, ratio in ratios.items()), key=lambda r: r[1]
     )
-    needed = int(np.ceil((worst / _TARGET_NOISE_RATIO) ** 2))
-    periods = min(max(needed, _MIN_PERIODS), _MAX_PERIODS)
+    required_periods = int(np.ceil((worst / _TARGET_NOISE_RATIO) ** 2))
+    periods = min(max(required_periods, _MIN_PERIODS), _MAX_PERIODS)
     level = f"{100.0 * worst / periods**0.5:.2g} % of the weakest line near the resonances"
-    if needed <= _MIN_PERIODS:
+    if required_periods <= _MIN_PERIODS:
         return periods, f"{default_reason}; the {sensor} is then {level}"
-    count = f"{periods}" if needed == periods else f"the maximum of {periods}"
+    count = f"{periods}" if required_periods == periods else f"the maximum of {periods}"
     return (
         periods,
         f"{_SETTLING_PERIODS} period to settle and {count}; the {sensor} is then {level}",

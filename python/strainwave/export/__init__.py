@@ -80,18 +80,18 @@ def export_arm(
 
 
 def _checked_format(form: str | None, out: Path) -> str:
-    listed = ", ".join(FORMATS)
+    format_list = ", ".join(FORMATS)
     if form is None and out.suffix not in _FORMAT_BY_ENDING:
         raise InvalidInput(
             f"the ending {out.suffix!r} does not determine a format",
             where=f"--out {out}",
-            remedy=f"give --format: {listed}",
+            remedy=f"give --format: {format_list}",
         )
-    chosen = form or _FORMAT_BY_ENDING[out.suffix]
-    if chosen not in FORMATS:
+    selected_format = form or _FORMAT_BY_ENDING[out.suffix]
+    if selected_format not in FORMATS:
         raise InvalidInput(
-            f"there is no format {chosen!r}",
+            f"there is no format {selected_format!r}",
             where="--format",
-            remedy=f"use one of {listed}{nearest(chosen, FORMATS)}",
+            remedy=f"use one of {format_list}{nearest(selected_format, FORMATS)}",
         )
-    return chosen
+    return selected_format

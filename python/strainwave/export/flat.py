@@ -6,7 +6,7 @@ import json
 import re
 from dataclasses import dataclass
 
-from strainwave.export.omissions import CORRELATIONS, Part, notes_of
+from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 
 HEADER_PREFIX = "strainwave_"
@@ -56,13 +56,13 @@ def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
 
 def to_json(arm: IdentifiedArm) -> Export:
     """JSON tables `values`, `stds` and `units` by name; a parameter without value is null."""
-    listed = entries(arm)
+    all_entries = entries(arm)
     notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
     document = {
         "schema": "strainwave/parameters/1",
-        "values": {entry.name: entry.value for entry in listed},
-        "stds": {entry.name: entry.std for entry in listed if not entry.known},
-        "units": {entry.name: entry.unit for entry in listed},
+        "values": {entry.name: entry.value for entry in all_entries},
+        "stds": {entry.name: entry.std for entry in all_entries if not entry.known},
+        "units": {entry.name: entry.unit for entry in all_entries},
         "notes": notes,
     }
     text = json.dumps(document, indent=2, allow_nan=False)
@@ -75,7 +75,7 @@ def to_c_header(arm: IdentifiedArm) -> Export:
     lines = [
         "/* Parameters of an arm, identified by strainwave. SI units, angles in rad.",
         " * A number at the end of a name is the number of the joint, from the base.",
-        *(f" * {_comment(note[:1].upper() + note[1:])}." for note in notes),
+        *(f" * {_comment(sentence_of(note))}" for note in notes),
         " */",
         "#ifndef STRAINWAVE_ARM_H",
         "#define STRAINWAVE_ARM_H",

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from xml.etree import ElementTree as ET
 
+from strainwave.export.omissions import sentence_of
+
 
 def numbers(*values: float) -> str:
     """Numbers separated by blanks, with all digits."""
@@ -19,7 +21,7 @@ def root(tag: str, name: str, notes: Iterable[str]) -> ET.Element:
     element = ET.Element(tag, {name: "arm"})
     comment(element, "Identified by strainwave. SI units, angles in rad.")
     for note in notes:
-        comment(element, f"L{note[1:]}.")
+        comment(element, sentence_of(note))
     return element
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.dynamics.two_inertia import NAMES
 from strainwave.export.flat import entries
-from strainwave.export.omissions import CORRELATIONS, Part, names_of, notes_of
+from strainwave.export.omissions import CORRELATIONS, Part, names_of, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.export.state_space import (
     INPUTS,
@@ -45,13 +45,13 @@ def to_mat(arm: IdentifiedArm) -> Export:
     """
     from scipy.io import savemat
 
-    listed = entries(arm)
+    all_entries = entries(arm)
     content: dict[str, Any] = {
-        "parameters": {e.name: _UNKNOWN if e.value is None else e.value for e in listed},
+        "parameters": {e.name: _UNKNOWN if e.value is None else e.value for e in all_entries},
         "parameters_std": {
-            e.name: _UNKNOWN if e.std is None else e.std for e in listed if not e.known
+            e.name: _UNKNOWN if e.std is None else e.std for e in all_entries if not e.known
         },
-        "units": {e.name: e.unit for e in listed},
+        "units": {e.name: e.unit for e in all_entries},
         "joints": _joints(arm),
         "states": np.array(STATES, dtype=object),
         "inputs": np.array(INPUTS, dtype=object),
@@ -88,7 +88,7 @@ def to_script(arm: IdentifiedArm) -> Export:
     """
     lines = [
         "% An arm with elastic joints, identified by strainwave. SI units, angles in rad.",
-        *(f"% L{note[1:]}." for note in _notes(arm)),
+        *(f"% {sentence_of(note)}" for note in _notes(arm)),
         "% sys{i} is the model of joint i alone; refine it on your own data with",
         "%   greyest(data, idgrey(grey(i).function, grey(i).parameters, 'c', grey(i).args))",
         "if exist('OCTAVE_VERSION', 'builtin'), pkg load control, end % ss in GNU Octave",
@@ -109,7 +109,7 @@ def _joint_lines(arm: IdentifiedArm, number: int) -> list[str]:
     """`ss` model of one joint, and the arguments of `idgrey`."""
     model = joint_model(arm, number)
     index = f"({number})"
-    listed = "; ".join(f"'{name}', {getattr(model, name)!r}" for name in NAMES)
+    parameter_list = "; ".join(f"'{name}', {getattr(model, name)!r}" for name in NAMES)
     matrices = state_space(arm, number)._asdict().items()
     return [
         f"% joint {number}",
@@ -119,7 +119,7 @@ def _joint_lines(arm: IdentifiedArm, number: int) -> list[str]:
         f"    'InputName', {_names(INPUTS)}, ...",
         f"    'OutputName', {_names(OUTPUTS)});",
         f"grey{index}.function = @two_inertia;",
-        f"grey{index}.parameters = {{{listed}}};",
+        f"grey{index}.parameters = {{{parameter_list}}};",
         f"grey{index}.args = {{{model.gear_ratio!r}}};",
     ]
 

@@ -97,12 +97,12 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
         ET.SubElement(element, "site", name=f"accelerometer{number}", pos=distance)
     if joint.gyro_hz:
         ET.SubElement(element, "site", name=f"gyroscope{number}")
-    drawn = length if number == 1 and length else 2.0 * body.centre or 10.0 * _LINK_RADIUS
+    drawn_length = length if number == 1 and length else 2.0 * body.centre or 10.0 * _LINK_RADIUS
     ET.SubElement(
         element,
         "geom",
         type="capsule",
-        fromto=numbers(0, 0, 0, drawn, 0, 0),
+        fromto=numbers(0, 0, 0, drawn_length, 0, 0),
         size=numbers(_LINK_RADIUS),
         contype="0",
         conaffinity="0",

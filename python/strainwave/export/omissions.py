@@ -62,6 +62,11 @@ def notes_of(arm: IdentifiedArm, reasons: Mapping[Part, str]) -> tuple[str, ...]
     )
 
 
+def sentence_of(note: str) -> str:
+    """Note as a sentence."""
+    return f"{note[:1].upper()}{note[1:]}."
+
+
 CORRELATIONS = "omitted: correlations between parameters: see covariance in result.json"
 """Note of formats that contain standard deviations."""
 

@@ -57,10 +57,10 @@ class IdentifiedArm:
         """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""
         value = self.values.get((name, joint))
         if value is None:
-            listed = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
-            if listed and listed[0].label in self.rejected:
+            matches = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
+            if matches and matches[0].label in self.rejected:
                 raise self._refuse(name, joint, "rejected by the verdict of the result")
-            raise self._refuse(name, joint, "null" if listed else "missing")
+            raise self._refuse(name, joint, "null" if matches else "missing")
         is_rigid = joint is not None and not self.joint(joint).elastic
         if value == 0.0 and is_rigid and name in ("motor_inertia", "link_inertia"):
             return value  # the other side of a rigid gear may have all inertia

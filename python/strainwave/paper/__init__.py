@@ -54,14 +54,14 @@ def compare(
     that of sensor noise, motions and the start of the PRBS. `progress` receives the current
     activity.
     """
-    chosen = options or ComparisonOptions()
+    comparison_options = options or ComparisonOptions()
     rig = Rig(seed, settings, progress)
     # verdicts must not depend on the number of threads that share a sum
     with one_blas_thread():
         comparisons = [
             _attempt(figure, job, progress)
-            for figure, job in _jobs(rig, tuned, chosen).items()
-            if figure in chosen.figures
+            for figure, job in _jobs(rig, tuned, comparison_options).items()
+            if figure in comparison_options.figures
         ]
     rig.clear_caches()
     return tuple(replace(each, protocol=settings.protocol) for each in comparisons)

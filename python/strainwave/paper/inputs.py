@@ -30,7 +30,7 @@ def prbs(rig: Rig) -> Comparison:
     inside = (frequency >= 1.0) & (frequency <= 100.0)
     ripple = float(np.ptp(10.0 * np.log10(density[inside])))
     levels = np.unique(np.round(voltage, 9))
-    shown = run.trajectory.time < _PLOTTED_DURATION
+    is_shown = run.trajectory.time < _PLOTTED_DURATION
     return comparison_of(
         4,
         criteria=(
@@ -48,7 +48,7 @@ def prbs(rig: Rig) -> Comparison:
         f"{ripple:.2f} dB from 1 to 100 Hz",
         plots=(
             lines(
-                [Series("u1", run.trajectory.time[shown], voltage[shown])],
+                [Series("u1", run.trajectory.time[is_shown], voltage[is_shown])],
                 "time [s]",
                 "voltage [V]",
                 "Input of joint 1, its first 0.3 s",
@@ -169,8 +169,8 @@ def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
     T = run.decoupled.sample_time
     segment = min(len(signal), round(PRBS_PERIOD / T))
     frequency, density = welch(signal, 1.0 / T, window="boxcar", nperseg=segment, noverlap=0)
-    shown = (frequency > 0.0) & (frequency <= 500.0)
-    return np.asarray(frequency[shown]), np.asarray(density[shown])
+    is_shown = (frequency > 0.0) & (frequency <= 500.0)
+    return np.asarray(frequency[is_shown]), np.asarray(density[is_shown])
 
 
 def _torque_plots(

@@ -59,8 +59,8 @@ def validation(rig: Rig, tuned: Tuned) -> Comparison:
     for number, levels in enumerate(_VALIDATION_STEPS, start=1):
         measured, model, time = _link_velocities(rig, tuned.values, levels, number)
         fits.append(_fit(measured, model))
-        named = " to ".join(f"{level:g}" for level in levels)
-        plots.append(_plot(measured, model, time, f"Reference {named} rad/s of the motor"))
+        level_list = " to ".join(f"{level:g}" for level in levels)
+        plots.append(_plot(measured, model, time, f"Reference {level_list} rad/s of the motor"))
     return comparison_of(
         8,
         criteria=(

@@ -47,15 +47,15 @@ def plotly(figure: Figure) -> dict[str, Any]:
     domains = _domains([panel.height for panel in figure.panels])
     legend = figure.legend
     numbers = _Numbers()
-    data, listed = [], set()
+    data, legend_names = [], set()
     for k, panel in enumerate(figure.panels):
         for mark in panel.marks:
             trace = _trace(mark, numbers) | {"yaxis": f"y{_number(k)}"}
             name = trace.get("name")
             if name is not None:
-                first = name in legend and name not in listed and not isinstance(mark, Band)
+                first = name in legend and name not in legend_names and not isinstance(mark, Band)
                 trace |= {"legendgroup": name, "showlegend": first}
-                listed |= {name} if first else set()
+                legend_names |= {name} if first else set()
             data.append(trace)
     layout: dict[str, Any] = {"xaxis": _horizontal(figure.x) | {"anchor": f"y{_number(k)}"}}
     for k, (panel, domain) in enumerate(zip(figure.panels, domains, strict=True)):

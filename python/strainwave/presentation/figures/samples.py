@@ -41,9 +41,9 @@ def decimate(y: FloatArray, limit: int = MAX_POINTS) -> IntArray:
     has_gaps = bool(gap.any())
     least = np.argmin(np.where(gap, np.inf, inside) if has_gaps else inside, axis=1)
     greatest = np.argmax(np.where(gap, -np.inf, inside) if has_gaps else inside, axis=1)
-    chosen = np.zeros(n, dtype=bool)
-    chosen[low + least] = chosen[low + greatest] = True
-    return np.flatnonzero(chosen)
+    is_selected = np.zeros(n, dtype=bool)
+    is_selected[low + least] = is_selected[low + greatest] = True
+    return np.flatnonzero(is_selected)
 
 
 def spread_evenly(f: FloatArray, low: float, high: float, limit: int) -> IntArray:
@@ -51,8 +51,8 @@ def spread_evenly(f: FloatArray, low: float, high: float, limit: int) -> IntArra
     inside = np.flatnonzero((f >= low) & (f <= high))
     if len(inside) <= limit:
         return inside
-    wanted = np.geomspace(f[inside[0]], f[inside[-1]], limit)
-    return np.unique(np.searchsorted(f, wanted).clip(inside[0], inside[-1]))
+    targets = np.geomspace(f[inside[0]], f[inside[-1]], limit)
+    return np.unique(np.searchsorted(f, targets).clip(inside[0], inside[-1]))
 
 
 def decibel(modulus: FloatArray) -> FloatArray:

@@ -111,20 +111,20 @@ def _(
     f, G = response.frequencies_hz, response.response[:, output, input]
     low, high = band_hz or (0.0, np.inf)
     size, phase = _spread(response, output, input)
-    shown = (f > 0.0) & (f >= low) & (f <= high)
+    is_shown = (f > 0.0) & (f >= low) & (f <= high)
     if size is not None:
-        shown &= size < MAX_RELATIVE_STD * np.abs(G)
-    if not shown.any():
+        is_shown &= size < MAX_RELATIVE_STD * np.abs(G)
+    if not is_shown.any():
         raise InvalidInput(
             f"no point of the response has a standard deviation below {100 * MAX_RELATIVE_STD:g} %",
             remedy="average more periods, or draw another input, output or band_hz",
         )
     curve = curves.Curve(
         response.method,
-        f[shown],
-        G[shown],
-        None if size is None else size[shown],
-        None if phase is None else phase[shown],
+        f[is_shown],
+        G[is_shown],
+        None if size is None else size[is_shown],
+        None if phase is None else phase[is_shown],
     )
     return curves.bode([curve], f"input {input} to output {output}")
 
@@ -154,16 +154,16 @@ def _(sweep: Sweep) -> Figure:
 def _(prediction: Prediction, *, channel: str | None = None) -> Figure:
     fits = prediction.fit_percent
     lowest = min(prediction.channels, key=lambda name: fits.get(name, np.inf))
-    chosen = channel or lowest
-    if chosen not in prediction.channels:
+    channel_name = channel or lowest
+    if channel_name not in prediction.channels:
         raise InvalidInput(
-            f"channel {chosen!r} is not predicted",
+            f"channel {channel_name!r} is not predicted",
             where=prediction.experiment,
             remedy=f"choose one of {', '.join(prediction.channels)}",
         )
-    figure = predictions.prediction_figure(prediction, channels=(chosen,))
-    fit = percent(fits.get(chosen, float("nan")))
-    return replace(figure, caption=f"{prediction.experiment}, {chosen}: fit {fit}")
+    figure = predictions.prediction_figure(prediction, channels=(channel_name,))
+    fit = percent(fits.get(channel_name, float("nan")))
+    return replace(figure, caption=f"{prediction.experiment}, {channel_name}: fit {fit}")
 
 
 def certainty(parameters: Iterable[Parameter]) -> Figure:

@@ -35,9 +35,9 @@ def render_comparisons(tallies: Sequence[Tally], *, arm: str) -> str:
 
     Figures and numbers are those of the first run of each claim.
     """
-    shown = sum(t.first.outcome == "shown" for t in tallies)
-    lead = Span(f"{shown} of {len(tallies)} claims are confirmed on this arm.", strong=True)
-    summary = Callout("" if shown == len(tallies) else "doubt", (paragraph(lead),))
+    n_shown = sum(t.first.outcome == "shown" for t in tallies)
+    lead = Span(f"{n_shown} of {len(tallies)} claims are confirmed on this arm.", strong=True)
+    summary = Callout("" if n_shown == len(tallies) else "doubt", (paragraph(lead),))
     heads = (number("figure"), "claim", "result on this arm", "verdict")
     rows = [_row(tally) for tally in tallies]
     sections = [

@@ -47,10 +47,10 @@ def interaction_share(record: Decoupled) -> float:
 
 def time_figure(record: Decoupled) -> Figure:
     """The beginning of both torques."""
-    shown = record.time <= record.time[0] + _SHOWN_DURATION
-    torques = _at_motor(record)[shown]
+    is_shown = record.time <= record.time[0] + _SHOWN_DURATION
+    torques = _at_motor(record)[is_shown]
     rows = decimate(torques)
-    panel = Panel(Axis("torque [N m]"), _lines(record.time[shown][rows], torques[rows]))
+    panel = Panel(Axis("torque [N m]"), _lines(record.time[is_shown][rows], torques[rows]))
     return Figure(Axis("time [s]"), (panel,))
 
 
@@ -61,8 +61,8 @@ def spectrum_figure(record: Decoupled) -> Figure:
     frequency, density = cross_spectral_densities(torques, record.sample_time, segment)
     power = np.einsum("fii->fi", density).real
     end = _BAND_MARGIN * float(record.richness_hz.max(initial=0.0)) or np.inf
-    shown = (frequency > 0.0) & (frequency <= end)
-    lines = _lines(frequency[shown], np.sqrt(power[shown]))
+    is_shown = (frequency > 0.0) & (frequency <= end)
+    lines = _lines(frequency[is_shown], np.sqrt(power[is_shown]))
     panel = Panel(Axis("torque [N m/sqrt(Hz)]", log=True), lines)
     return Figure(Axis("frequency [Hz]", log=True), (panel,))
 

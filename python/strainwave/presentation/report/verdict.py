@@ -107,8 +107,10 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
     for name, members in groups.items():
         if members:
             yield name, named((p.name, p.joint) for p in members)
-    listed = {d.parameter.label for d in decisions}
-    missing = [label for label in identification.verdict.not_identified if label not in listed]
+    estimated_labels = {d.parameter.label for d in decisions}
+    missing = [
+        label for label in identification.verdict.not_identified if label not in estimated_labels
+    ]
     if missing:
         yield "Not estimated", named(map(_split_label, missing))
     pairs = [

@@ -79,9 +79,9 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
         "effects": cause_names(),
     }
     for key, names in known.items():
-        chosen = getattr(family, key)
-        if isinstance(chosen, tuple):
-            _check_known(chosen, names, key, reader)
+        kinds = getattr(family, key)
+        if isinstance(kinds, tuple):
+            _check_known(kinds, names, key, reader)
     friction, sensors = family.friction or Friction(), family.sensors or Sensors()
     ranges = {
         "payload": family.payload,
@@ -98,8 +98,8 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
     return family
 
 
-def _check_known(chosen: Iterable[Any], known: tuple[Any, ...], key: str, reader: Reader) -> None:
-    for value in chosen:
+def _check_known(kinds: Iterable[Any], known: tuple[Any, ...], key: str, reader: Reader) -> None:
+    for value in kinds:
         if value not in known:
             near = nearest(value, known) if isinstance(value, str) else ""
             raise InvalidInput(
