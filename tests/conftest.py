@@ -7,6 +7,7 @@ seed, which it prints. A failure also prints the case as a decorator.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import settings
@@ -16,6 +17,63 @@ settings.register_profile("fresh", derandomize=False, deadline=None, print_blob=
 settings.load_profile("project")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+WHOLE_ARM = "tests/identification/whole_arm"
+LONGEST = (
+    f"{WHOLE_ARM}/test_causes.py",
+    "tests/signals/consistency/test_consistency.py",
+    f"{WHOLE_ARM}/test_few_sensors.py",
+    "tests/signals/consistency/test_remedies.py",
+    "tests/benchmarks/test_causes.py",
+    "tests/test_docs.py",
+    f"{WHOLE_ARM}/test_mounting.py",
+    f"{WHOLE_ARM}/test_record_effects.py",
+    "tests/campaign/test_kills.py",
+    "tests/test_cli.py",
+    "tests/test_api.py",
+    "tests/test_determinism.py",
+    f"{WHOLE_ARM}/test_whole_arm.py",
+    "tests/test_pipeline.py",
+)
+"""Files that take more than 20 s of processor time each, the longest first."""
+
+SHARED_FITS = {
+    f"{WHOLE_ARM}/test_effects.py": f"{WHOLE_ARM}/test_causes.py",
+    f"{WHOLE_ARM}/test_residual_analysis.py": f"{WHOLE_ARM}/test_causes.py",
+    "tests/paper/test_page.py": "tests/paper/test_claims.py",
+}
+"""Files that use the same cached fits as another file, and that other file."""
+
+
+def _unit(nodeid: str) -> str:
+    """File that stands for all files that share fits with the file of a test."""
+    file = nodeid.split("::", maxsplit=1)[0]
+    return SHARED_FITS.get(file, file)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Start the longest files first, so that no worker waits at the end for another."""
+
+    def rank(item: pytest.Item) -> int:
+        file = _unit(item.nodeid)
+        return LONGEST.index(file) if file in LONGEST else len(LONGEST)
+
+    items.sort(key=rank)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With --dist loadfile, run files that share fits on one worker, in the order above."""
+    if config.getoption("dist") != "loadfile":
+        return None
+    from xdist.scheduler import LoadFileScheduling
+
+    class LoadSharedFits(LoadFileScheduling):  # type: ignore[misc]
+        def _split_scope(self, nodeid: str) -> str:
+            return _unit(nodeid)
+
+    config.option.loadscopereorder = False  # by the number of tests
+    return LoadSharedFits(config, log)
 
 
 @pytest.fixture(scope="session")
