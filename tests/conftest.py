@@ -13,7 +13,9 @@ import pytest
 from hypothesis import settings
 
 settings.register_profile("project", derandomize=True, deadline=None)
-settings.register_profile("fresh", derandomize=False, deadline=None, print_blob=True)
+settings.register_profile(
+    "fresh", derandomize=False, deadline=None, print_blob=True, max_examples=50
+)
 settings.load_profile("project")
 
 SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"

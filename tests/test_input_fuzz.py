@@ -21,7 +21,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 
-FEW = settings(max_examples=150, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=75, suppress_health_check=[HealthCheck.too_slow])
 
 
 @pytest.fixture(scope="module")
@@ -199,7 +199,7 @@ def test_a_spoilt_bag_is_read_or_refused(
     text = studies.STUDY.replace("motion.csv", "run") + bags.CHANNELS
     valid = {path.name: path.read_bytes() for path in (folder / "run").iterdir()}
 
-    @settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=30, suppress_health_check=[HealthCheck.too_slow])
     @given(data=st.data())
     def spoilt(data: st.DataObject) -> None:
         name = data.draw(st.sampled_from(sorted(valid)))

@@ -237,9 +237,9 @@ def test_held_inputs_give_unstable_models(monkeypatch: pytest.MonkeyPatch) -> No
     ) -> list[InputOutput]:
         return [replace(piece, hold=("zero", "zero")) for piece in decimate(record, band, options)]
 
-    decimate = linear._decimated
+    decimate = linear._decimate
     run = Rig(0, PUBLISHED_SETTINGS).prbs(1)
-    monkeypatch.setattr(linear, "_decimated", held)
+    monkeypatch.setattr(linear, "_decimate", held)
     model = linear.state_space_of(run.decoupled, PUBLISHED_SETTINGS.linear)
     assert np.abs(np.linalg.eigvals(model.A)).max() > 1.05
 

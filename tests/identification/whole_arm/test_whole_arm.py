@@ -272,9 +272,16 @@ def test_friction_that_acts_at_once_needs_no_time() -> None:
     assert 0.0 < with_settling.values[SETTLING, 1] < 3e-5
 
 
-def test_records_that_begin_in_motion() -> None:
+@cache
+def in_motion(first: int) -> tuple[ArmModel, Values]:
+    """Fit to the records from sample `first` on, and the true values."""
     study, true_values, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 600) for log in records], study, true_values)
+    records_in_motion = [later(log, first) for log in records]
+    return from_wrong_starts(records_in_motion, study, true_values), true_values
+
+
+def test_records_that_begin_in_motion() -> None:
+    model, true_values = in_motion(600)
     assert model.status == "converged"
     errors = errors_of(model, true_values)
     for (name, joint), (relative, normalised) in errors.items():
@@ -285,14 +292,12 @@ def test_records_that_begin_in_motion() -> None:
 
 
 def test_records_that_begin_in_motion_are_repeated() -> None:
-    study, true_values, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 600) for log in records], study, true_values)
+    model, _ = in_motion(600)
     assert all(min(fits.values()) > 95.0 for fits in model.fit_percent.values())
 
 
 def test_records_that_begin_in_motion_elsewhere() -> None:
-    study, true_values, records = shaken("linear", 8.0)
-    model = from_wrong_starts([later(log, 900) for log in records], study, true_values)
+    model, _ = in_motion(900)
     assert model.status == "converged"
 
 
