@@ -192,29 +192,25 @@ def calls() -> list[ast.Call]:
     return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
 
 
-def first_arguments(function: str) -> list[ast.expr]:
-    """Return the first arguments of all calls of a function in the package."""
-    return [
-        call.args[0]
-        for call in calls()
-        if isinstance(call.func, ast.Name) and call.func.id == function
-    ]
+def first_arguments(*functions: str) -> list[ast.expr]:
+    """Return the first arguments of all calls of some functions in the package."""
+    return [call.args[0] for call in calls() if ast.unparse(call.func) in functions]
 
 
-def constants(function: str) -> set[str]:
-    arguments = first_arguments(function)
+def constants(*functions: str) -> set[str]:
+    arguments = first_arguments(*functions)
     return {ast.literal_eval(node) for node in arguments if isinstance(node, ast.Constant)}
 
 
 def codes_of_warnings() -> set[str]:
     """Return all warning codes: constants, and those of checks, stages and effects."""
-    computed = [
-        node for node in first_arguments("Diagnostic") if not isinstance(node, ast.Constant)
-    ]
-    variable = {"check.name", "code", "kind", "effect.warning_code"}
+    arguments = first_arguments("Diagnostic", "Diagnostic.at")
+    computed = [node for node in arguments if not isinstance(node, ast.Constant)]
+    copied = {"first.code", "w.code"}  # from another warning
+    variable = {"check.name", "code", "kind", "effect.warning_code"} | copied
     assert {ast.unparse(node) for node in computed} == variable
     likely = {effect.warning_code for effect in all_effects()}
-    literal = constants("Diagnostic") | constants("Check") | constants("tried")
+    literal = constants("Diagnostic", "Diagnostic.at", "Check", "attempt")
     return literal | likely | set(DETECTORS)
 
 

@@ -219,7 +219,7 @@ def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     assert odd.rows[0][3].text == "See the message."
 
 
-CONSTRUCTORS = ("Diagnostic", "Diagnostic.at", "Check", "tried")
+CONSTRUCTORS = ("Diagnostic", "Diagnostic.at", "Check", "attempt")
 
 
 def codes() -> set[str]:
