@@ -77,7 +77,7 @@ FAR = ("tilt",)
 ALIKE = {"ground-spring": ("tilt",)}
 """Effects that the records of an effect, over a small range of angles, do not separate from it."""
 WIDE = Experiment(
-    "wide", "wide.parquet", "frequency", ("open", "open"), joint=1, prbs=Prbs(6, 0.05, 1, 8.0)
+    "wide", "wide.parquet", "frequency", ("open", "open"), joint=1, prbs=Prbs(5, 0.05, 1, 8.0)
 )
 
 
