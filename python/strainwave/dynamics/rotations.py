@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,12 +12,22 @@ from strainwave.domain import FloatArray
 
 def rotation(vector: FloatArray) -> FloatArray:
     """Rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
+    # in scalars: searches evaluate it 10,000 times, and NumPy takes 10 us per operation
+    x, y, z = vector.tolist()
+    angle = math.hypot(x, y, z)
+    a, b = _sinc(angle), 0.5 * _sinc(0.5 * angle) ** 2
+    return np.array(
+        [
+            [1.0 - b * (y * y + z * z), b * x * y - a * z, b * x * z + a * y],
+            [b * x * y + a * z, 1.0 - b * (x * x + z * z), b * y * z - a * x],
+            [b * x * z - a * y, b * y * z + a * x, 1.0 - b * (x * x + y * y)],
+        ]
+    )
+
+
+def _sinc(angle: float) -> float:
+    """The quotient sin(angle) / angle, 1 at zero."""
+    return math.sin(angle) / angle if angle else 1.0
 
 
 def attitude(rpy: Sequence[float]) -> FloatArray:
@@ -24,7 +35,7 @@ def attitude(rpy: Sequence[float]) -> FloatArray:
 
     Its columns are the sensor's axes in the link's frame.
     """
-    (cr, cp, cy), (sr, sp, sy) = np.cos(rpy), np.sin(rpy)
+    (cr, cp, cy), (sr, sp, sy) = map(math.cos, rpy), map(math.sin, rpy)
     return np.array(
         [
             [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
