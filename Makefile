@@ -10,12 +10,15 @@ RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.
 
 setup: $(VENV)/.built
 
+# Compiles most of the core while pip installs the packages.
 $(VENV)/.installed: requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
 	@command -v cargo > /dev/null || { echo 'strainwave needs a Rust toolchain: https://rustup.rs'; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	cargo build --release --locked --quiet -p strainwave-arms --lib & core=$$!; \
+	$(PYTHON) -m venv $(VENV) && \
+	  $(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock; \
+	installed=$$?; wait $$core && exit $$installed
 	@touch $@
 
 $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
