@@ -412,7 +412,7 @@ def test_a_poorly_conditioned_motion_gives_a_warning() -> None:
 
 @pytest.mark.usefixtures("quick")
 def test_a_slow_servo_gives_a_warning() -> None:
-    study, values = drive(gear_stiffness=3e5)
+    study, values = drive(gear_stiffness=6e4)
     plan = design.design(study, values, Limits((1.5,), (200.0,), (10.0,), ANY[:1]))
     assert "slow-clock" in {w.code for w in plan.warnings}
 
