@@ -74,16 +74,16 @@ fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
         plain.simulation(width)
     );
     let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
-    let sensed = Bench::new(arm, &parameters, 1, &sensors);
+    let block_sensors = Bench::new(arm, &parameters, 1, &sensors);
     let taps = vec![vec![0.01; TAPS_PER_ROW * STEPS_PER_TICK]; sensors.len()];
     let low_pass = Decimation::new(taps, STEPS_PER_TICK);
-    let varied = sensed.directions(&["gravity_torque_1", "gravity_torque_2"]);
+    let varied = block_sensors.directions(&["gravity_torque_1", "gravity_torque_2"]);
     for count in [15, 25] {
         let directions = &varied[..count];
         println!(
             "{name} two-link arm, {count} derivatives: {:.1}, with sensors through a low-pass {:.1}",
             plain.derivatives(directions, None, width),
-            sensed.derivatives(directions, low_pass.as_ref(), width),
+            block_sensors.derivatives(directions, low_pass.as_ref(), width),
         );
     }
     let mut stribeck = plain;
@@ -212,7 +212,7 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
     fn simulation(&self, width: Width) -> f64 {
         let programs = self.task.config.arm.programs();
         let member = self.member();
-        self.least(|| assert!(programs.simulate(&self.task, &member, width).is_ok()))
+        self.shortest_time(|| assert!(programs.simulate(&self.task, &member, width).is_ok()))
     }
 
     fn derivatives(
@@ -228,17 +228,17 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
             directions,
             decimation,
         };
-        self.least(|| assert!(programs.differentiate(&request, width).is_ok()))
+        self.shortest_time(|| assert!(programs.differentiate(&request, width).is_ok()))
     }
 
     /// Minimum time of a step [ns].
-    fn least(&self, run: impl Fn()) -> f64 {
+    fn shortest_time(&self, run: impl Fn()) -> f64 {
         let time = |_| {
             let begin = Instant::now();
             run();
             begin.elapsed().as_secs_f64()
         };
-        let least = (0..self.runs).map(time).fold(f64::INFINITY, f64::min);
-        1e9 * least / STEPS as f64
+        let shortest = (0..self.runs).map(time).fold(f64::INFINITY, f64::min);
+        1e9 * shortest / STEPS as f64
     }
 }

@@ -308,10 +308,14 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
             directions,
             decimation,
         };
-        let found = self.programs.differentiate(&request, self.width)?;
+        let sensitivities = self.programs.differentiate(&request, self.width)?;
         Ok(Derivatives {
-            values: found.values.into_iter().map(Vec::into_flattened).collect(),
-            tangents: found.tangents,
+            values: sensitivities
+                .values
+                .into_iter()
+                .map(Vec::into_flattened)
+                .collect(),
+            tangents: sensitivities.tangents,
         })
     }
 

@@ -16,7 +16,7 @@ use crate::joint::gear::{AllLaws, Gears, Slopes};
 use crate::scalar::lanes::{F64x4, F64x8, Fused};
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::Sensitivities;
-use crate::sensitivity::dual_simulation::by_duals;
+use crate::sensitivity::dual_simulation::differentiate_over_dual_numbers;
 use crate::sensitivity::effect::without_plant_effects;
 use crate::sensitivity::forward::ForwardSensitivity;
 use crate::sensors::decimation::Decimation;
@@ -142,7 +142,7 @@ pub struct GeneralPrograms<A: 'static, const N: usize> {
     /// As in [`FastPrograms`], for all elastic gears.
     pub forward: Differentiation<A, N>,
     /// Derivatives by dual numbers.
-    pub duals: Differentiation<A, N>,
+    pub dual_numbers: Differentiation<A, N>,
 }
 
 impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
@@ -151,7 +151,7 @@ impl<A: Arm<N>, const N: usize> GeneralPrograms<A, N> {
         Self {
             simulation: simulate::<A, AllLaws, N, true>,
             forward: forward::<A, AllLaws, N, true>,
-            duals: duals::<A, AllLaws, N, true>,
+            dual_numbers: dual_numbers::<A, AllLaws, N, true>,
         }
     }
 
@@ -193,8 +193,8 @@ pub fn simulate<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 /// The motion diverged.
 ///
 /// # Panics
-/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect on motor, gear or
-/// link has a nonzero size.
+/// The processor lacks [`Width::COMPILED`], a gear is not in the set, or an effect on motor, gear
+/// or link has a nonzero size.
 pub fn forward<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
@@ -237,21 +237,21 @@ pub fn forward_avx512<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
 ///
 /// # Panics
 /// The processor lacks [`Width::COMPILED`], or a gear is not in the set.
-pub fn duals<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
+pub fn dual_numbers<A: Arm<N>, G: Gears, const N: usize, const EFFECTS: bool>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
     Width::COMPILED.require();
-    by_duals::<A, One, Four, G, N, EFFECTS>(request)
+    differentiate_over_dual_numbers::<A, One, Four, G, N, EFFECTS>(request)
 }
 
-/// [`duals`] for every gear law and effect on the baseline of the target.
+/// [`dual_numbers`] for every gear law and effect on the baseline of the target.
 ///
 /// # Errors
 /// The motion diverged.
 pub fn baseline<A: Arm<N>, const N: usize>(
     request: &Request<'_, A, N>,
 ) -> Result<Sensitivities<N>, Diverged> {
-    by_duals::<A, f64, f64, AllLaws, N, true>(request)
+    differentiate_over_dual_numbers::<A, f64, f64, AllLaws, N, true>(request)
 }
 
 fn forward_on<
@@ -270,7 +270,7 @@ fn forward_on<
         V::scope(ForwardSensitivity::<A, S, V, L, G, N, EFFECTS> {
             task: plain,
             member,
-            asked: (task, request.member),
+            requested: (task, request.member),
             directions: request.directions,
             decimation: request.decimation,
             scalars: PhantomData,
@@ -349,7 +349,7 @@ impl<A: Arm<N>, const N: usize> Programs<A, N> {
             && (!task.config.has_plant_effects()
                 || without_plant_effects(&task.config, member.parameters).is_some());
         match width {
-            _ if !has_forward => (self.general.duals)(request),
+            _ if !has_forward => (self.general.dual_numbers)(request),
             _ if !task.config.has_gears::<Slopes>() => (self.general.forward)(request),
             Width::Avx512 => (self.fast.forward_avx512)(request),
             _ => (self.fast.forward)(request),

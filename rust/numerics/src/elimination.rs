@@ -9,7 +9,7 @@
 use crate::products::multiply_add;
 
 /// Number of rows whose products are added in one pass.
-const TOGETHER: usize = 4;
+const ROWS_PER_PASS: usize = 4;
 
 /// Rows of equations with few, adjacent unknowns each.
 #[derive(Clone, Copy, Debug)]
@@ -28,7 +28,7 @@ impl<'a> Windows<'a> {
     /// First unknown and entries of each row, without leading and trailing zeros.
     fn rows(self) -> Vec<Row<'a>> {
         let windows = self.entries.chunks_exact(self.width);
-        self.first.iter().zip(windows).map(used).collect()
+        self.first.iter().zip(windows).map(trim_zeros).collect()
     }
 
     /// Whether all sizes agree and no nonzero entry is after the last unknown.
@@ -47,11 +47,11 @@ type Row<'a> = (usize, &'a [f64]);
 
 /// Right-hand sides after elimination of the unknowns.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Eliminated {
+pub struct Elimination {
     /// Solution G^-1 Z' Y, (unknowns, sides).
-    pub found: Vec<f64>,
+    pub solution: Vec<f64>,
     /// Residuals Y - Z G^-1 Z' Y, (rows, sides).
-    pub left: Vec<f64>,
+    pub residuals: Vec<f64>,
     /// Diagonal of Z G^-1 Z', (rows,); empty unless requested.
     pub leverage: Vec<f64>,
 }
@@ -59,38 +59,38 @@ pub struct Eliminated {
 /// Eliminates the unknowns of `z` from `y`, (rows, sides).
 ///
 /// Returns `None` if an entry is not finite.
-pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Eliminated> {
+pub fn eliminate(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Elimination> {
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: both features have just been detected.
         return unsafe { eliminate_avx2(z, y, sides, leverage) };
     }
-    eliminated::<false>(z, y, sides, leverage)
+    eliminate_with::<false>(z, y, sides, leverage)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Eliminated> {
-    eliminated::<true>(z, y, sides, leverage)
+fn eliminate_avx2(z: Windows<'_>, y: &[f64], sides: usize, leverage: bool) -> Option<Elimination> {
+    eliminate_with::<true>(z, y, sides, leverage)
 }
 
 #[inline(always)]
-fn eliminated<const FUSED: bool>(
+fn eliminate_with<const FUSED: bool>(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
     leverage: bool,
-) -> Option<Eliminated> {
+) -> Option<Elimination> {
     let n = z.unknowns;
     let rows = z.rows();
     let first = envelope(&rows, n);
-    let factor = factorised::<FUSED>(&rows, &first)?;
-    let mut found = moments::<FUSED>(&rows, y, n, sides);
-    substitute::<FUSED>(&factor, &first, &mut found, sides);
-    let mut left = y.to_vec();
-    for ((start, row), left) in rows.iter().zip(left.chunks_exact_mut(sides)) {
+    let factor = factorise::<FUSED>(&rows, &first)?;
+    let mut solution = moments::<FUSED>(&rows, y, n, sides);
+    substitute::<FUSED>(&factor, &first, &mut solution, sides);
+    let mut residuals = y.to_vec();
+    for ((start, row), residual) in rows.iter().zip(residuals.chunks_exact_mut(sides)) {
         for (i, &value) in row.iter().enumerate() {
-            add_scaled::<FUSED>(left, -value, &found[(start + i) * sides..][..sides]);
+            add_scaled::<FUSED>(residual, -value, &solution[(start + i) * sides..][..sides]);
         }
     }
     let leverage = if leverage {
@@ -98,9 +98,9 @@ fn eliminated<const FUSED: bool>(
     } else {
         Vec::new()
     };
-    Some(Eliminated {
-        found,
-        left,
+    Some(Elimination {
+        solution,
+        residuals,
         leverage,
     })
 }
@@ -175,10 +175,10 @@ fn moments<const FUSED: bool>(rows: &[Row<'_>], y: &[f64], n: usize, sides: usiz
 
 /// Lower Cholesky factor of G.
 #[inline(always)]
-fn factorised<const FUSED: bool>(rows: &[Row<'_>], first: &[usize]) -> Option<Band> {
+fn factorise<const FUSED: bool>(rows: &[Row<'_>], first: &[usize]) -> Option<Band> {
     let mut factor = Band::new(first.len(), reach(first), 0);
     let mut products = Products::default();
-    for rows in rows.chunks(TOGETHER) {
+    for rows in rows.chunks(ROWS_PER_PASS) {
         products.add::<FUSED>(&mut factor, rows);
     }
     decompose::<FUSED>(&mut factor, first)?;
@@ -201,7 +201,7 @@ fn reach(first: &[usize]) -> usize {
 /// eliminations of all rows.
 ///
 /// Returns `None` if an entry is not finite.
-pub fn leave_out(
+pub fn residual_products_without_blocks(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
@@ -210,35 +210,35 @@ pub fn leave_out(
     #[cfg(target_arch = "x86_64")]
     if is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma") {
         // SAFETY: both features have just been detected.
-        return unsafe { leave_out_avx2(z, y, sides, stops) };
+        return unsafe { residual_products_without_blocks_avx2(z, y, sides, stops) };
     }
-    left_out::<false>(z, y, sides, stops)
+    residual_products_with::<false>(z, y, sides, stops)
 }
 
 #[cfg(target_arch = "x86_64")]
 #[target_feature(enable = "avx2,fma")]
-fn leave_out_avx2(
+fn residual_products_without_blocks_avx2(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
     stops: &[usize],
 ) -> Option<Vec<Vec<f64>>> {
-    left_out::<true>(z, y, sides, stops)
+    residual_products_with::<true>(z, y, sides, stops)
 }
 
 #[inline(always)]
-fn left_out<const FUSED: bool>(
+fn residual_products_with<const FUSED: bool>(
     z: Windows<'_>,
     y: &[f64],
     sides: usize,
     stops: &[usize],
 ) -> Option<Vec<Vec<f64>>> {
     let rows = z.rows();
-    let backwards: Vec<f64> = z.entries.iter().rev().copied().collect();
-    let turned: Vec<Row<'_>> = rows
+    let reversed_entries: Vec<f64> = z.entries.iter().rev().copied().collect();
+    let reversed: Vec<Row<'_>> = rows
         .iter()
         .rev()
-        .zip(backwards.chunks_exact(z.width))
+        .zip(reversed_entries.chunks_exact(z.width))
         .map(|((start, row), window)| {
             // an empty row has no first unknown
             let begin = if row.is_empty() {
@@ -250,38 +250,38 @@ fn left_out<const FUSED: bool>(
             (begin, &window[zeros..][..row.len()])
         })
         .collect();
-    let y_turned: Vec<f64> = y.chunks_exact(sides).rev().flatten().copied().collect();
-    let before = Side::of::<FUSED>(&rows, y, z.unknowns, sides)?;
-    let behind = Side::of::<FUSED>(&turned, &y_turned, z.unknowns, sides)?;
-    let mut found = Vec::with_capacity(stops.len());
+    let y_reversed: Vec<f64> = y.chunks_exact(sides).rev().flatten().copied().collect();
+    let before = OneSidedElimination::of::<FUSED>(&rows, y, z.unknowns, sides)?;
+    let after = OneSidedElimination::of::<FUSED>(&reversed, &y_reversed, z.unknowns, sides)?;
+    let mut products = Vec::with_capacity(stops.len());
     let mut start = 0;
     for &stop in stops {
-        let without = Without {
+        let remaining = RemainingRows {
             rows: &rows,
             y,
             sides,
             block: (start, stop),
         };
-        found.push(without.remains::<FUSED>(&before, &behind)?);
+        products.push(remaining.residual_products::<FUSED>(&before, &after)?);
         start = stop;
     }
-    Some(found)
+    Some(products)
 }
 
 /// Elimination of all rows from one end: the factor, and L^-1 Z'Y.
-struct Side {
+struct OneSidedElimination {
     first: Vec<usize>,
     factor: Band,
     solved: Vec<f64>,
 }
 
-impl Side {
+impl OneSidedElimination {
     #[inline(always)]
     fn of<const FUSED: bool>(rows: &[Row<'_>], y: &[f64], n: usize, sides: usize) -> Option<Self> {
         let first = envelope(rows, n);
-        let factor = factorised::<FUSED>(rows, &first)?;
+        let factor = factorise::<FUSED>(rows, &first)?;
         let mut solved = moments::<FUSED>(rows, y, n, sides);
-        forwards::<FUSED>(&factor, &first, &mut solved, sides);
+        substitute_forward::<FUSED>(&factor, &first, &mut solved, sides);
         Some(Self {
             first,
             factor,
@@ -291,7 +291,7 @@ impl Side {
 }
 
 /// All rows except those of one block.
-struct Without<'a> {
+struct RemainingRows<'a> {
     rows: &'a [Row<'a>],
     y: &'a [f64],
     sides: usize,
@@ -299,22 +299,26 @@ struct Without<'a> {
     block: (usize, usize),
 }
 
-impl Without<'_> {
+impl RemainingRows<'_> {
     #[inline(always)]
-    fn remains<const FUSED: bool>(&self, before: &Side, behind: &Side) -> Option<Vec<f64>> {
+    fn residual_products<const FUSED: bool>(
+        &self,
+        before: &OneSidedElimination,
+        after: &OneSidedElimination,
+    ) -> Option<Vec<f64>> {
         let (n, sides) = (before.first.len(), self.sides);
         let (from, to) = self.between(&before.first);
         let count = to - from;
         // equations of the remaining rows for the block's unknowns
         let mut rows: Vec<Row<'_>> = Vec::new();
         let mut right = vec![0.0; count * sides];
-        let mut left = vec![0.0; sides * sides];
+        let mut sums = vec![0.0; sides * sides];
         let (start, stop) = self.block;
         for (k, y) in self.y.chunks_exact(sides).enumerate() {
             if (start..stop).contains(&k) {
                 continue;
             }
-            add_square::<FUSED>(&mut left, y, 1.0);
+            add_square::<FUSED>(&mut sums, y, 1.0);
             let (begin, row) = self.rows[k];
             let (low, high) = (begin.max(from), (begin + row.len()).min(to));
             if low < high {
@@ -325,9 +329,9 @@ impl Without<'_> {
                 }
             }
         }
-        for (side, count) in [(before, from), (behind, n - to)] {
+        for (side, count) in [(before, from), (after, n - to)] {
             for solved in side.solved[..count * sides].chunks_exact(sides) {
-                add_square::<FUSED>(&mut left, solved, -1.0);
+                add_square::<FUSED>(&mut sums, solved, -1.0);
             }
         }
         let first: Vec<usize> = (from..to)
@@ -335,7 +339,7 @@ impl Without<'_> {
             .collect();
         let mut middle = Band::new(count, reach(&first), 0);
         let mut products = Products::default();
-        for rows in rows.chunks(TOGETHER) {
+        for rows in rows.chunks(ROWS_PER_PASS) {
             products.add::<FUSED>(&mut middle, rows);
         }
         let (low, high) = (from, n - to); // numbers of unknowns before and after the block
@@ -357,29 +361,29 @@ impl Without<'_> {
                 add_scaled::<FUSED>(own, -before.factor.at(i, k), solved);
             }
             // unknowns after the block are numbered from the end
-            let turned = n - 1 - i;
-            let begin = behind.first[turned];
+            let reversed = n - 1 - i;
+            let begin = after.first[reversed];
             for j in i..to {
-                let begin = begin.max(behind.first[n - 1 - j]);
+                let begin = begin.max(after.first[n - 1 - j]);
                 if begin < high {
                     let taken = dot::<FUSED>(
-                        behind.factor.row(turned, begin, high),
-                        behind.factor.row(n - 1 - j, begin, high),
+                        after.factor.row(reversed, begin, high),
+                        after.factor.row(n - 1 - j, begin, high),
                     );
                     middle.add(j - from, i - from, -taken);
                 }
             }
             for k in begin..high {
-                let solved = &behind.solved[k * sides..][..sides];
-                add_scaled::<FUSED>(own, -behind.factor.at(turned, k), solved);
+                let solved = &after.solved[k * sides..][..sides];
+                add_scaled::<FUSED>(own, -after.factor.at(reversed, k), solved);
             }
         }
         decompose::<FUSED>(&mut middle, &first)?;
-        forwards::<FUSED>(&middle, &first, &mut right, sides);
+        substitute_forward::<FUSED>(&middle, &first, &mut right, sides);
         for solved in right.chunks_exact(sides) {
-            add_square::<FUSED>(&mut left, solved, -1.0);
+            add_square::<FUSED>(&mut sums, solved, -1.0);
         }
-        Some(left)
+        Some(sums)
     }
 
     /// Range of the unknowns of the block; all unknowns if other rows span the whole block.
@@ -417,7 +421,7 @@ fn add_square<const FUSED: bool>(target: &mut [f64], y: &[f64], sign: f64) {
 #[derive(Default)]
 struct Products {
     /// The rows, padded with zeros to the same range of unknowns.
-    aligned: [Vec<f64>; TOGETHER],
+    aligned: [Vec<f64>; ROWS_PER_PASS],
 }
 
 impl Products {
@@ -446,7 +450,7 @@ impl Products {
         }
         for i in 0..stop - start {
             let target = matrix.row_mut(start + i, start, start + i + 1);
-            let four: [&[f64]; TOGETHER] = std::array::from_fn(|k| &self.aligned[k][..=i]);
+            let four: [&[f64]; ROWS_PER_PASS] = std::array::from_fn(|k| &self.aligned[k][..=i]);
             add_four::<FUSED>(target, four.map(|row| row[i]), four);
         }
     }
@@ -464,7 +468,7 @@ fn add_alone<const FUSED: bool>(matrix: &mut Band, (start, row): Row<'_>) {
 /// z' S z of each row, from the lower half of S.
 #[inline(always)]
 fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
-    let mut found = Vec::with_capacity(rows.len());
+    let mut leverage = Vec::with_capacity(rows.len());
     // loops instead of closures: a closure is compiled without the target features, so each fused
     // product would be a call
     for &(start, row) in rows {
@@ -474,13 +478,13 @@ fn leverages<const FUSED: bool>(rows: &[Row<'_>], inverse: &Band) -> Vec<f64> {
             let below = dot::<FUSED>(&entries[..i], &row[..i]);
             sum += value * (2.0 * below + entries[i] * value);
         }
-        found.push(sum);
+        leverage.push(sum);
     }
-    found
+    leverage
 }
 
 /// A window without its leading and trailing zeros.
-fn used<'a>((&first, window): (&usize, &'a [f64])) -> Row<'a> {
+fn trim_zeros<'a>((&first, window): (&usize, &'a [f64])) -> Row<'a> {
     let start = window.iter().position(|&v| v != 0.0).unwrap_or(0);
     let stop = window
         .iter()
@@ -525,7 +529,12 @@ fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()
 
 /// L^-1 times several right-hand sides, in place.
 #[inline(always)]
-fn forwards<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
+fn substitute_forward<const FUSED: bool>(
+    factor: &Band,
+    first: &[usize],
+    right: &mut [f64],
+    sides: usize,
+) {
     for i in 0..first.len() {
         let (above, row) = right.split_at_mut(i * sides);
         for j in first[i]..i {
@@ -543,7 +552,7 @@ fn forwards<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64]
 #[inline(always)]
 fn substitute<const FUSED: bool>(factor: &Band, first: &[usize], right: &mut [f64], sides: usize) {
     let n = first.len();
-    forwards::<FUSED>(factor, first, right, sides);
+    substitute_forward::<FUSED>(factor, first, right, sides);
     for i in (0..n).rev() {
         let (above, row) = right.split_at_mut(i * sides);
         row[..sides].iter_mut().for_each(|v| *v /= factor.at(i, i));
@@ -579,7 +588,7 @@ fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
         row.clear();
         row.resize(weights.len(), 0.0);
         let mut k = i + 1;
-        for four in weights.chunks(TOGETHER) {
+        for four in weights.chunks(ROWS_PER_PASS) {
             let sources = |c: usize| inverse.row(k + c, i + 1, stop);
             if let &[a, b, c, d] = four {
                 let sources = [sources(0), sources(1), sources(2), sources(3)];
@@ -605,8 +614,8 @@ fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
 #[inline(always)]
 fn add_four<const FUSED: bool>(
     target: &mut [f64],
-    weights: [f64; TOGETHER],
-    sources: [&[f64]; TOGETHER],
+    weights: [f64; ROWS_PER_PASS],
+    sources: [&[f64]; ROWS_PER_PASS],
 ) {
     let [a, b, c, d] = sources;
     let pairs = a.iter().zip(b).zip(c.iter().zip(d));
@@ -626,8 +635,11 @@ fn add_scaled<const FUSED: bool>(target: &mut [f64], weight: f64, source: &[f64]
 #[inline(always)]
 fn dot<const FUSED: bool>(left: &[f64], right: &[f64]) -> f64 {
     const LANES: usize = 4;
-    const AT_ONCE: usize = 4 * LANES; // enough independent sums to hide the latency of an addition
-    let (l, r) = (left.chunks_exact(AT_ONCE), right.chunks_exact(AT_ONCE));
+    const UNROLLED_LENGTH: usize = 4 * LANES; // enough independent sums to hide the latency of an addition
+    let (l, r) = (
+        left.chunks_exact(UNROLLED_LENGTH),
+        right.chunks_exact(UNROLLED_LENGTH),
+    );
     let ends = (l.remainder(), r.remainder());
     let mut sums = [[0.0; LANES]; 4];
     for (l, r) in l.zip(r) {
@@ -719,52 +731,59 @@ mod tests {
     #[test]
     fn solves_the_normal_equations() {
         let example = Example::new();
-        let found = eliminate(example.windows(), &example.y, SIDES, false).unwrap();
+        let elimination = eliminate(example.windows(), &example.y, SIDES, false).unwrap();
         for j in 0..SIDES {
             let column =
                 |m: &[f64]| -> Vec<f64> { m.iter().skip(j).step_by(SIDES).copied().collect() };
-            let (x, left) = (column(&found.found), column(&found.left));
+            let (x, residuals) = (
+                column(&elimination.solution),
+                column(&elimination.residuals),
+            );
             for (i, x) in x.iter().enumerate() {
                 // G x = Z'y is equivalent to Z'(y - Z x) = x.
-                let seen: f64 = (0..left.len())
-                    .map(|row| example.at(row, i) * left[row])
+                let actual: f64 = (0..residuals.len())
+                    .map(|row| example.at(row, i) * residuals[row])
                     .sum();
-                assert!((seen - x).abs() < 1e-9, "{seen} {x}");
+                assert!((actual - x).abs() < 1e-9, "{actual} {x}");
             }
         }
     }
 
     #[test]
-    fn leverage_is_what_a_unit_error_leaves_of_itself() {
+    fn leverage_is_projection_diagonal() {
         let example = Example::new();
         let rows = example.first.len();
         for row in [0, 7, 20, rows - 1] {
             let mut unit = vec![0.0; rows];
             unit[row] = 1.0;
-            let found = eliminate(example.windows(), &unit, 1, true).unwrap();
-            assert!((found.left[row] - (1.0 - found.leverage[row])).abs() < 1e-12);
+            let elimination = eliminate(example.windows(), &unit, 1, true).unwrap();
+            assert!((elimination.residuals[row] - (1.0 - elimination.leverage[row])).abs() < 1e-12);
         }
     }
 
     /// Compares with an elimination of the other rows alone: Y'(Y - Z G^-1 Z'Y).
     #[test]
-    fn leaving_out_rows_is_never_having_had_them() {
+    fn block_prediction_agrees_with_fit_without_block() {
         let example = Example::new();
         let rows = example.first.len();
         // long and short blocks, one of a single row without unknowns, one without rows
         let stops = [7, 8, 8, 10, 11, 25, rows];
-        let found = leave_out(example.windows(), &example.y, SIDES, &stops).unwrap();
+        let actual =
+            residual_products_without_blocks(example.windows(), &example.y, SIDES, &stops).unwrap();
         let starts = std::iter::once(0).chain(stops);
-        for (start, (stop, found)) in starts.zip(stops.iter().zip(found)) {
+        for (start, (stop, actual)) in starts.zip(stops.iter().zip(actual)) {
             let others = example.without(start, *stop);
-            let left = eliminate(others.windows(), &others.y, SIDES, false)
+            let residuals = eliminate(others.windows(), &others.y, SIDES, false)
                 .unwrap()
-                .left;
-            for (place, found) in found.iter().enumerate() {
+                .residuals;
+            for (place, actual) in actual.iter().enumerate() {
                 let (i, j) = (place / SIDES, place % SIDES);
-                let rows = others.y.chunks_exact(SIDES).zip(left.chunks_exact(SIDES));
-                let expected: f64 = rows.map(|(y, left)| y[i] * left[j]).sum();
-                assert!((found - expected).abs() < 1e-9, "{found} {expected}");
+                let rows = others
+                    .y
+                    .chunks_exact(SIDES)
+                    .zip(residuals.chunks_exact(SIDES));
+                let expected: f64 = rows.map(|(y, residual)| y[i] * residual[j]).sum();
+                assert!((actual - expected).abs() < 1e-9, "{actual} {expected}");
             }
         }
     }
@@ -774,16 +793,16 @@ mod tests {
         let example = Example::new();
         let (z, y) = (example.windows(), &example.y);
         let (plain, best) = (
-            eliminated::<false>(z, y, SIDES, true),
+            eliminate_with::<false>(z, y, SIDES, true),
             eliminate(z, y, SIDES, true),
         );
-        for (a, b) in plain.unwrap().left.iter().zip(best.unwrap().left) {
+        for (a, b) in plain.unwrap().residuals.iter().zip(best.unwrap().residuals) {
             assert!((a - b).abs() < 1e-10);
         }
     }
 
     #[test]
-    fn refuses_what_is_not_finite() {
+    fn rejects_non_finite_entries() {
         let z = Windows {
             first: &[0],
             entries: &[1.0, f64::NAN],

@@ -139,7 +139,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn agrees_with_the_plain_sum() {
+    fn agrees_with_plain_sum() {
         let data: Vec<f64> = (0..4000).map(|i| f64::from(i * 37 % 101) - 50.0).collect();
         for (h, w, stride, count) in [
             (4, 8, 8, 300),

@@ -11,21 +11,21 @@ use strainwave_core::plant::config::JointConfig;
 
 pub type Matrix<'py> = PyReadonlyArray2<'py, f64>;
 /// A joint of a chain: type; position; roll, pitch and yaw; axis.
-pub type Placed = (String, [f64; 3], [f64; 3], [f64; 3]);
+pub type JointPlacement = (String, [f64; 3], [f64; 3], [f64; 3]);
 /// An optional number for each joint.
-type Each = Option<Vec<Option<f64>>>;
+type PerJoint = Option<Vec<Option<f64>>>;
 
 /// Known constants of an arm's joints, as lists.
 pub struct Joints {
     pub springs: Vec<String>,
     pub gear_ratio: Vec<f64>,
     pub torque_per_volt: Option<Vec<f64>>,
-    pub current_loop_hz: Each,
-    pub encoder_counts: Each,
-    pub accelerometer_hz: Each,
-    pub gyro_hz: Each,
-    pub imu_accelerometer_hz: Each,
-    pub imu_gyro_hz: Each,
+    pub current_loop_hz: PerJoint,
+    pub encoder_counts: PerJoint,
+    pub accelerometer_hz: PerJoint,
+    pub gyro_hz: PerJoint,
+    pub imu_accelerometer_hz: PerJoint,
+    pub imu_gyro_hz: PerJoint,
     pub effects: Option<Vec<Vec<String>>>,
 }
 
@@ -33,16 +33,16 @@ impl Joints {
     /// Constants joint by joint.
     pub fn configs(self) -> PyResult<Vec<JointConfig>> {
         let count = self.springs.len();
-        let ratio = given(Some(self.gear_ratio), 1.0, count, "gear_ratio")?;
-        let torque_per_volt = given(self.torque_per_volt, 1.0, count, "torque_per_volt")?;
-        let each = |values: Each, name| given(values, None, count, name);
+        let ratio = per_joint(Some(self.gear_ratio), 1.0, count, "gear_ratio")?;
+        let torque_per_volt = per_joint(self.torque_per_volt, 1.0, count, "torque_per_volt")?;
+        let each = |values: PerJoint, name| per_joint(values, None, count, name);
         let current_loop_hz = each(self.current_loop_hz, "current_loop_hz")?;
         let encoder_counts = each(self.encoder_counts, "encoder_counts")?;
         let accelerometer_hz = each(self.accelerometer_hz, "accelerometer_hz")?;
         let gyro_hz = each(self.gyro_hz, "gyro_hz")?;
         let imu_accelerometer_hz = each(self.imu_accelerometer_hz, "imu_accelerometer_hz")?;
         let imu_gyro_hz = each(self.imu_gyro_hz, "imu_gyro_hz")?;
-        let effects = given(self.effects, Vec::new(), count, "effects")?;
+        let effects = per_joint(self.effects, Vec::new(), count, "effects")?;
         let joint = |i: usize| {
             let gear = gear_law(&self.springs[i])?;
             Ok(JointConfig {
@@ -63,8 +63,8 @@ impl Joints {
 }
 
 /// Joints of a chain, with the distances of their accelerometers.
-pub fn chain_joints(joints: &[Placed], distances: &[f64]) -> PyResult<Vec<ChainJoint>> {
-    let placed = |((name, position, attitude, axis), &distance): (&Placed, &f64)| {
+pub fn chain_joints(joints: &[JointPlacement], distances: &[f64]) -> PyResult<Vec<ChainJoint>> {
+    let placed = |((name, position, attitude, axis), &distance): (&JointPlacement, &f64)| {
         Ok(ChainJoint {
             joint_type: match name.as_str() {
                 "revolute" => JointType::Revolute,
@@ -147,14 +147,12 @@ fn quantity(name: &str) -> PyResult<Quantity> {
         "angular_rate" => Quantity::AngularRate,
         "sliding" => Quantity::Sliding,
         _ => {
-            return Err(PyValueError::new_err(format!(
-                "nothing called {name:?} can be recorded"
-            )));
+            return Err(PyValueError::new_err(format!("unknown quantity {name:?}")));
         }
     })
 }
 
-pub fn given<T: Clone>(
+pub fn per_joint<T: Clone>(
     values: Option<Vec<T>>,
     default: T,
     count: usize,
@@ -172,12 +170,17 @@ pub fn given<T: Clone>(
 
 /// Values of a matrix, row by row. Raises ValueError unless it has `columns` columns and at least
 /// `least` rows.
-pub fn rows(matrix: &Matrix<'_>, name: &str, least: usize, columns: usize) -> PyResult<Vec<f64>> {
+pub fn rows(
+    matrix: &Matrix<'_>,
+    name: &str,
+    min_rows: usize,
+    columns: usize,
+) -> PyResult<Vec<f64>> {
     let matrix = matrix.as_array();
     let (got, got_columns) = matrix.dim();
-    if got_columns != columns || got < least {
+    if got_columns != columns || got < min_rows {
         return Err(PyValueError::new_err(format!(
-            "{name}: expected at least {least} x {columns} values, got {got} x {got_columns}"
+            "{name}: expected at least {min_rows} x {columns} values, got {got} x {got_columns}"
         )));
     }
     Ok(matrix.iter().copied().collect())

@@ -15,8 +15,8 @@ use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    Joints, Matrix, Placed, chain_joints, check_clock, given, of_joints, quantities, rows,
-    same_rows, value_error,
+    JointPlacement, Joints, Matrix, chain_joints, check_clock, of_joints, per_joint, quantities,
+    rows, same_rows, value_error,
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -56,7 +56,7 @@ impl Arm {
         effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
-        let distance = given(
+        let distance = per_joint(
             accelerometer_distance,
             1.0,
             springs.len(),
@@ -107,7 +107,7 @@ impl Arm {
         accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None,
         imu_accelerometer_hz=None, imu_gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
     fn serial_chain(
-        joints: Vec<Placed>,
+        joints: Vec<JointPlacement>,
         springs: Vec<String>,
         gear_ratio: Vec<f64>,
         torque_per_volt: Option<Vec<f64>>,
@@ -122,7 +122,7 @@ impl Arm {
         effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
-        let distance = given(
+        let distance = per_joint(
             accelerometer_distance,
             1.0,
             joints.len(),

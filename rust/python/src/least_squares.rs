@@ -36,12 +36,18 @@ fn eliminate<'py>(
     let z = windows(&first, &entries, unknowns)?;
     let (rows, sides) = checked_right(&first, &right)?;
     let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let ended = py.detach(|| elimination::eliminate(z, right, sides, leverage));
-    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
+    let result = py.detach(|| elimination::eliminate(z, right, sides, leverage));
+    let elimination = result.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
     Ok((
-        found.found.into_pyarray(py).reshape([unknowns, sides])?,
-        found.left.into_pyarray(py).reshape([rows, sides])?,
-        found.leverage.into_pyarray(py),
+        elimination
+            .solution
+            .into_pyarray(py)
+            .reshape([unknowns, sides])?,
+        elimination
+            .residuals
+            .into_pyarray(py)
+            .reshape([rows, sides])?,
+        elimination.leverage.into_pyarray(py),
     ))
 }
 
@@ -64,10 +70,11 @@ fn leave_out<'py>(
         )));
     }
     let right = right.as_slice().map_err(|_| not_contiguous("right"))?;
-    let ended = py.detach(|| elimination::leave_out(z, right, sides, &stops));
-    let found = ended.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
+    let result =
+        py.detach(|| elimination::residual_products_without_blocks(z, right, sides, &stops));
+    let products = result.ok_or_else(|| PyValueError::new_err("expected finite equations"))?;
     let square = |block: Vec<f64>| block.into_pyarray(py).reshape([sides; 2]);
-    found.into_iter().map(square).collect()
+    products.into_iter().map(square).collect()
 }
 
 fn starts(first: &PyReadonlyArray1<'_, i64>) -> PyResult<Vec<usize>> {

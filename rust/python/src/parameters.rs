@@ -5,7 +5,7 @@ use pyo3::wrap_pyfunction;
 use strainwave_core::arm::{Arm, OneLink, SerialChain, TwoLink};
 use strainwave_core::joint::{effects, gear};
 use strainwave_core::parameter::{Parameter, Sign};
-use strainwave_core::plant::config::{Declared, joint_parameters};
+use strainwave_core::plant::config::{OwnedParameter, joint_parameters};
 
 /// Owner, name, symbol, meaning, units of a revolute and of a prismatic joint, range.
 type Row = (
@@ -17,7 +17,7 @@ type Row = (
     &'static str,
 );
 
-fn row((owner, parameter): Declared) -> Row {
+fn row((owner, parameter): OwnedParameter) -> Row {
     let [revolute, prismatic] = parameter.units;
     let range = match parameter.sign {
         Sign::Any => "any",
@@ -59,8 +59,10 @@ fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
 /// _core.pyi.
 #[pyfunction]
 fn joint_effects() -> Vec<(&'static str, Vec<&'static str>, usize, bool)> {
-    let names = |effect: &effects::Declared| effect.parameters.iter().map(|one| one.name).collect();
-    effects::DECLARED
+    let names = |effect: &effects::EffectDeclaration| {
+        effect.parameters.iter().map(|one| one.name).collect()
+    };
+    effects::DECLARATIONS
         .iter()
         .map(|effect| (effect.name, names(effect), effect.sizes, effect.of_gear))
         .collect()

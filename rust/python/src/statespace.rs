@@ -6,7 +6,7 @@ use numpy::{
 };
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_statespace::fit::{BadStart, Fit, Options, Status, fit};
+use strainwave_statespace::fit::{Fit, InvalidStart, Options, Status, fit};
 use strainwave_statespace::model::{Model, Record, Shape, split};
 use strainwave_statespace::{hankel, predictor, sensitivity};
 
@@ -181,10 +181,10 @@ impl Innovations {
         let ended = py.detach(|| fit(start, &self.records(), &options));
         match ended {
             Ok(fit) => Ok(InnovationsFit { fit }),
-            Err(BadStart::Unstable) => Err(PyValueError::new_err(
+            Err(InvalidStart::Unstable) => Err(PyValueError::new_err(
                 "expected a stable predictor, got an unstable one",
             )),
-            Err(BadStart::NotFinite) => Err(PyValueError::new_err(
+            Err(InvalidStart::NotFinite) => Err(PyValueError::new_err(
                 "expected finite innovations at the start",
             )),
         }
@@ -270,7 +270,7 @@ impl InnovationsFit {
 
     #[getter]
     fn promised(&self) -> f64 {
-        self.fit.promised
+        self.fit.predicted_decrease
     }
 
     #[getter]

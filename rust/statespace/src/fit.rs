@@ -57,7 +57,7 @@ pub struct Fit {
     /// Number of free directions.
     pub n_parameters: usize,
     /// Decrease of the cost predicted by the quadratic model at the last point.
-    pub promised: f64,
+    pub predicted_decrease: f64,
     /// Number of accepted steps.
     pub iterations: usize,
     /// Number of passes over the data without derivatives.
@@ -68,7 +68,7 @@ pub struct Fit {
 
 /// Why a fit cannot start.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BadStart {
+pub enum InvalidStart {
     /// The predictor of the starting model, A - K C, is not stable.
     Unstable,
     /// The innovations of the starting model are not finite.
@@ -77,10 +77,10 @@ pub enum BadStart {
 
 /// Initial damping relative to the curvature. Close to Gauss-Newton, because a subspace method
 /// gives a good starting model.
-const FIRST_DAMPING: f64 = 1e-4;
+const INITIAL_DAMPING: f64 = 1e-4;
 
 /// Damping above which a step no longer changes the innovations.
-const LAST_DAMPING: f64 = 1e12;
+const MAX_DAMPING: f64 = 1e12;
 
 /// A model, its innovation covariance and its cost.
 struct Point {
@@ -88,12 +88,12 @@ struct Point {
     covariance: Vec<f64>,
     whitener: Vec<f64>,
     cost: f64,
-    wall: Barrier,
+    barrier: Barrier,
 }
 
 impl Point {
     fn at(model: Model, records: &[Record<'_>], floor: &[f64]) -> Option<Self> {
-        let wall = Barrier::at(&model)?;
+        let barrier = Barrier::at(&model)?;
         let p = model.shape.outputs;
         let innovations = predictor::innovations(&model, records);
         let covariance = predictor::covariance(&innovations, p);
@@ -109,30 +109,30 @@ impl Point {
             covariance,
             whitener,
             cost,
-            wall,
+            barrier,
         };
         cost.is_finite().then_some(point)
     }
 }
 
 /// Fits a model to records from a starting model.
-pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fit, BadStart> {
+pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fit, InvalidStart> {
     if Barrier::at(&start).is_none() {
-        return Err(BadStart::Unstable);
+        return Err(InvalidStart::Unstable);
     }
     let free = free_entries(&start, options);
-    let mut point = Point::at(start, records, &options.floor).ok_or(BadStart::NotFinite)?;
-    let mut damping = FIRST_DAMPING;
+    let mut point = Point::at(start, records, &options.floor).ok_or(InvalidStart::NotFinite)?;
+    let mut damping = INITIAL_DAMPING;
     let (mut iterations, mut evaluations) = (0, 1);
     loop {
         let step = Step::new(&point, records, &free);
-        let promised = step.promised();
-        let status = if promised <= options.tolerance {
+        let predicted_decrease = step.predicted_decrease();
+        let status = if predicted_decrease <= options.tolerance {
             Some(Status::Converged)
         } else if iterations == options.max_iterations {
             Some(Status::IterationLimit)
         } else {
-            match step.take(&point, records, options, &mut damping, &mut evaluations) {
+            match step.search(&point, records, options, &mut damping, &mut evaluations) {
                 Some(better) => {
                     point = better;
                     iterations += 1;
@@ -148,7 +148,7 @@ pub fn fit(start: Model, records: &[Record<'_>], options: &Options) -> Result<Fi
                 model: point.model,
                 innovation_covariance: point.covariance,
                 cost: point.cost,
-                promised,
+                predicted_decrease,
                 iterations,
                 evaluations,
                 status,
@@ -190,8 +190,8 @@ impl Step {
             gradient,
             ..
         } = normal_equations(&point.model, records, &point.whitener);
-        let coordinates = Coordinates::at(&point.model, free, &deviations(&information));
-        let told = coordinates.reduce_hessian(&information);
+        let coordinates = Coordinates::at(&point.model, free, &standard_deviations(&information));
+        let reduced_information = coordinates.reduce_hessian(&information);
         let gradient = coordinates.reduce_gradient(&gradient);
         let directions: Vec<Vec<f64>> = (0..coordinates.width)
             .map(|index| predictor_change(&point.model, &coordinates.direction(index)))
@@ -199,16 +199,16 @@ impl Step {
         let add = |left: &[f64], right: Vec<f64>| -> Vec<f64> {
             left.iter().zip(right).map(|(l, r)| l + r).collect()
         };
-        let (slope, curvature) = point.wall.along(&directions, false);
+        let (slope, curvature) = point.barrier.along(&directions, false);
         let mut step = Self {
             gradient: add(&gradient, slope),
-            hessian: add(&told, curvature),
+            hessian: add(&reduced_information, curvature),
             coordinates,
             information,
         };
         if cholesky(&step.hessian, step.coordinates.width).is_none() {
-            let (_, definite) = point.wall.along(&directions, true);
-            step.hessian = add(&told, definite);
+            let (_, definite) = point.barrier.along(&directions, true);
+            step.hessian = add(&reduced_information, definite);
         }
         step
     }
@@ -228,7 +228,7 @@ impl Step {
     }
 
     /// Half the squared Newton decrement: the predicted decrease of a full step.
-    fn promised(&self) -> f64 {
+    fn predicted_decrease(&self) -> f64 {
         // Undetermined directions predict no decrease; slight damping excludes them.
         let step = self.direction(0.0).or_else(|| self.direction(1e-12));
         step.map_or(f64::INFINITY, |step| -0.5 * dot(&self.gradient, &step))
@@ -236,8 +236,8 @@ impl Step {
 
     /// Increases the damping until the cost decreases; Nielsen's rule (Report IMM-REP-1999-05).
     ///
-    /// Returns `None` if no damping below [`LAST_DAMPING`] decreases the cost.
-    fn take(
+    /// Returns `None` if no damping below [`MAX_DAMPING`] decreases the cost.
+    fn search(
         &self,
         point: &Point,
         records: &[Record<'_>],
@@ -246,15 +246,16 @@ impl Step {
         evaluations: &mut usize,
     ) -> Option<Point> {
         let mut growth = 2.0;
-        while *damping < LAST_DAMPING {
+        while *damping < MAX_DAMPING {
             if let Some(step) = self.direction(*damping) {
                 let expected = 0.5 * (*damping * dot(&step, &step) - dot(&self.gradient, &step));
                 let mut model = point.model.clone();
                 self.coordinates.advance(&mut model.values, &step);
                 *evaluations += 1;
                 if let Some(trial) = Point::at(model, records, &options.floor) {
-                    let fall = (point.cost - trial.cost) + (point.wall.value - trial.wall.value);
-                    let gain = fall / expected;
+                    let decrease =
+                        (point.cost - trial.cost) + (point.barrier.value - trial.barrier.value);
+                    let gain = decrease / expected;
                     if gain > 0.0 {
                         *damping *= (1.0 - (2.0 * gain - 1.0).powi(3)).max(1.0 / 3.0);
                         return Some(trial);
@@ -272,7 +273,7 @@ impl Step {
         let coordinates = Coordinates::at(model, free, &vec![1.0; model.values.len()]);
         let mut information = coordinates.reduce_hessian(&self.information);
         let width = coordinates.width;
-        let scale: Vec<f64> = deviations(&information);
+        let scale: Vec<f64> = standard_deviations(&information);
         for i in 0..width {
             for j in 0..width {
                 information[i * width + j] *= scale[i] * scale[j];
@@ -295,7 +296,7 @@ impl Step {
 }
 
 /// Standard deviation of each parameter if the others were known; 1 without information.
-fn deviations(information: &[f64]) -> Vec<f64> {
+fn standard_deviations(information: &[f64]) -> Vec<f64> {
     let size = information.len().isqrt();
     (0..size)
         .map(|i| match information[i * size + i] {

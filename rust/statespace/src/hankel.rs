@@ -65,12 +65,12 @@ fn add_record(total: &mut [f64], record: &[f64], width: usize, rows: usize, dept
                 .zip(source.iter())
                 .for_each(|(t, s)| *t += s);
             if i + 1 < depth {
-                let (leaves, enters) = (record[i * width + a], record[(rows + i) * width + a]);
+                let (leaves, affects) = (record[i * width + a], record[(rows + i) * width + a]);
                 let tail = columns - width;
                 let leaving = &record[i * width..][..tail];
                 let entering = &record[(rows + i) * width..][..tail];
                 for j in 0..tail {
-                    source[j] += enters * entering[j] - leaves * leaving[j];
+                    source[j] += affects * entering[j] - leaves * leaving[j];
                 }
             }
         }
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn equals_the_product_of_the_matrix() {
+    fn equals_matrix_product() {
         let width = 3;
         let data: Vec<f64> = (0..40 * width)
             .map(|i| f64::from(i as u32 * 31 % 17) - 8.0)

@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn inverse_undoes_with_exchanged_rows() {
+    fn inverse_with_row_exchanges() {
         let matrix = vec![0.0, 2.0, 1.0, -1.0, 0.5, 0.0, 3.0, 1.0, 2.0];
         let (inverse, log_determinant) = inverse(matrix.clone(), 3).unwrap();
         for i in 0..3 {

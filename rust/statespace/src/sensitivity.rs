@@ -22,7 +22,7 @@ const BLOCK: usize = 32;
 
 /// Relative size of a unit initial state below which it is set to zero: its square is still a
 /// normal number, and far below the rounding of any sum.
-const FORGOTTEN: f64 = 1e-150;
+const MIN_RELATIVE_STATE: f64 = 1e-150;
 
 /// Vectors have four lanes.
 const LANES: usize = 4;
@@ -248,7 +248,7 @@ impl<'a> Filters<'a> {
 
     /// Computes the rows of a record in blocks; `take` receives each block, with p rows per sample,
     /// and its number of rows.
-    fn run(&mut self, record: &Record<'_>, mut take: impl FnMut(&[f64], usize)) {
+    fn run(&mut self, record: &Record<'_>, mut receive: impl FnMut(&[f64], usize)) {
         let Shape {
             inputs: m,
             outputs: p,
@@ -260,9 +260,9 @@ impl<'a> Filters<'a> {
             record.outputs.chunks(BLOCK * p),
         );
         for (u, y) in inputs.zip(outputs) {
-            self.forget();
+            self.clear_decayed_states();
             self.fill(u, y, &mut rows);
-            take(&rows[..y.len() * self.row.stride], y.len());
+            receive(&rows[..y.len() * self.row.stride], y.len());
         }
     }
 
@@ -270,7 +270,7 @@ impl<'a> Filters<'a> {
     ///
     /// The contributions of a stable predictor decay to subnormal numbers, on which processors
     /// calculate about ten times slower.
-    fn forget(&mut self) {
+    fn clear_decayed_states(&mut self) {
         let Shape {
             order: n,
             inputs: m,
@@ -279,7 +279,7 @@ impl<'a> Filters<'a> {
         let own = n * (n + m + p);
         let rows = self.s.chunks_exact_mut(self.row.lanes);
         for value in rows.flat_map(|row| &mut row[own..own + n]) {
-            if value.abs() < FORGOTTEN {
+            if value.abs() < MIN_RELATIVE_STATE {
                 *value = 0.0;
             }
         }

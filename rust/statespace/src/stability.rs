@@ -4,7 +4,7 @@ use crate::linalg::inverse;
 use crate::model::{Model, Shape};
 
 /// Largest number of squarings: 2^40 steps are longer than any record.
-const MOST_DOUBLINGS: usize = 40;
+const MAX_DOUBLINGS: usize = 40;
 
 /// Whether every eigenvalue of a square row-major matrix is inside the unit circle.
 ///
@@ -14,7 +14,7 @@ const MOST_DOUBLINGS: usize = 40;
 pub fn is_stable(matrix: &[f64], order: usize) -> bool {
     let mut power = matrix.to_vec();
     let mut square = vec![0.0; power.len()];
-    for _ in 0..MOST_DOUBLINGS {
+    for _ in 0..MAX_DOUBLINGS {
         let norm = power.iter().map(|entry| entry * entry).sum::<f64>();
         if norm < 1.0 {
             return true;
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn barrier_slope_against_differences() {
+    fn barrier_slope_matches_differences() {
         let shape = Shape {
             order: 3,
             inputs: 1,
@@ -211,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn tells_the_sides_of_the_circle_apart() {
+    fn distinguishes_stable_from_unstable() {
         for gap in [0.5, 1e-3, 1e-6, 1e-9] {
             assert!(is_stable(&spiral(1.0 - gap, 0.3), 2), "{gap}");
             assert!(!is_stable(&spiral(1.0 + gap, 0.3), 2), "{gap}");
@@ -220,7 +220,7 @@ mod tests {
     }
 
     #[test]
-    fn growth_before_decay_is_no_instability() {
+    fn transient_growth_is_stable() {
         assert!(is_stable(&[0.9, 1e6, 0.0, 0.9], 2));
         assert!(!is_stable(&[f64::NAN], 1));
     }

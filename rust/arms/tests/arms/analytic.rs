@@ -14,17 +14,17 @@ fn one_joint(link: f64, motor: f64, coulomb: f64, stiffness: f64) -> Vec<f64> {
 }
 
 #[test]
-fn two_inertias_on_a_spring_ring_at_their_mode() {
+fn two_inertias_oscillate_at_their_mode() {
     let (link, motor, k) = (2.0, 1.5e-4, 20e3);
     let parameters = one_joint(link, motor, 0.0, k);
-    let twist = 1e-3;
+    let torsion = 1e-3;
     let run = Run {
         config: level_joint(LINEAR),
         parameters: &parameters,
         voltage: &[[0.0]],
         steps_per_tick: 1,
         initial: Initial {
-            link_angle: Some([-twist]),
+            link_angle: Some([-torsion]),
             ..at_rest([0.0])
         },
         step: 1.25e-4,
@@ -36,12 +36,12 @@ fn two_inertias_on_a_spring_ring_at_their_mode() {
         let t = step as f64 * run.step;
         let delta = N * record[0][step][0] - record[1][step][0];
         // Phase error of Runge-Kutta per step: (omega h)^5 / 120 = 5e-11 rad, over 8000 steps.
-        assert!((delta - twist * (omega * t).cos()).abs() < 1e-6 * twist);
+        assert!((delta - torsion * (omega * t).cos()).abs() < 1e-6 * torsion);
     }
 }
 
 #[test]
-fn a_rigid_joint_follows_its_lagging_torque() {
+fn rigid_joint_follows_lagged_torque() {
     let mut config = level_joint(RIGID);
     config.joints[0].current_loop_hz = Some(200.0);
     let (link, motor) = (0.8, 1.5e-4);
@@ -70,7 +70,7 @@ fn a_rigid_joint_follows_its_lagging_torque() {
 /// still. Each half swing loses an amplitude of 2 f / k. The motion ends where the spring torque is
 /// below the friction limit.
 #[test]
-fn dry_friction_ends_a_swing_inside_the_dead_band() {
+fn dry_friction_stops_oscillation_in_the_dead_band() {
     let (motor, k, f) = (1.5e-4, 20e3, 0.06);
     let parameters = one_joint(1e12, motor, f, k);
     let band = f / (N * N * k); // [rad] motor side: friction torque over spring stiffness
@@ -99,10 +99,10 @@ fn dry_friction_ends_a_swing_inside_the_dead_band() {
         } else {
             -0.5 * band
         };
-        let found = record[0][step][0];
+        let actual = record[0][step][0];
         assert!(
-            (found - exact).abs() < 1e-7 * begin,
-            "{found} {exact} at {t}"
+            (actual - exact).abs() < 1e-7 * begin,
+            "{actual} {exact} at {t}"
         );
         if swing >= 5.0 {
             assert_eq!(record[1][step][0], 0.0);
@@ -113,7 +113,7 @@ fn dry_friction_ends_a_swing_inside_the_dead_band() {
 /// A link that moves at constant velocity: its motor sticks until the spring torque reaches the
 /// friction limit, then follows with v (1 - cos).
 #[test]
-fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
+fn motor_breaks_away_when_spring_torque_reaches_friction() {
     let (motor, k, f, pull) = (1.5e-4, 20e3, 0.06, 0.05);
     let parameters = one_joint(1e12, motor, f, k);
     let run = Run {
@@ -146,7 +146,7 @@ fn a_pulled_motor_lets_go_when_the_spring_is_as_strong_as_friction() {
 }
 
 #[test]
-fn a_ramp_of_torque_moves_a_standing_motor_at_the_right_instant() {
+fn torque_ramp_releases_motor_at_analytic_time() {
     // The voltage rises by 1 mV per step; friction of 0.06 N m breaks away at 0.6 V.
     let parameters = [0.0, 0.0, 1.5e-4, 0.0, 0.06, 0.0, 0.0];
     let voltage: Vec<[f64; 1]> = (0..2000).map(|k| [1e-3 * f64::from(k)]).collect();

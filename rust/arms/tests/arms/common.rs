@@ -7,7 +7,7 @@ use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, Two
 use strainwave_core::experiment::{
     Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
 };
-use strainwave_core::joint::effects::{self, Declared, EffectKinds};
+use strainwave_core::joint::effects::{self, EffectDeclaration, EffectKinds};
 use strainwave_core::joint::gear::{self, CORNER, GearLaw, Law, Linear, ThreeSlope};
 use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::program::{Request, Width};
@@ -147,7 +147,7 @@ pub fn sensitivities<A: WithPrograms<N>, const N: usize>(
 }
 
 /// Derivatives over dual numbers only: slower, for every arm; the reference for the other programs.
-pub fn by_duals<A: WithPrograms<N>, const N: usize>(
+pub fn differentiate_over_dual_numbers<A: WithPrograms<N>, const N: usize>(
     task: &Task<A, N>,
     member: &Member<'_, N>,
     directions: &[Source],
@@ -158,7 +158,7 @@ pub fn by_duals<A: WithPrograms<N>, const N: usize>(
         directions,
         decimation: None,
     };
-    (task.config.arm.programs().general.duals)(&request)
+    (task.config.arm.programs().general.dual_numbers)(&request)
 }
 
 /// One run: a sample every step, voltages held for `steps_per_tick` steps.
@@ -269,7 +269,9 @@ pub fn with_effects<A: Arm<N>, const N: usize>(plain: &[f64], config: &Config<A,
 
 /// Whether a parameter is the size of an effect.
 pub fn is_size(name: &str) -> bool {
-    let sizes = |effect: &&Declared| effect.parameters[..effect.sizes].to_vec();
-    let mut all = effects::DECLARED.iter().flat_map(|effect| sizes(&effect));
+    let sizes = |effect: &&EffectDeclaration| effect.parameters[..effect.sizes].to_vec();
+    let mut all = effects::DECLARATIONS
+        .iter()
+        .flat_map(|effect| sizes(&effect));
     all.any(|size| size.name == name)
 }

@@ -3,7 +3,8 @@
 use std::iter::zip;
 
 use crate::common::{
-    LINEAR, RIGID, by_duals, clock, config, level_joint, scara, sensitivities, simulate,
+    LINEAR, RIGID, clock, config, differentiate_over_dual_numbers, level_joint, scara,
+    sensitivities, simulate,
 };
 use strainwave_core::actuation::{Controller, PiPosition, PiVelocity, Servo};
 use strainwave_core::arm::{OneLink, TwoLink};
@@ -37,7 +38,7 @@ fn servos<const N: usize>() -> [Servo<N>; 2] {
 }
 
 #[test]
-fn a_position_loop_is_a_velocity_loop_with_a_corrected_reference() {
+fn position_loop_equals_velocity_loop_with_corrected_reference() {
     let velocity = pi_velocity::<1>(0.4, 3.0);
     let position = PiPosition {
         velocity,
@@ -62,7 +63,7 @@ fn a_position_loop_is_a_velocity_loop_with_a_corrected_reference() {
 }
 
 #[test]
-fn a_limited_output_leaves_the_integral_as_it_is() {
+fn limited_output_stops_integration() {
     let velocity = pi_velocity::<1>(1.0, 100.0);
     let mut memory = velocity.at_rest(&[5.0], &[0.0]);
     assert_eq!(
@@ -100,7 +101,7 @@ fn at_rest<const N: usize>() -> Initial<N> {
 /// loop settles at velocity r. The position loop also settles on the path, except for the delay of
 /// one period between encoder difference and path.
 #[test]
-fn loops_end_where_they_should() {
+fn loops_reach_their_reference() {
     let samples = 4000;
     let reference = vec![[20.0]; samples];
     let still = vec![[0.0]; samples];
@@ -125,7 +126,7 @@ fn loops_end_where_they_should() {
 
 /// Derivatives through the loop, by the variational equations and over dual numbers.
 #[test]
-fn derivatives_go_through_the_loop() {
+fn derivatives_match_differences_in_closed_loop() {
     let samples = 300;
     let parameters = scara(1.0, 1.0);
     for servo in servos::<2>() {
@@ -162,14 +163,14 @@ fn derivatives_go_through_the_loop() {
         ];
         let width = Width::detect();
         let fast = sensitivities(&task, &member, &directions, width).expect("finite");
-        let slow = by_duals(&task, &member, &directions).expect("finite");
+        let slow = differentiate_over_dual_numbers(&task, &member, &directions).expect("finite");
         for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
             for d in 0..directions.len() {
                 let column = slow.iter().skip(d).step_by(directions.len());
-                let most = column.fold(0.0f64, |most, one| most.max(one.abs()));
+                let largest = column.fold(0.0f64, |largest, one| largest.max(one.abs()));
                 for (one, other) in zip(&fast[d..], &slow[d..]).step_by(directions.len()) {
                     assert!(
-                        (one - other).abs() <= 1e-7 * most,
+                        (one - other).abs() <= 1e-7 * largest,
                         "{:?}: {one} {other}",
                         directions[d]
                     );
@@ -187,20 +188,23 @@ fn by_differences(task: &Task<TwoLink<true>, 2>, member: &Member<'_, 2>, tangent
     let [up, down] = [size, -size].map(|by| {
         let mut parameters = member.parameters.to_vec();
         parameters[10] += by;
-        let moved = Member {
+        let perturbed = Member {
             parameters: &parameters,
             ..*member
         };
-        simulate(task, &moved, Width::detect()).expect("finite")
+        simulate(task, &perturbed, Width::detect()).expect("finite")
     });
     for quantity in 0..tangents.len() {
-        let most = tangents[quantity].iter().skip(2).step_by(6);
-        let most = most.fold(0.0f64, |most, one| most.max(one.abs()));
+        let largest = tangents[quantity].iter().skip(2).step_by(6);
+        let largest = largest.fold(0.0f64, |largest, one| largest.max(one.abs()));
         for (k, (up, down)) in zip(&up[quantity], &down[quantity]).enumerate() {
             for i in 0..2 {
                 let slope = (up[i] - down[i]) / (2.0 * size);
                 let own = tangents[quantity][(2 * k + i) * 6 + 2];
-                assert!((slope - own).abs() <= 1e-3 * most, "{k} {i}: {slope} {own}");
+                assert!(
+                    (slope - own).abs() <= 1e-3 * largest,
+                    "{k} {i}: {slope} {own}"
+                );
             }
         }
     }

@@ -1,8 +1,8 @@
 //! Effects of gears and motors against closed forms.
 
 use crate::common::{
-    Draw, LINEAR, RIGID, Run, at_rest, by_duals, clock, config, is_size, level, level_joint, scara,
-    sensitivities, simulate, with_effects,
+    Draw, LINEAR, RIGID, Run, at_rest, clock, config, differentiate_over_dual_numbers, is_size,
+    level, level_joint, scara, sensitivities, simulate, with_effects,
 };
 use proptest::prelude::*;
 use strainwave_core::arm::{OneLink, TwoLink};
@@ -67,14 +67,14 @@ fn break_away(gear: Law, effects: EffectKinds, friction: [f64; 2]) -> f64 {
 }
 
 #[test]
-fn a_motor_breaks_away_beyond_both_frictions_together() {
+fn breakaway_torque_is_coulomb_plus_stribeck() {
     let stribeck = EffectKinds {
         stribeck: true,
         ..none()
     };
     for gear in [LINEAR, RIGID] {
-        let found = break_away(gear, stribeck, [0.06, 0.02]);
-        assert!((found - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {found}");
+        let actual = break_away(gear, stribeck, [0.06, 0.02]);
+        assert!((actual - 0.08).abs() < 1.1e-3 * 0.08, "{gear:?} {actual}");
         let plain = break_away(gear, none(), [0.06, 0.0]);
         assert!((plain - 0.06).abs() < 1.1e-3 * 0.06, "{gear:?} {plain}");
         // without Coulomb friction, Stribeck friction alone holds the motor
@@ -84,7 +84,7 @@ fn a_motor_breaks_away_beyond_both_frictions_together() {
 }
 
 #[test]
-fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
+fn sliding_friction_includes_stribeck_friction() {
     let effects = EffectKinds {
         stribeck: true,
         ..none()
@@ -104,10 +104,10 @@ fn a_sliding_motor_feels_what_its_speed_leaves_of_stribecks_friction() {
             steps: 16_000,
         };
         let v = run.record(&[Quantity::MotorVelocity])[0][run.steps][0];
-        let felt = coulomb + more * (-(v / speed) * (v / speed)).exp() + viscous * v;
+        let total = coulomb + more * (-(v / speed) * (v / speed)).exp() + viscous * v;
         assert!(
-            (felt - torque).abs() < 1e-9 * torque,
-            "{torque}: {felt} at {v}"
+            (total - torque).abs() < 1e-9 * torque,
+            "{torque}: {total} at {v}"
         );
     }
 }
@@ -121,7 +121,7 @@ proptest! {
 
     /// Between two reversals, z(delta) = s - (s - z0) exp(-|delta - delta0| / delta_h).
     #[test]
-    fn the_gear_draws_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, twist in 0.5e-3..2e-3f64) {
+    fn gear_torque_follows_dahls_loop(largest in 0.5..4.0f64, width in 0.3e-4..5e-4f64, torsion in 0.5e-3..2e-3f64) {
         let effects = EffectKinds { hysteresis: true, ..none() };
         let parameters = against_a_wall(&[largest, width]);
         let run = Run {
@@ -129,12 +129,12 @@ proptest! {
             parameters: &parameters,
             voltage: &[[0.0]],
             steps_per_tick: 1,
-            initial: Initial { link_angle: Some([-twist]), ..at_rest([0.0]) },
+            initial: Initial { link_angle: Some([-torsion]), ..at_rest([0.0]) },
             step: 6.25e-5,
             steps: 6400,
         };
         let record = run.record(&[Quantity::MotorAngle, Quantity::MotorVelocity, Quantity::GearTorque]);
-        let delta = |k: usize| N * record[0][k][0] + twist;
+        let delta = |k: usize| N * record[0][k][0] + torsion;
         let z = |k: usize| (record[2][k][0] - 20e3 * delta(k)) / largest;
         let (mut branch, mut reversals) = ((delta(0), z(0)), 0);
         prop_assert!(branch.1.abs() < 1e-12);
@@ -158,16 +158,16 @@ proptest! {
     }
 
     #[test]
-    fn the_kinematic_error_pulls_at_link_and_motor(
+    fn kinematic_error_acts_on_link_and_motor(
         theta in -30.0..30.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64, k in 1..=4u8
     ) {
         let effects = EffectKinds { kinematic_error: true, ..none() };
         let order = f64::from(k);
         let parameters = against_a_wall(&[cos, sin, order]);
         let (wave_sin, wave_cos) = (order * theta).sin_cos();
-        let off = cos * wave_cos + sin * wave_sin;
+        let error = cos * wave_cos + sin * wave_sin;
         let slope = order * (sin * wave_cos - cos * wave_sin);
-        let twist = 1e-3;
+        let torsion = 1e-3;
         let start = |link: Option<[f64; 1]>| {
             let run = Run {
                 config: one_link(LINEAR, effects),
@@ -180,15 +180,15 @@ proptest! {
             };
             run.record(&[Quantity::GearTorque, Quantity::MotorVelocity, Quantity::LinkAngle])
         };
-        let twisted = start(Some([N * theta + off - twist]));
-        prop_assert!((twisted[0][0][0] - 20e3 * twist).abs() < 1e-8);
-        let acceleration = twisted[1][1][0] / 1e-7;
-        let expected = -(N + slope) * 20e3 * twist / 1.5e-4;
+        let loaded = start(Some([N * theta + error - torsion]));
+        prop_assert!((loaded[0][0][0] - 20e3 * torsion).abs() < 1e-8);
+        let acceleration = loaded[1][1][0] / 1e-7;
+        let expected = -(N + slope) * 20e3 * torsion / 1.5e-4;
         prop_assert!((acceleration - expected).abs() < 1e-6 * expected.abs());
         // by default the link starts at zero torsion, and nothing moves
-        let left = start(None);
-        prop_assert!((left[2][0][0] - N * theta - off).abs() < 1e-15);
-        prop_assert!(left[1][1][0].abs() < 1e-12);
+        let unloaded = start(None);
+        prop_assert!((unloaded[2][0][0] - N * theta - error).abs() < 1e-15);
+        prop_assert!(unloaded[1][1][0].abs() < 1e-12);
     }
 }
 
@@ -236,16 +236,16 @@ fn order_at((config, parameters): &TwoLinks, seed: u64) -> f64 {
     };
     let fine = last(256);
     let error = |steps_per_tick: usize| {
-        let found = last(steps_per_tick);
+        let actual = last(steps_per_tick);
         let relative = |(a, b): (&f64, &f64)| (a - b).abs() / (1e-3 + b.abs());
-        found.iter().zip(&fine).map(relative).fold(0.0, f64::max)
+        actual.iter().zip(&fine).map(relative).fold(0.0, f64::max)
     };
     let (coarse, finer) = (error(4), error(16));
     (coarse / finer).log2() / 2.0
 }
 
 #[test]
-fn the_order_stays_four_but_for_the_hysteresis_reversals() {
+fn order_is_four_except_at_hysteresis_reversals() {
     let smooth = EffectKinds {
         hysteresis: false,
         load_friction: false,
@@ -272,7 +272,7 @@ fn the_order_stays_four_but_for_the_hysteresis_reversals() {
 
 /// A drive lag acts through the mean voltage of a step.
 #[test]
-fn the_order_of_a_lag_is_two_between_the_events_of_friction() {
+fn order_of_drive_lag_is_two_between_friction_events() {
     let lag = EffectKinds {
         drive_lag: true,
         ..none()
@@ -283,12 +283,12 @@ fn the_order_of_a_lag_is_two_between_the_events_of_friction() {
             *value = 0.0;
         }
     }
-    let found = order(&(config, parameters));
-    assert!((found - 2.0).abs() < 0.1, "{found}");
+    let actual = order(&(config, parameters));
+    assert!((actual - 2.0).abs() < 0.1, "{actual}");
 }
 
 #[test]
-fn effects_of_no_size_change_nothing() {
+fn zero_size_effects_do_not_change_the_motion() {
     let plain = scara(1.0, 0.0);
     let (config, with) = two_links(ALL);
     let mut without = with.clone();
@@ -315,7 +315,7 @@ fn effects_of_no_size_change_nothing() {
 }
 
 #[test]
-fn the_baseline_gives_arms_with_effects_the_same_motion() {
+fn baseline_program_agrees_with_effects() {
     let (config, parameters) = two_links(ALL);
     let voltage = telegraph(5, 101);
     let reference = vec![[0.0; 2]; 101];
@@ -339,7 +339,7 @@ fn the_baseline_gives_arms_with_effects_the_same_motion() {
 }
 
 #[test]
-fn impossible_effects_are_refused() {
+fn invalid_effect_parameters_are_rejected() {
     let (config, values) = two_links(ALL);
     config.check(&values).expect("a possible arm");
     for (name, bad) in [
@@ -363,16 +363,16 @@ fn impossible_effects_are_refused() {
         let names = config.parameter_names();
         let at = names.iter().position(|known| *known == (name, Some(2)));
         broken[at.expect("a known name")] = bad;
-        let said = config.check(&broken).expect_err("an impossible arm");
-        assert_eq!(said.name, (name, Some(2)));
+        let error = config.check(&broken).expect_err("an impossible arm");
+        assert_eq!(error.name, (name, Some(2)));
     }
 }
 
 /// Each effect alone: derivatives with respect to its parameters over dual numbers, against central
 /// differences of the plain simulation.
 #[test]
-fn derivatives_by_every_effects_parameters_are_differences() {
-    for effect in effects::DECLARED {
+fn effect_parameter_derivatives_match_differences() {
+    for effect in effects::DECLARATIONS {
         let mut kinds = none();
         assert!(kinds.add(effect.name));
         let (config, parameters) = two_links(kinds);
@@ -395,24 +395,29 @@ fn derivatives_by_every_effects_parameters_are_differences() {
             let k = names.iter().position(|known| *known == (name, Some(1)));
             let k = k.expect("the joint has it");
             let width = Width::detect();
-            let found = by_duals(&task, &member, &[Source::Parameter(k)]);
-            let found = found.expect("finite").tangents.remove(0);
+            let actual = differentiate_over_dual_numbers(&task, &member, &[Source::Parameter(k)]);
+            let actual = actual.expect("finite").tangents.remove(0);
             let size = 1e-5 * parameters[k];
             let [up, down] = [size, -size].map(|by| {
-                let mut moved = parameters.clone();
-                moved[k] += by;
-                let moved = Member {
-                    parameters: &moved,
+                let mut perturbed = parameters.clone();
+                perturbed[k] += by;
+                let perturbed = Member {
+                    parameters: &perturbed,
                     ..member
                 };
-                let all = simulate(&task, &moved, width);
+                let all = simulate(&task, &perturbed, width);
                 all.expect("finite")[0].as_flattened().to_vec()
             });
-            let most = found.iter().fold(0.0f64, |most, one| most.max(one.abs()));
-            assert!(most * parameters[k].abs() > 1e-6, "{name} does nothing");
-            for (own, (up, down)) in found.iter().zip(up.iter().zip(&down)) {
+            let largest = actual
+                .iter()
+                .fold(0.0f64, |largest, one| largest.max(one.abs()));
+            assert!(largest * parameters[k].abs() > 1e-6, "{name} does nothing");
+            for (own, (up, down)) in actual.iter().zip(up.iter().zip(&down)) {
                 let slope = (up - down) / (2.0 * size);
-                assert!((own - slope).abs() < 1e-3 * most, "{name}: {own} {slope}");
+                assert!(
+                    (own - slope).abs() < 1e-3 * largest,
+                    "{name}: {own} {slope}"
+                );
             }
         }
     }
@@ -420,13 +425,13 @@ fn derivatives_by_every_effects_parameters_are_differences() {
 
 /// Derivatives with respect to effect sizes of zero, against one-sided differences.
 #[test]
-fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
-    for effect in effects::DECLARED {
+fn zero_size_derivatives_match_one_sided_differences() {
+    for effect in effects::DECLARATIONS {
         let mut kinds = none();
         assert!(kinds.add(effect.name));
-        let (config, usual) = two_links(kinds);
+        let (config, typical) = two_links(kinds);
         let names = config.parameter_names();
-        let mut absent = usual.clone();
+        let mut absent = typical.clone();
         for (k, (name, _)) in names.iter().enumerate() {
             if is_size(name) {
                 absent[k] = 0.0;
@@ -456,21 +461,31 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
                 .position(|known| *known == (size.name, Some(1)));
             let k = k.expect("the joint has it");
             let direction = [Source::Parameter(k)];
-            let found = sensitivities(&task, &member, &direction, width);
-            let found = found.expect("finite").tangents.remove(0);
-            let by = 1e-3 * usual[k];
+            let actual = sensitivities(&task, &member, &direction, width);
+            let actual = actual.expect("finite").tangents.remove(0);
+            let by = 1e-3 * typical[k];
             let mut little = absent.clone();
             little[k] = by;
-            let moved = Member {
+            let perturbed = Member {
                 parameters: &little,
                 ..member
             };
-            let (with, without) = (run(moved), run(member));
-            let most = found.iter().fold(0.0f64, |most, one| most.max(one.abs()));
-            assert!(most * usual[k].abs() > 1e-6, "{} does nothing", size.name);
-            for (own, (with, without)) in found.iter().zip(with.iter().zip(&without)) {
-                let off = (own - (with - without) / by).abs();
-                assert!(off < 0.02 * most, "{}: {off} of {most}", size.name);
+            let (with, without) = (run(perturbed), run(member));
+            let largest = actual
+                .iter()
+                .fold(0.0f64, |largest, one| largest.max(one.abs()));
+            assert!(
+                largest * typical[k].abs() > 1e-6,
+                "{} does nothing",
+                size.name
+            );
+            for (own, (with, without)) in actual.iter().zip(with.iter().zip(&without)) {
+                let error = (own - (with - without) / by).abs();
+                assert!(
+                    error < 0.02 * largest,
+                    "{}: {error} of {largest}",
+                    size.name
+                );
             }
         }
     }
@@ -478,7 +493,7 @@ fn derivatives_by_sizes_of_nothing_are_one_sided_differences() {
 
 /// A rigid joint on a ground spring oscillates about the equilibrium of spring and preload.
 #[test]
-fn a_ground_spring_swings_about_its_balance() {
+fn ground_spring_oscillates_about_its_equilibrium() {
     let effects = EffectKinds {
         ground_spring: true,
         ..none()
@@ -505,7 +520,7 @@ fn a_ground_spring_swings_about_its_balance() {
 
 /// An arm without gravity but with `tilt` effects moves as the upright arm.
 #[test]
-fn a_tilt_of_a_right_angle_is_gravity() {
+fn tilt_by_a_right_angle_equals_gravity() {
     let tilted = EffectKinds {
         tilt: true,
         ..none()
@@ -534,7 +549,7 @@ fn a_tilt_of_a_right_angle_is_gravity() {
             steps: 800,
         };
         let expected = expected.record(&quantities);
-        let found = Run {
+        let actual = Run {
             config: level,
             parameters: &weights,
             voltage: &voltage,
@@ -543,9 +558,9 @@ fn a_tilt_of_a_right_angle_is_gravity() {
             step: 1.25e-4,
             steps: 800,
         };
-        let found = found.record(&quantities);
+        let actual = actual.record(&quantities);
         for (k, scale) in [1.0, 50.0].into_iter().enumerate() {
-            let rows = found[k].as_flattened().iter();
+            let rows = actual[k].as_flattened().iter();
             for (own, other) in rows.zip(expected[k].as_flattened()) {
                 // rounding, amplified over 0.1 s
                 assert!((own - other).abs() < 1e-8 * scale, "{own} {other}");
@@ -556,7 +571,7 @@ fn a_tilt_of_a_right_angle_is_gravity() {
 
 /// A rigid joint with a flexible part under a constant torque has one mode in closed form.
 #[test]
-fn a_flexible_link_rings_beside_its_joint() {
+fn flexible_link_has_its_analytic_mode() {
     let flexible = EffectKinds {
         flexible_link: true,
         ..none()
@@ -578,19 +593,19 @@ fn a_flexible_link_rings_beside_its_joint() {
     };
     let record = run.record(&[Quantity::LinkAngle]);
     let omega = std::f64::consts::TAU * hz * (1.0 + part / own).sqrt();
-    let (pushed, share) = (10.0 / own, part / (own + part));
+    let (acceleration, share) = (10.0 / own, part / (own + part));
     for k in 0..=run.steps {
         let t = 1e-4 * k as f64;
-        let swung = 0.5 * t * t - (1.0 - (omega * t).cos()) / (omega * omega);
-        let expected = pushed * (0.5 * t * t - share * swung);
-        let off = (record[0][k][0] - expected).abs();
-        assert!(off < 1e-8, "{k}: {off:e}"); // (w h)^4 times the mode's amplitude of 2e-4 rad
+        let oscillation = 0.5 * t * t - (1.0 - (omega * t).cos()) / (omega * omega);
+        let expected = acceleration * (0.5 * t * t - share * oscillation);
+        let error = (record[0][k][0] - expected).abs();
+        assert!(error < 1e-8, "{k}: {error:e}"); // (w h)^4 times the mode's amplitude of 2e-4 rad
     }
 }
 
 /// A stiff flexible part acts as inertia of its link, at both joints.
 #[test]
-fn a_stiff_part_is_inertia_of_its_link() {
+fn stiff_part_adds_inertia_to_its_link() {
     let flexible = EffectKinds {
         flexible_link: true,
         ..none()
@@ -620,19 +635,22 @@ fn a_stiff_part_is_inertia_of_its_link() {
         motion(bare, &stiff),
     ];
     for i in 0..2 {
-        let apart = |one: &[[f64; 2]], other: &[[f64; 2]]| {
-            let off = one.iter().zip(other).map(|(a, b)| (a[i] - b[i]).abs());
-            off.fold(0.0, f64::max)
+        let max_difference = |one: &[[f64; 2]], other: &[[f64; 2]]| {
+            let error = one.iter().zip(other).map(|(a, b)| (a[i] - b[i]).abs());
+            error.fold(0.0, f64::max)
         };
         // the squared frequency of the gears' modes, 30 Hz, is a few thousandths of the part's
-        assert!(apart(&stiff, &heavy) < 0.01 * apart(&light, &heavy), "{i}");
+        assert!(
+            max_difference(&stiff, &heavy) < 0.01 * max_difference(&light, &heavy),
+            "{i}"
+        );
     }
 }
 
 /// A link on its gear, with the motor at rest, oscillates with its base: two modes in closed form,
 /// starting with the base in equilibrium with the gear torque.
 #[test]
-fn a_soft_base_rings_with_its_link() {
+fn soft_base_has_its_analytic_modes() {
     let soft = EffectKinds {
         soft_base: true,
         ..none()
@@ -659,8 +677,8 @@ fn a_soft_base_rings_with_its_link() {
     let base = 1.0 / (compliance * (std::f64::consts::TAU * hz).powi(2));
     let (a, b) = (k / link, -k / (link * base).sqrt());
     let d = (k + 1.0 / compliance) / base;
-    let (mean, apart) = (0.5 * (a + d), (0.25 * (a - d).powi(2) + b * b).sqrt());
-    let (slow, fast) = (mean - apart, mean + apart);
+    let (mean, half_difference) = (0.5 * (a + d), (0.25 * (a - d).powi(2) + b * b).sqrt());
+    let (slow, fast) = (mean - half_difference, mean + half_difference);
     let torque = -begin / (1.0 / k + compliance);
     let scaled = [link.sqrt() * begin, -base.sqrt() * compliance * torque];
     let of_slow = [
@@ -681,7 +699,7 @@ fn a_soft_base_rings_with_its_link() {
 
 /// A light base acts as compliance of the gear, at rest and in motion.
 #[test]
-fn a_light_base_is_compliance_of_its_gear() {
+fn light_base_adds_compliance_to_its_gear() {
     let soft = EffectKinds {
         soft_base: true,
         ..none()
@@ -718,16 +736,16 @@ fn a_light_base_is_compliance_of_its_gear() {
         motion(standing, &light),
     ];
     assert!((light[0][0] - softer[0][0]).abs() < 1e-12);
-    let apart = |one: &[[f64; 2]], other: &[[f64; 2]]| {
-        let off = one.iter().zip(other).map(|(a, b)| (a[0] - b[0]).abs());
-        off.fold(0.0, f64::max)
+    let max_difference = |one: &[[f64; 2]], other: &[[f64; 2]]| {
+        let error = one.iter().zip(other).map(|(a, b)| (a[0] - b[0]).abs());
+        error.fold(0.0, f64::max)
     };
-    assert!(apart(&light, &softer) < 0.01 * apart(&stiff, &softer));
+    assert!(max_difference(&light, &softer) < 0.01 * max_difference(&stiff, &softer));
 }
 
 /// Motor torque [N m] at voltages commanded in succession, with one effect of the drive and a
 /// torque of 0.1 N m per volt.
-fn driven<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K] {
+fn drive_torques<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K] {
     let mut effects = none();
     assert!(effects.add(name));
     let parameters = [&[0.5, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0][..], own].concat();
@@ -748,7 +766,7 @@ fn driven<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K
 }
 
 #[test]
-fn a_drive_makes_less_or_more_of_a_voltage() {
+fn drive_effects_scale_the_voltage() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
     for (name, own, expected) in [
         ("dead-zone", &[0.5][..], [0.95, 0.0, 0.0, 0.0, -0.95]),
@@ -761,15 +779,15 @@ fn a_drive_makes_less_or_more_of_a_voltage() {
         ("drive-limit", &[0.5, 6.0], [0.8, 0.0, 0.02, -0.02, -0.8]),
         ("drive-limit", &[1.0, 6.0], [0.6, 0.0, 0.02, -0.02, -0.6]),
     ] {
-        for (found, expected) in driven(name, own, voltage).iter().zip(expected) {
-            assert!((found - expected).abs() < 1e-15, "{name}: {found}");
+        for (actual, expected) in drive_torques(name, own, voltage).iter().zip(expected) {
+            assert!((actual - expected).abs() < 1e-15, "{name}: {actual}");
         }
     }
 }
 
 /// The motion does not depend on how often a constant voltage is commanded.
 #[test]
-fn a_lag_knows_no_ticks() {
+fn drive_lag_is_independent_of_tick_length() {
     let lag = EffectKinds {
         drive_lag: true,
         ..none()
@@ -796,20 +814,23 @@ fn a_lag_knows_no_ticks() {
 /// A lag of one tick leaves 1/e of each step of the voltage at the end of the tick, and 1 - 1/e of
 /// it on average.
 #[test]
-fn a_drive_follows_its_voltage_late() {
+fn drive_lag_has_its_analytic_mean() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
-    let left = (-1.0f64).exp();
-    let mut behind = voltage[0];
-    for (found, voltage) in driven("drive-lag", &[1e-3], voltage).iter().zip(voltage) {
-        let mean = voltage + (1.0 - left) * (behind - voltage);
-        assert!((found - 0.1 * mean).abs() < 1e-15, "{voltage}: {found}");
-        behind = voltage + left * (behind - voltage);
+    let decay = (-1.0f64).exp();
+    let mut state = voltage[0];
+    for (actual, voltage) in drive_torques("drive-lag", &[1e-3], voltage)
+        .iter()
+        .zip(voltage)
+    {
+        let mean = voltage + (1.0 - decay) * (state - voltage);
+        assert!((actual - 0.1 * mean).abs() < 1e-15, "{voltage}: {actual}");
+        state = voltage + decay * (state - voltage);
     }
 }
 
 /// Within its dead band a gear transmits only the torque of its damping.
 #[test]
-fn a_dead_band_is_felt_by_nothing() {
+fn backlash_transmits_no_torque_in_its_dead_band() {
     let effects = EffectKinds {
         backlash: true,
         ..none()
@@ -845,7 +866,7 @@ fn a_dead_band_is_felt_by_nothing() {
 
 /// Break-away torque of a loaded motor with load-dependent friction.
 #[test]
-fn a_load_holds_its_motor() {
+fn load_friction_holds_the_motor() {
     let effects = EffectKinds {
         load_friction: true,
         ..none()
@@ -867,6 +888,6 @@ fn a_load_holds_its_motor() {
         };
         run.record(&[Quantity::MotorVelocity])[0][4][0] > 0.0
     };
-    let most = 0.04 + 0.01 + 0.5 * 0.04;
-    assert!(breaks(1.001 * most) && !breaks(0.999 * most));
+    let largest = 0.04 + 0.01 + 0.5 * 0.04;
+    assert!(breaks(1.001 * largest) && !breaks(0.999 * largest));
 }

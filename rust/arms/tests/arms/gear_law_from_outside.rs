@@ -6,10 +6,10 @@ use std::iter::zip;
 use crate::common::config;
 use strainwave_core::arm::OneLink;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
-use strainwave_core::joint::gear::{GearLaw, Law, MOST_OF_A_LAW, Only, Spring};
+use strainwave_core::joint::gear::{GearLaw, Law, MAX_LAW_PARAMETERS, Only, Spring};
 use strainwave_core::parameter::{Parameter, STIFFNESS, Sign};
 use strainwave_core::plant::config::Config;
-use strainwave_core::program::{Request, duals, forward, simulate};
+use strainwave_core::program::{Request, dual_numbers, forward, simulate};
 use strainwave_core::scalar::Real;
 
 /// T = k delta (1 + c |delta|).
@@ -34,7 +34,7 @@ impl GearLaw for Quadratic {
     };
     type Spring<R: Real> = QuadraticSpring<R>;
 
-    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], _: f64) -> QuadraticSpring<R> {
+    fn spring<R: Real>(values: &[R; MAX_LAW_PARAMETERS], _: f64) -> QuadraticSpring<R> {
         let [k, c] = [values[0], values[1]];
         QuadraticSpring { k, c }
     }
@@ -62,8 +62,8 @@ impl<R: Real> Spring<R> for QuadraticSpring<R> {
 
     fn shared(&self) {}
 
-    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
-        let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MAX_LAW_PARAMETERS] {
+        let mut by = [R::splat(0.0); MAX_LAW_PARAMETERS];
         by[0] = self.torque(delta) / self.k;
         by[1] = self.k * delta * delta.abs();
         by
@@ -112,7 +112,7 @@ fn member<'a>(parameters: &'a [f64], still: &'a [[f64; 1]]) -> Member<'a, 1> {
 }
 
 #[test]
-fn it_keeps_the_energy_that_its_spring_was_given() {
+fn external_law_conserves_energy() {
     let (task, still) = (task(), vec![[0.0]; 4001]);
     let member = member(&PARAMETERS, &still);
     let record = simulate::<_, Only<Quadratic>, 1, false>(&task, &member).expect("finite");
@@ -137,7 +137,7 @@ fn it_keeps_the_energy_that_its_spring_was_given() {
 }
 
 #[test]
-fn it_has_its_derivatives() {
+fn external_law_derivatives_match_differences() {
     let (task, still) = (task(), vec![[0.0]; 4001]);
     let member = member(&PARAMETERS, &still);
     let directions = [0, 2, 7, 8, 9].map(Source::Parameter);
@@ -148,7 +148,7 @@ fn it_has_its_derivatives() {
         decimation: None,
     };
     let fast = forward::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
-    let slow = duals::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
+    let slow = dual_numbers::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
     for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
         for d in 0..directions.len() {
             let most = slow.iter().skip(d).step_by(directions.len());
@@ -161,7 +161,7 @@ fn it_has_its_derivatives() {
 }
 
 #[test]
-fn its_parameters_are_checked_and_named() {
+fn external_law_parameters_are_checked_and_named() {
     let config: Config<OneLink, 1> = config([Quadratic::LAW]);
     let names: Vec<&str> = config.parameter_names().iter().map(|name| name.0).collect();
     assert_eq!(

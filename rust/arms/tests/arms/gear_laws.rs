@@ -2,12 +2,12 @@
 
 use std::iter::zip;
 
-use crate::common::{Draw, by_duals, clock, config, sensitivities};
+use crate::common::{Draw, clock, config, differentiate_over_dual_numbers, sensitivities};
 use proptest::prelude::*;
 use strainwave_core::arm::TwoLink;
 use strainwave_core::experiment::{Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::gear::{
-    self, AllLaws, AnySpring, CORNER, Gears, Law, MOST_OF_A_LAW, Spring,
+    self, AllLaws, AnySpring, CORNER, Gears, Law, MAX_LAW_PARAMETERS, Spring,
 };
 use strainwave_core::program::Width;
 use strainwave_core::scalar::{Dual, Real};
@@ -19,26 +19,26 @@ fn elastic() -> impl Iterator<Item = Law> {
 }
 
 /// Typical values of a size 20 gear, varied by some tens of percent.
-fn drawn(law: &Law, draw: &mut Draw) -> [f64; MOST_OF_A_LAW] {
-    let mut values = [0.0; MOST_OF_A_LAW];
+fn random_values(law: &Law, draw: &mut Draw) -> [f64; MAX_LAW_PARAMETERS] {
+    let mut values = [0.0; MAX_LAW_PARAMETERS];
     for (value, parameter) in zip(&mut values, law.parameters) {
-        let usual = match (parameter.units[0], parameter.name) {
+        let typical = match (parameter.units[0], parameter.name) {
             ("N m/rad", _) => 16e3,
             ("N m/rad^3", _) => 5e9,
             (_, "gear_knee_t2") => 25.0,
             ("N m", _) => 7.0,
             (unit, name) => panic!("no usual value of {name} [{unit}]: add one here"),
         };
-        *value = usual * (1.0 + 0.4 * draw.next());
+        *value = typical * (1.0 + 0.4 * draw.next());
     }
     values
 }
 
-fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW]) -> AnySpring<R> {
+fn spring<R: Real>(law: &Law, values: &[R; MAX_LAW_PARAMETERS]) -> AnySpring<R> {
     AllLaws::spring(law, values, CORNER)
 }
 
-fn moving(value: f64) -> Number {
+fn seeded(value: f64) -> Number {
     Dual {
         value,
         tangent: 1.0,
@@ -52,40 +52,40 @@ fn close(one: f64, other: f64, scale: f64) -> Result<(), TestCaseError> {
 
 proptest! {
     #[test]
-    fn torque_is_odd_and_the_slope_of_its_energy(seed: u64, delta in -3e-3..3e-3f64) {
+    fn torque_is_odd_and_derivative_of_energy(seed: u64, delta in -3e-3..3e-3f64) {
         for law in elastic() {
-            let values = drawn(&law, &mut Draw::new(seed));
+            let values = random_values(&law, &mut Draw::new(seed));
             let (own, moved) = (spring(&law, &values), spring(&law, &values.map(Number::constant)));
             let torque = own.torque(delta);
             prop_assert_eq!(own.torque(-delta), -torque);
             prop_assert_eq!(own.torque(0.0), 0.0);
-            close(torque, moved.energy(moving(delta)).tangent, 100.0)?;
+            close(torque, moved.energy(seeded(delta)).tangent, 100.0)?;
         }
     }
 
     #[test]
-    fn derivatives_are_those_of_the_torque(seed: u64, delta in -3e-3..3e-3f64) {
+    fn derivatives_match_those_of_the_torque(seed: u64, delta in -3e-3..3e-3f64) {
         for law in elastic() {
-            let values = drawn(&law, &mut Draw::new(seed));
+            let values = random_values(&law, &mut Draw::new(seed));
             let own = spring(&law, &values);
-            let by_delta = spring(&law, &values.map(Number::constant)).torque(moving(delta));
+            let by_delta = spring(&law, &values.map(Number::constant)).torque(seeded(delta));
             close(own.stiffness(delta), by_delta.tangent, 1e5)?;
-            let found = own.by_parameters(delta, &own.shared());
-            for k in 0..MOST_OF_A_LAW {
+            let actual = own.by_parameters(delta, &own.shared());
+            for k in 0..MAX_LAW_PARAMETERS {
                 let mut moved = values.map(Number::constant);
                 if k < law.parameters.len() {
-                    moved[k] = moving(values[k]);
+                    moved[k] = seeded(values[k]);
                 }
                 let by_one = spring(&law, &moved).torque(Number::constant(delta)).tangent;
-                close(found[k] * values[k], by_one * values[k], 100.0)?;
+                close(actual[k] * values[k], by_one * values[k], 100.0)?;
             }
         }
     }
 
     #[test]
-    fn torsion_is_where_the_torque_is(seed: u64, torque in -80.0..80.0f64) {
+    fn torsion_inverts_torque(seed: u64, torque in -80.0..80.0f64) {
         for law in elastic() {
-            let own = spring(&law, &drawn(&law, &mut Draw::new(seed)));
+            let own = spring(&law, &random_values(&law, &mut Draw::new(seed)));
             let torsion = own.torsion(torque);
             prop_assert!((own.torque(torsion) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
             prop_assert!(own.least_stiffness(torque) * torsion.abs() <= torque.abs() * (1.0 + 1e-12));
@@ -96,12 +96,12 @@ proptest! {
 /// An arm with every pair of gear laws, including rigid gears: derivatives by the variational
 /// equations, where available, against dual numbers.
 #[test]
-fn arms_of_every_pair_of_laws_have_their_derivatives() {
+fn derivatives_match_differences_for_every_pair_of_laws() {
     for first in gear::known() {
         for second in gear::known() {
             let config = config::<TwoLink<true>, 2>([first, second]);
             let mut draw = Draw::new(7);
-            let laws = [first, second].map(|law| (law, drawn(&law, &mut draw)));
+            let laws = [first, second].map(|law| (law, random_values(&law, &mut draw)));
             let mut parameters = vec![1.6, 0.65, 0.5, 31.0, 7.4];
             for (law, values) in laws {
                 parameters.extend([1e-4, 2e-4, 0.05, 0.0, 0.3]);
@@ -139,7 +139,8 @@ fn arms_of_every_pair_of_laws_have_their_derivatives() {
             };
             for width in [Width::Portable, Width::detect()] {
                 let fast = sensitivities(&task, &member, &directions, width).expect("finite");
-                let slow = by_duals(&task, &member, &directions).expect("finite");
+                let slow =
+                    differentiate_over_dual_numbers(&task, &member, &directions).expect("finite");
                 if width == Width::detect() {
                     assert_eq!(fast.values, slow.values);
                 }
@@ -153,7 +154,9 @@ fn arms_of_every_pair_of_laws_have_their_derivatives() {
                                 .collect()
                         };
                         let (fast, slow) = (column(fast), column(slow));
-                        let scale = slow.iter().fold(0.0f64, |most, one| most.max(one.abs()));
+                        let scale = slow
+                            .iter()
+                            .fold(0.0f64, |largest, one| largest.max(one.abs()));
                         for (one, other) in zip(fast, slow) {
                             assert!(
                                 (one - other).abs() <= 1e-7 * scale,

@@ -80,23 +80,23 @@ fn order<A: WithPrograms<2>>(config: Config<A, 2>, parameters: &[f64]) -> f64 {
 }
 
 #[test]
-fn the_order_is_four_where_nothing_sticks() {
+fn order_is_four_without_sticking() {
     let level = order(level([LINEAR; 2]), &scara(0.0, 0.0));
     let upright = order(config::<TwoLink<true>, 2>([LINEAR; 2]), &scara(0.0, 1.0));
     assert!(level > 3.8 && upright > 3.8, "{level} {upright}");
 }
 
 #[test]
-fn the_order_is_four_through_sticking_and_slipping() {
+fn order_is_four_with_sticking_and_slipping() {
     let config = level([LINEAR; 2]);
     let parameters = scara(1.0, 0.0);
-    let found = order(config, &parameters);
-    assert!(found > 3.7, "{found}");
+    let actual = order(config, &parameters);
+    assert!(actual > 3.7, "{actual}");
     let mut settling = parameters.clone();
     settling[12] = 3e-4;
     settling[20] = 1e-3;
-    let found = order(config, &settling);
-    assert!(found > 3.7, "{found}");
+    let actual = order(config, &settling);
+    assert!(actual > 3.7, "{actual}");
     // the case contains sticking and sliding
     let voltage = telegraph::<2>(7, 40, 8.0);
     let run = Run {
@@ -121,7 +121,7 @@ fn the_order_is_four_through_sticking_and_slipping() {
 }
 
 #[test]
-fn a_motor_that_settles_faster_and_faster_stops_at_once() {
+fn short_settling_time_converges_to_instant_stop() {
     let last = |time: f64| {
         let mut parameters = scara(1.0, 0.0);
         (parameters[12], parameters[20]) = (time, time);
@@ -136,15 +136,15 @@ fn a_motor_that_settles_faster_and_faster_stops_at_once() {
         };
         run.record(&[Quantity::LinkAngle])[0][640]
     };
-    let at_once = last(0.0);
-    let apart = |time: f64| (last(time)[0] - at_once[0]).abs();
-    let (near, nearer) = (apart(1e-5), apart(1e-6));
+    let stops_instantly = last(0.0);
+    let difference = |time: f64| (last(time)[0] - stops_instantly[0]).abs();
+    let (near, nearer) = (difference(1e-5), difference(1e-6));
     assert!(nearer < 0.15 * near, "{near} {nearer}"); // first order in the settling time
-    assert!(near < 1e-3 * at_once[0].abs(), "{near}");
+    assert!(near < 1e-3 * stops_instantly[0].abs(), "{near}");
 }
 
 #[test]
-fn torques_that_jump_turn_settling_motors_within_the_step() {
+fn torque_jumps_reverse_settling_motors_within_a_step() {
     // Without a current loop the torque jumps with the voltage. A sliding motor may be pushed in
     // the other direction beyond the friction limit at the start of a step. The torques of this
     // test cause at most 3000 rad/s^2 at motor 1 and 9000 rad/s^2 at motor 2.
@@ -221,7 +221,7 @@ fn energy_error<A: WithPrograms<N>, const N: usize>(run: &Run<'_, A, N>) -> f64 
     (gained - balance).abs() / turnover
 }
 
-fn drawn_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
+fn random_two_link() -> impl Strategy<Value = (Vec<f64>, u64)> {
     let factor = || 0.5..2.0f64;
     (prop::collection::vec(factor(), 21), any::<u64>()).prop_map(|(factors, seed)| {
         let mut values: Vec<f64> = scara(1.0, 1.0)
@@ -243,7 +243,7 @@ proptest! {
     })]
 
     #[test]
-    fn energy_is_kept_by_smooth_arms((mut values, seed) in drawn_two_link()) {
+    fn energy_balance_holds_without_coulomb_friction((mut values, seed) in random_two_link()) {
         for joint in [5, 13] {
             values[joint + 2] = 0.0; // no Coulomb friction, so the power has no kinks
         }
@@ -258,7 +258,7 @@ proptest! {
     }
 
     #[test]
-    fn energy_is_kept_through_sticking_and_slipping((values, seed) in drawn_two_link()) {
+    fn energy_balance_holds_with_sticking_and_slipping((values, seed) in random_two_link()) {
         let voltage = telegraph::<2>(seed, 100, 6.0);
         for gears in [[LINEAR; 2], [RIGID, LINEAR]] {
             let values = match gears[0].elastic {
@@ -278,7 +278,7 @@ proptest! {
     }
 
     #[test]
-    fn energy_is_kept_by_arms_with_every_effect((mut values, seed) in drawn_two_link(), few in any::<bool>()) {
+    fn energy_balance_holds_with_every_effect((mut values, seed) in random_two_link(), few in any::<bool>()) {
         // Without hysteresis the power is smooth except for friction jumps; the kinematic error
         // must neither add nor remove energy.
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
@@ -306,7 +306,7 @@ proptest! {
 
     /// A free arm on soft bases with flexible links: all energy is dissipated in the dampers.
     #[test]
-    fn energy_is_kept_by_flexible_links_and_soft_bases((mut values, seed) in drawn_two_link()) {
+    fn energy_balance_holds_with_flexible_links_and_soft_bases((mut values, seed) in random_two_link()) {
         let mut config = config::<TwoLink<true>, 2>([LINEAR; 2]);
         for (i, joint) in config.joints.iter_mut().enumerate() {
             joint.effects.flexible_link = true;
@@ -346,7 +346,7 @@ proptest! {
     }
 
     #[test]
-    fn the_inertia_matrix_is_positive_definite((values, _) in drawn_two_link(), q in -4.0..4.0f64) {
+    fn inertia_matrix_is_positive_definite((values, _) in random_two_link(), q in -4.0..4.0f64) {
         let arm = TwoLink::<true>::built_in();
         let m = arm.inertia(&arm.base(&values[..5]), &arm.posture(&[0.0, q]));
         prop_assert!(m[0][0] > 0.0 && m[0][0] * m[1][1] > m[0][1] * m[1][0]);
@@ -354,8 +354,8 @@ proptest! {
     }
 
     #[test]
-    fn the_regressor_times_the_parameters_is_the_inverse_dynamics(
-        (values, _) in drawn_two_link(),
+    fn regressor_times_parameters_is_inverse_dynamics(
+        (values, _) in random_two_link(),
         q in prop::array::uniform2(-3.0..3.0f64),
         dq in prop::array::uniform2(-3.0..3.0f64),
         ddq in prop::array::uniform2(-9.0..9.0f64),
@@ -374,7 +374,7 @@ proptest! {
     }
 
     #[test]
-    fn every_width_gives_one_result(seed in any::<u64>()) {
+    fn all_register_widths_agree(seed in any::<u64>()) {
         let mut draw = Draw::new(seed);
         let values: Vec<f64> = scara(1.0, 0.0).iter().map(|v| v * (1.0 + 0.1 * draw.next())).collect();
         let voltage = telegraph::<2>(seed, 101, 8.0);
@@ -397,7 +397,7 @@ proptest! {
     }
 
     #[test]
-    fn nothing_ever_leaves_the_finite_numbers(
+    fn motion_stays_finite(
         factors in prop::collection::vec(-1.0..1.0f64, 21), seed in any::<u64>(),
         kinds in prop::array::uniform2(0usize..2), volts in 0.0..20.0f64,
     ) {
@@ -427,7 +427,7 @@ proptest! {
 }
 
 #[test]
-fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
+fn rigid_arm_motion_agrees_with_inverse_dynamics() {
     let linear = scara(1.0, 1.0);
     let parameters = [&linear[..10], &linear[13..18]].concat();
     let voltage = telegraph::<2>(3, 50, 9.0);
@@ -459,7 +459,7 @@ fn a_rigid_arm_moves_as_its_inverse_dynamics_says() {
 }
 
 #[test]
-fn friction_holds_an_arm_up_for_good() {
+fn friction_holds_arm_against_gravity() {
     // A link in a vertical plane whose gravity torque, 0.3 N m at the motor, is below the friction
     // limit.
     let parameters = [1.0, 30.0, 1.5e-4, 1e-4, 0.5, 0.0, 0.1, 20e3, 5.0, 0.0];

@@ -3,7 +3,8 @@
 use std::iter::zip;
 
 use crate::common::{
-    BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, by_duals, config, sensitivities, simulate,
+    BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, config, differentiate_over_dual_numbers,
+    sensitivities, simulate,
 };
 use proptest::prelude::*;
 use strainwave_arms::WithPrograms;
@@ -44,7 +45,7 @@ struct Case<A, const N: usize> {
     task: Task<A, N>,
     parameters: Vec<f64>,
     /// Typical size of each parameter if it is not zero.
-    usual: Vec<f64>,
+    typical: Vec<f64>,
     initial: Initial<N>,
     voltage: Vec<[f64; N]>,
     reference: Vec<[f64; N]>,
@@ -53,12 +54,12 @@ struct Case<A, const N: usize> {
 impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
     /// A random arm: a two-link or one-link arm with the built-in parameters varied by some tens of
     /// percent, under random telegraph voltages or a servo.
-    fn drawn(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
-        Self::drawn_with(EffectKinds::default(), gears, seed, servo, steps)
+    fn random(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
+        Self::random_with(EffectKinds::default(), gears, seed, servo, steps)
     }
 
     /// A random arm with effects, except those that a rigid gear cannot have.
-    fn drawn_with(
+    fn random_with(
         effects: EffectKinds,
         gears: [Law; N],
         seed: u64,
@@ -83,7 +84,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
             joint.imu_accelerometer_hz = Some(250.0);
             joint.imu_gyro_hz = Some(40.0);
         }
-        let parameters = drawn_parameters(&config, &mut draw);
+        let parameters = random_parameters(&config, &mut draw);
         let clock = Clock {
             step: 1.25e-4,
             steps_per_tick: 8,
@@ -120,7 +121,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
                 servo,
                 record: RECORDED.to_vec(),
             },
-            usual: parameters.clone(),
+            typical: parameters.clone(),
             parameters,
             initial,
             voltage,
@@ -176,13 +177,13 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         }
     }
 
-    fn follow(&self, directions: &[Source], width: Width) -> Sensitivities<N> {
+    fn differentiate(&self, directions: &[Source], width: Width) -> Sensitivities<N> {
         let member = self.member(&self.parameters, self.initial);
         sensitivities(&self.task, &member, directions, width).expect("finite")
     }
 
     /// The plain experiment with one parameter or initial state changed.
-    fn moved(&self, source: Source, by: f64, hanging: &[f64; N]) -> Record<N> {
+    fn perturbed(&self, source: Source, by: f64, equilibrium: &[f64; N]) -> Record<N> {
         let (mut parameters, mut initial) = (self.parameters.clone(), self.initial);
         match source {
             Source::Parameter(k) => parameters[k] += by,
@@ -190,7 +191,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
             Source::MotorVelocity(i) => initial.motor_velocity[i] += by,
             Source::LinkVelocity(i) => initial.link_velocity[i] += by,
             Source::LinkAngle(i) => {
-                let mut angle = *hanging;
+                let mut angle = *equilibrium;
                 angle[i] += by;
                 initial.link_angle = Some(angle);
             }
@@ -202,7 +203,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
     /// Change of a parameter or initial state by `part` of its typical size.
     fn size(&self, source: Source, part: f64) -> f64 {
         part * match source {
-            Source::Parameter(k) => self.usual[k].abs(),
+            Source::Parameter(k) => self.typical[k].abs(),
             Source::MotorAngle(_) | Source::MotorVelocity(_) => 10.0,
             Source::LinkAngle(_) => 0.01,
             Source::LinkVelocity(_) => 1.0,
@@ -218,7 +219,10 @@ impl Case<TwoLink<true>, 2> {
     }
 }
 
-fn drawn_parameters<A: Arm<N>, const N: usize>(config: &Config<A, N>, draw: &mut Draw) -> Vec<f64> {
+fn random_parameters<A: Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    draw: &mut Draw,
+) -> Vec<f64> {
     let settling = f64::from(u8::from(draw.next() > 0.0));
     let mut around = |value: f64| value * (1.0 + 0.3 * draw.next());
     config
@@ -301,23 +305,23 @@ const DIGITS: std::ops::RangeInclusive<i32> = 2..=7;
 /// sticks or slides.
 fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64 {
     let directions = case.directions();
-    let found = case.follow(&directions, Width::detect());
-    let plain = case.moved(Source::Parameter(0), 0.0, &[0.0; N]);
+    let actual = case.differentiate(&directions, Width::detect());
+    let plain = case.perturbed(Source::Parameter(0), 0.0, &[0.0; N]);
     let differences: Vec<Vec<Differences<N>>> = directions
         .iter()
         .map(|&direction| {
             let sizes = DIGITS.map(|digits| case.size(direction, 0.1f64.powi(digits)));
-            let found = sizes.filter_map(|size| Differences::of(case, direction, size, &plain));
-            let found: Vec<_> = found.collect();
-            if found.len() > 1 { found } else { Vec::new() }
+            let actual = sizes.filter_map(|size| Differences::of(case, direction, size, &plain));
+            let actual: Vec<_> = actual.collect();
+            if actual.len() > 1 { actual } else { Vec::new() }
         })
         .collect();
     for k in 0..RECORDED.len() {
         let rounding = rounding(case, &directions, &differences, &plain, k);
         for (d, direction) in directions.iter().enumerate() {
-            let own = rows_of(&found.tangents[k], directions.len(), d);
-            let off = distance(&own, &differences[d], &rounding, k);
-            assert!(off < 1e-7, "{direction:?} {:?}: {off:e}", RECORDED[k]);
+            let own = rows_of(&actual.tangents[k], directions.len(), d);
+            let error = distance(&own, &differences[d], &rounding, k);
+            assert!(error < 1e-7, "{direction:?} {:?}: {error:e}", RECORDED[k]);
         }
     }
     let checked = differences.iter().filter(|lengths| !lengths.is_empty());
@@ -338,21 +342,21 @@ fn rounding<A: WithPrograms<N> + BuiltIn, const N: usize>(
     plain: &Record<N>,
     k: usize,
 ) -> [f64; N] {
-    let mut found = [0.0f64; N];
+    let mut actual = [0.0f64; N];
     for i in 0..N {
-        found[i] = plain[k].iter().fold(0.0, |a, row| row[i].abs().max(a)) * 1e-11;
+        actual[i] = plain[k].iter().fold(0.0, |a, row| row[i].abs().max(a)) * 1e-11;
     }
     for (&direction, lengths) in zip(directions, differences) {
         let shortest = case.size(direction, 0.1f64.powi(*DIGITS.end()));
         for each in lengths.iter().filter(|each| each.size < 2.0 * shortest) {
             for row in &each.eighth[k] {
                 for i in 0..N {
-                    found[i] = found[i].max(2.0 / 12_870f64.sqrt() * row[i].abs());
+                    actual[i] = actual[i].max(2.0 / 12_870f64.sqrt() * row[i].abs());
                 }
             }
         }
     }
-    found
+    actual
 }
 
 /// Derivatives in one direction.
@@ -381,17 +385,17 @@ fn distance<const N: usize>(
     for i in 0..N {
         let scale = own.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
         for row in 0..own.len() {
-            let off = |each: &Differences<N>| {
-                let off = (own[row][i] - each.slopes[k][row][i]).abs();
-                (off - rounding[i] / each.size).max(0.0)
+            let error = |each: &Differences<N>| {
+                let error = (own[row][i] - each.slopes[k][row][i]).abs();
+                (error - rounding[i] / each.size).max(0.0)
             };
-            let apart = |pair: &[Differences<N>]| {
+            let change = |pair: &[Differences<N>]| {
                 let [one, other] = [0, 1].map(|length| pair[length].slopes[k][row][i]);
                 (one - other).abs()
             };
-            let least = differences.iter().map(off).fold(f64::INFINITY, f64::min);
-            let unsettled = differences.windows(2).map(apart).reduce(f64::min);
-            let beyond = (least - unsettled.unwrap_or(0.0)).max(0.0);
+            let smallest = differences.iter().map(error).fold(f64::INFINITY, f64::min);
+            let unsettled = differences.windows(2).map(change).reduce(f64::min);
+            let beyond = (smallest - unsettled.unwrap_or(0.0)).max(0.0);
             worst = worst.max(beyond / scale.max(f64::MIN_POSITIVE));
         }
     }
@@ -418,8 +422,8 @@ impl<const N: usize> Differences<N> {
         // central differences: first derivative to eighth order, eighth difference
         const WEIGHTS: [f64; 4] = [4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0];
         const EIGHTH: [f64; 4] = [-56.0, 28.0, -8.0, 1.0];
-        let hanging = plain[2][0];
-        let mut found = Self {
+        let equilibrium = plain[2][0];
+        let mut actual = Self {
             size,
             slopes: plain
                 .iter()
@@ -427,7 +431,7 @@ impl<const N: usize> Differences<N> {
                 .collect(),
             eighth: plain.clone(),
         };
-        for entry in found
+        for entry in actual
             .eighth
             .iter_mut()
             .flat_map(|rows| rows.as_flattened_mut())
@@ -437,15 +441,15 @@ impl<const N: usize> Differences<N> {
         for j in 0..WEIGHTS.len() {
             let by = size * (j + 1) as f64;
             for sign in [1.0, -1.0] {
-                let moved = case.moved(direction, sign * by, &hanging);
-                if moved[SLIDING] != plain[SLIDING] {
+                let perturbed = case.perturbed(direction, sign * by, &equilibrium);
+                if perturbed[SLIDING] != plain[SLIDING] {
                     return None;
                 }
-                add(&mut found.slopes, sign * WEIGHTS[j] / size, &moved);
-                add(&mut found.eighth, EIGHTH[j], &moved);
+                add(&mut actual.slopes, sign * WEIGHTS[j] / size, &perturbed);
+                add(&mut actual.eighth, EIGHTH[j], &perturbed);
             }
         }
-        Some(found)
+        Some(actual)
     }
 }
 
@@ -460,7 +464,7 @@ fn add<const N: usize>(sum: &mut Record<N>, weight: f64, record: &Record<N>) {
 /// Largest distance between two results, relative to the largest entry of each column. The scale is
 /// at least 1e-4 of the value per typical size of the direction, because smaller columns contain
 /// only rounding.
-fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
+fn relative_difference<A: WithPrograms<N> + BuiltIn, const N: usize>(
     case: &Case<A, N>,
     directions: &[Source],
     [one, other]: [&Sensitivities<N>; 2],
@@ -474,8 +478,8 @@ fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
             for i in 0..N {
                 let largest =
                     |rows: &[[f64; N]]| rows.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
-                let least = 1e-4 * largest(&one.values[k]) / case.size(direction, 1.0);
-                let scale = largest(&own).max(least).max(f64::MIN_POSITIVE);
+                let smallest = 1e-4 * largest(&one.values[k]) / case.size(direction, 1.0);
+                let scale = largest(&own).max(smallest).max(f64::MIN_POSITIVE);
                 for (own, other) in own.iter().zip(&others) {
                     worst = worst.max((own[i] - other[i]).abs() / scale);
                 }
@@ -486,25 +490,29 @@ fn apart<A: WithPrograms<N> + BuiltIn, const N: usize>(
 }
 
 /// Compares derivatives by the variational equations with derivatives over dual numbers.
-fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
+fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
     let directions = case.directions();
     let width = Width::detect();
-    let slow = by_duals(&case.task, &member, &directions).expect("finite");
-    let fast = case.follow(&directions, width);
+    let slow = differentiate_over_dual_numbers(&case.task, &member, &directions).expect("finite");
+    let fast = case.differentiate(&directions, width);
     assert_eq!(slow.values, fast.values);
     // Dual numbers compute the derivative of a torsion as the difference of two numbers that are
     // 10^5 times as large, and a servo loop can double the rounding error every few reversals.
-    let off = apart(case, &directions, [&slow, &fast]);
-    assert!(off < 1e-6, "{off:e}");
+    let error = relative_difference(case, &directions, [&slow, &fast]);
+    assert!(error < 1e-6, "{error:e}");
     for other in [Width::Portable, Width::Avx2] {
         if other <= width {
-            let off = apart(case, &directions, [&fast, &case.follow(&directions, other)]);
-            assert!(off < 1e-6, "{off:e} on {other:?}");
+            let error = relative_difference(
+                case,
+                &directions,
+                [&fast, &case.differentiate(&directions, other)],
+            );
+            assert!(error < 1e-6, "{error:e} on {other:?}");
         }
     }
     let few = [directions[7], directions[0], directions[2]];
-    let some = case.follow(&few, width);
+    let some = case.differentiate(&few, width);
     for (d, direction) in few.iter().enumerate() {
         let at = directions.iter().position(|all| all == direction).unwrap();
         for k in 0..RECORDED.len() {
@@ -516,12 +524,12 @@ fn check_ways<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
 
 /// In this case the shortest steps that keep the pattern of sliding still reach a knee.
 #[test]
-fn where_differences_have_not_settled() {
+fn derivatives_match_where_differences_have_not_converged() {
     let kinds = EffectKinds {
         hysteresis: false,
         ..SMOOTH
     };
-    check(&Case::<SerialChain<2>, 2>::drawn_with(
+    check(&Case::<SerialChain<2>, 2>::random_with(
         kinds,
         [LINEAR, RIGID],
         980_182_916_517_365_455,
@@ -532,18 +540,18 @@ fn where_differences_have_not_settled() {
 
 /// In this case the torsion of a gear at rest is rounding only, of either sign.
 #[test]
-fn where_a_gear_at_rest_has_a_dead_band_of_no_width() {
+fn methods_agree_for_zero_backlash_at_rest() {
     let gears = [THREE_SLOPE, LINEAR];
     let arm =
-        Case::<TwoLink<true>, 2>::drawn_with(ALL, gears, 1_343_806_162_293_110_939, false, 400)
+        Case::<TwoLink<true>, 2>::random_with(ALL, gears, 1_343_806_162_293_110_939, false, 400)
             .level();
-    check_ways(&arm.without_effects());
+    check_methods(&arm.without_effects());
 }
 
 /// In this case the servo loop amplifies the rounding error of the voltages and of the differences.
 #[test]
-fn where_a_servo_amplifies_rounding() {
-    check(&Case::<TwoLink<true>, 2>::drawn(
+fn derivatives_match_where_servo_amplifies_rounding() {
+    check(&Case::<TwoLink<true>, 2>::random(
         [LINEAR, THREE_SLOPE],
         3_105_188_054_994_044_978,
         true,
@@ -556,7 +564,7 @@ fn where_a_servo_amplifies_rounding() {
 /// With masses m, first moments h and inertias I of the links, alpha = I_1 + m_2 l^2, beta = I_2,
 /// gamma = l h_2, G_1 = g (h_1 + m_2 l) and G_2 = g h_2.
 fn check_planar_chain(seed: u64, servo: bool) {
-    let mut planar = Case::<TwoLink<true>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 240);
+    let mut planar = Case::<TwoLink<true>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 240);
     let (l, g) = (0.35, 9.81);
     let links = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]]; // m, h, I
     let [[_, h_1, i_1], [m_2, h_2, i_2]] = links;
@@ -591,7 +599,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
             servo: planar.task.servo,
             record: planar.task.record.clone(),
         },
-        usual: parameters.clone(),
+        typical: parameters.clone(),
         parameters,
         initial: planar.initial,
         voltage: planar.voltage.clone(),
@@ -599,10 +607,10 @@ fn check_planar_chain(seed: u64, servo: bool) {
     };
     let width = Width::detect();
     let (of_planar, of_chain) = (planar.directions(), chain.directions());
-    let one = planar.follow(&of_planar, width);
-    let other = chain.follow(&of_chain, width);
+    let one = planar.differentiate(&of_planar, width);
+    let other = chain.differentiate(&of_chain, width);
     // derivative of the planar parameters with respect to each parameter of the chain
-    let made_of = |k: usize| match k {
+    let planar_parts = |k: usize| match k {
         1 => vec![(3, g)],
         9 => vec![(0, 1.0)],
         10 => vec![(0, l * l), (3, g * l)],
@@ -621,7 +629,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
             let parts = match direction {
                 // the planar arm has no first moments across its links
                 Source::Parameter(2 | 12) => continue,
-                Source::Parameter(k) => made_of(*k)
+                Source::Parameter(k) => planar_parts(*k)
                     .iter()
                     .map(|&(k, factor)| (Source::Parameter(k), factor))
                     .collect(),
@@ -639,7 +647,7 @@ fn check_planar_chain(seed: u64, servo: bool) {
             let sums = sum.as_flattened().iter();
             let scale = sums.fold(1e-9 * largest, |a, x| a.max(x.abs()));
             for (own, sum) in zip(own.as_flattened(), sum.as_flattened()) {
-                // same tolerance as between two methods, see `check_ways`
+                // same tolerance as between two methods, see `check_methods`
                 assert!(
                     (own - sum).abs() <= 1e-6 * scale,
                     "{direction:?} {:?}",
@@ -664,75 +672,75 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(4))]
 
     #[test]
-    fn derivatives_are_those_of_the_simulation(seed in any::<u64>(), servo in any::<bool>()) {
+    fn derivatives_match_differences(seed in any::<u64>(), servo in any::<bool>()) {
         let mut shares = Vec::new();
         let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, other], seed, servo, 240).level()));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([other, one], seed, servo, 240)));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn([one, RIGID], seed, servo, 240)));
-        shares.push(check(&Case::<OneLink, 1>::drawn([one], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random([one, other], seed, servo, 240).level()));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random([other, one], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random([one, RIGID], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink, 1>::random([one], seed, servo, 240)));
         // Most draws do not change the friction events.
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 
     #[test]
-    fn so_are_those_of_arms_with_effects(seed in any::<u64>(), servo in any::<bool>()) {
+    fn derivatives_match_differences_with_effects(seed in any::<u64>(), servo in any::<bool>()) {
         let mut shares = Vec::new();
         let gears = [THREE_SLOPE, LINEAR, RIGID];
         let [one, other] = [seed % 2, seed / 2 % 2].map(|k| gears[k as usize]);
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..SMOOTH };
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(SMOOTH, [one, other], seed, servo, 240).level()));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(SMOOTH, [other, RIGID], seed, servo, 240)));
-        shares.push(check(&Case::<TwoLink<true>, 2>::drawn_with(some, [other, one], seed, servo, 240)));
-        shares.push(check(&Case::<OneLink, 1>::drawn_with(SMOOTH, [one], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random_with(SMOOTH, [one, other], seed, servo, 240).level()));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random_with(SMOOTH, [other, RIGID], seed, servo, 240)));
+        shares.push(check(&Case::<TwoLink<true>, 2>::random_with(some, [other, one], seed, servo, 240)));
+        shares.push(check(&Case::<OneLink, 1>::random_with(SMOOTH, [one], seed, servo, 240)));
         prop_assert!(shares.iter().sum::<f64>() > 2.0, "{:?}", shares);
     }
 
     #[test]
-    fn so_are_those_of_chains(seed in any::<u64>(), servo in any::<bool>()) {
+    fn derivatives_match_differences_for_chains(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..SMOOTH };
         let shares = [
-            check(&Case::<SerialChain<1>, 1>::drawn([THREE_SLOPE], seed, servo, 160)),
-            check(&Case::<SerialChain<2>, 2>::drawn_with(some, [LINEAR, RIGID], seed, servo, 160)),
-            check(&Case::<SerialChain<3>, 3>::drawn([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
+            check(&Case::<SerialChain<1>, 1>::random([THREE_SLOPE], seed, servo, 160)),
+            check(&Case::<SerialChain<2>, 2>::random_with(some, [LINEAR, RIGID], seed, servo, 160)),
+            check(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
         ];
         prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
     }
 
     #[test]
-    fn both_ways_agree_on_chains(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<SerialChain<1>, 1>::drawn([LINEAR], seed, servo, 240));
-        check_ways(&Case::<SerialChain<2>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 240));
-        check_ways(&Case::<SerialChain<3>, 3>::drawn([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
-        check_ways(&Case::<SerialChain<6>, 6>::drawn([LINEAR; 6], seed, servo, 80));
+    fn methods_agree_for_chains(seed in any::<u64>(), servo in any::<bool>()) {
+        check_methods(&Case::<SerialChain<1>, 1>::random([LINEAR], seed, servo, 240));
+        check_methods(&Case::<SerialChain<2>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_methods(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_methods(&Case::<SerialChain<6>, 6>::random([LINEAR; 6], seed, servo, 80));
     }
 
     #[test]
-    fn a_planar_chain_is_the_closed_form(seed in any::<u64>(), servo in any::<bool>()) {
+    fn planar_chain_agrees_with_closed_form(seed in any::<u64>(), servo in any::<bool>()) {
         check_planar_chain(seed, servo);
     }
 
     #[test]
-    fn both_ways_and_all_widths_agree(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<TwoLink<true>, 2>::drawn([THREE_SLOPE, LINEAR], seed, servo, 400).level());
-        check_ways(&Case::<TwoLink<true>, 2>::drawn([LINEAR, THREE_SLOPE], seed, servo, 400));
+    fn methods_and_register_widths_agree(seed in any::<u64>(), servo in any::<bool>()) {
+        check_methods(&Case::<TwoLink<true>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 400).level());
+        check_methods(&Case::<TwoLink<true>, 2>::random([LINEAR, THREE_SLOPE], seed, servo, 400));
                 for gear in [THREE_SLOPE, LINEAR] {
-            check_ways(&Case::<OneLink, 1>::drawn([gear], seed, servo, 400));
+            check_methods(&Case::<OneLink, 1>::random([gear], seed, servo, 400));
         }
     }
 
     #[test]
-    fn both_ways_agree_on_effects_of_the_drive(seed in any::<u64>(), servo in any::<bool>()) {
-        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().with_drive_effects_only());
-        check_ways(&Case::<OneLink, 1>::drawn_with(ALL, [LINEAR], seed, servo, 400).with_drive_effects_only());
+    fn methods_agree_for_drive_effects(seed in any::<u64>(), servo in any::<bool>()) {
+        check_methods(&Case::<TwoLink<true>, 2>::random_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().with_drive_effects_only());
+        check_methods(&Case::<OneLink, 1>::random_with(ALL, [LINEAR], seed, servo, 400).with_drive_effects_only());
     }
 
     #[test]
-    fn effects_that_an_arm_lacks_are_followed(seed in any::<u64>(), servo in any::<bool>()) {
+    fn methods_agree_for_zero_size_effects(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, stribeck: seed % 3 == 1, ..ALL };
-        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().without_effects());
-        check_ways(&Case::<TwoLink<true>, 2>::drawn_with(some, [LINEAR, THREE_SLOPE], seed, servo, 400).without_effects());
-        check_ways(&Case::<OneLink, 1>::drawn_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
+        check_methods(&Case::<TwoLink<true>, 2>::random_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().without_effects());
+        check_methods(&Case::<TwoLink<true>, 2>::random_with(some, [LINEAR, THREE_SLOPE], seed, servo, 400).without_effects());
+        check_methods(&Case::<OneLink, 1>::random_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
     }
 }

@@ -103,7 +103,7 @@ fn mean<R: Real>(bandwidth: f64, t: R) -> R {
         let third = x.mul_add(fourth, c(-1.0 / 48.0));
         return x.mul_add(x.mul_add(x.mul_add(third, c(1.0 / 8.0)), c(-0.5)), c(1.0));
     }
-    let left = (-x).exp();
+    let share = (-x).exp();
     let one = c(1.0);
-    c(0.25) * (c(6.0) * (one - left) / x - one - left)
+    c(0.25) * (c(6.0) * (one - share) / x - one - share)
 }

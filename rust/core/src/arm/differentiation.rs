@@ -82,10 +82,10 @@ fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: us
             }
             moved[kind][j].tangent = one;
             let [turned, dq, ddq] = moved;
-            let found = functions(&arm.near(&at, &turned), &dq, &ddq);
+            let actual = functions(&arm.near(&at, &turned), &dq, &ddq);
             for m in 0..M {
                 for i in 0..N {
-                    by[m][i][j] = found[m][i].tangent;
+                    by[m][i][j] = actual[m][i].tangent;
                 }
             }
         }
@@ -133,7 +133,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn closed_forms_are_what_differentiation_gives(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
+        fn closed_forms_agree_with_differentiation(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
             let values = [1.6, 0.6, 0.8, 3.1, 0.7];
             let (link_length, gravity) = (0.35, 9.81);
             let accelerometer_distance = [0.33, 0.27];

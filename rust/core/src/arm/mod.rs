@@ -35,14 +35,14 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
 
     /// Whether the equations depend on each joint's angle. Those of a horizontal arm do not depend
     /// on the first.
-    const FELT: [bool; N];
+    const DEPENDS_ON_ANGLE: [bool; N];
     /// Whether all axes are parallel. The rate of a link in space is then the sum of the joint
     /// rates up to it, and the reading of its accelerometer does not depend on the velocity of its
     /// own joint.
     const PLANAR: bool;
     /// Whether the equations of a stage are compiled as functions of their own, which keeps the
     /// programs of arms with long equations small.
-    const COMPACT: bool = false;
+    const HAS_OUTLINED_EQUATIONS: bool = false;
 
     /// The base parameters, each once; those of one link for a chain.
     const PARAMETERS: &'static [Parameter];
@@ -173,7 +173,7 @@ fn has_gravity(gravity: f64) -> f64 {
 /// Derivatives of a vector (rows) with respect to joint angles and joint velocities (columns).
 #[derive(Clone, Copy, Debug)]
 pub struct Slopes<R, const N: usize> {
-    /// With respect to the angles; zero unless [`Arm::FELT`].
+    /// With respect to the angles; zero unless [`Arm::DEPENDS_ON_ANGLE`].
     pub angle: [[R; N]; N],
     /// With respect to the velocities.
     pub velocity: [[R; N]; N],

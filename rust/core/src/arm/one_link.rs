@@ -28,7 +28,7 @@ impl Arm<1> for OneLink {
 
     type Regressor<R: Real> = [[R; 1]; 2];
 
-    const FELT: [bool; 1] = [true];
+    const DEPENDS_ON_ANGLE: [bool; 1] = [true];
     const PLANAR: bool = true;
 
     const PARAMETERS: &'static [Parameter] = &[

@@ -43,7 +43,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     type Regressor<R: Real> = [[R; 2]; 5];
 
-    const FELT: [bool; 2] = [VERTICAL, true];
+    const DEPENDS_ON_ANGLE: [bool; 2] = [VERTICAL, true];
     const PLANAR: bool = true;
 
     const PARAMETERS: &'static [Parameter] = &[
@@ -230,9 +230,9 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ];
         let (mut inner, mut outer) = (zero, zero);
         if VERTICAL {
-            let felt = R::splat(has_gravity(self.gravity));
-            inner = felt * at.first.cos;
-            outer = felt * at.first.plus(at.second).cos;
+            let plane_gravity = R::splat(has_gravity(self.gravity));
+            inner = plane_gravity * at.first.cos;
+            outer = plane_gravity * at.first.plus(at.second).cos;
         }
         [
             [ddq[0], zero],
@@ -302,7 +302,13 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         dq: &[R; 2],
         ddq: &[R; 2],
     ) -> [[R; 2]; LINK_SIGNALS] {
-        planar(&self.turns(at), self.felt(), self.link_length, dq, ddq)
+        planar(
+            &self.turns(at),
+            self.plane_gravity(),
+            self.link_length,
+            dq,
+            ddq,
+        )
     }
 
     #[inline(always)]
@@ -312,7 +318,13 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         dq: &[R; 2],
         ddq: &[R; 2],
     ) -> [LinkSignalSlopes<R, 2>; 2] {
-        planar_slopes(&self.turns(at), self.felt(), self.link_length, dq, ddq)
+        planar_slopes(
+            &self.turns(at),
+            self.plane_gravity(),
+            self.link_length,
+            dq,
+            ddq,
+        )
     }
 }
 
@@ -330,7 +342,7 @@ impl TwoLink<true> {
 impl<const VERTICAL: bool> TwoLink<VERTICAL> {
     /// Gravity in the plane of motion.
     #[inline(always)]
-    fn felt(&self) -> f64 {
+    fn plane_gravity(&self) -> f64 {
         if VERTICAL { self.gravity } else { 0.0 }
     }
 

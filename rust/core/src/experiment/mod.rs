@@ -50,7 +50,7 @@ pub enum Quantity {
 impl Quantity {
     /// Index among the signals of an IMU; `None` for other quantities.
     #[inline(always)]
-    pub(crate) fn mounted(self) -> Option<usize> {
+    pub(crate) fn imu_signal(self) -> Option<usize> {
         match self {
             Self::SpecificForceX => Some(0),
             Self::SpecificForceY => Some(1),
@@ -124,7 +124,7 @@ impl Iterator for Instants {
             samples: self.to_sample == 0,
             last: step == steps,
         };
-        let next = |left: usize, period: usize| if left == 0 { period - 1 } else { left - 1 };
+        let next = |count: usize, period: usize| if count == 0 { period - 1 } else { count - 1 };
         self.to_tick = next(self.to_tick, self.clock.steps_per_tick);
         self.to_servo = next(self.to_servo, self.clock.steps_per_servo);
         self.to_sample = next(self.to_sample, self.clock.steps_per_sample);

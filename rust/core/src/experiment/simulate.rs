@@ -11,11 +11,11 @@ use crate::experiment::start::start;
 use crate::experiment::{Diverged, Event, Member, Quantity, RecordOf, Source, Task};
 use crate::joint::Joint;
 use crate::joint::gear::Gears;
-use crate::plant::friction::{Motion, Stretch, sign};
+use crate::plant::friction::{Motion, Span, sign};
 use crate::plant::{Instant, Plant, Watch};
 use crate::scalar::{Real, Work};
 use crate::sensors::encoder::encoder_angle;
-use crate::sensors::imu::{self, MOUNTED, Mounted};
+use crate::sensors::imu::{self, IMU_SIGNALS, Imus};
 use crate::sensors::low_pass::LowPass;
 
 /// Simulation over scalars `S` of one lane, as work for [`Real::scope`].
@@ -75,19 +75,19 @@ pub(crate) struct Simulation<
     pub(crate) plant: Plant<A, S, G, N, EFFECTS>,
     pub(crate) current: CurrentLoop<S, N>,
     pub(crate) motion: Motion<S, N>,
-    standing: bool,
+    has_held_motors: bool,
     pub(crate) target: [S; N],
     pub(crate) voltage: [S; N],
     /// Effective voltage [V] after the effects of the drive.
-    driven: [S; N],
+    effective_voltage: [S; N],
     /// State [V] of the lag of each drive.
-    remembered: [S; N],
+    drive_state: [S; N],
     /// Whether any drive has a lag.
-    pub(crate) lags: bool,
+    pub(crate) has_drive_lag: bool,
     servo: Option<ServoMemory<S, N>>,
     pub(crate) sensors: Option<Sensors<S, N>>,
     /// Spans between the friction events of the last step; empty without events.
-    pub(crate) stretches: Vec<Stretch<S, N>>,
+    pub(crate) spans: Vec<Span<S, N>>,
     record: RecordOf<S, N>,
     diverged: Option<Diverged>,
 }
@@ -97,7 +97,7 @@ pub(crate) struct Sensors<S, const N: usize> {
     pub(crate) accelerometer: [Option<LowPass<S, 2>>; N],
     pub(crate) gyro: [Option<LowPass<S, 1>>; N],
     /// Signals of the IMUs, if any are recorded.
-    pub(crate) mounted: Option<Mounted<S, N>>,
+    pub(crate) imus: Option<Imus<S, N>>,
     readings: [[S; N]; 2],
 }
 
@@ -115,23 +115,24 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let current = task.config.current_loop(task.clock.step);
         let motion = start(&plant, &current, &member.initial, lift);
         let voltage = member.initial.voltage.map(S::splat);
-        let driven = std::array::from_fn(|i| plant.joints[i].driven(voltage[i]));
+        let effective_voltage =
+            std::array::from_fn(|i| plant.joints[i].effective_voltage(voltage[i]));
         let lag = |joint: &Joint<S, G>| joint.effects.drive_lag.is_some();
         let mut simulation = Self {
             task,
             member,
-            lags: plant.joints.iter().any(lag),
+            has_drive_lag: plant.joints.iter().any(lag),
             plant,
             current,
-            standing: is_any_standing(&motion),
+            has_held_motors: has_held_motors(&motion),
             target: motion.torque,
             motion,
             voltage,
-            remembered: driven,
-            driven,
+            drive_state: effective_voltage,
+            effective_voltage,
             servo: None,
             sensors: None,
-            stretches: Vec::new(),
+            spans: Vec::new(),
             record: vec![Vec::with_capacity(task.clock.samples); task.record.len()],
             diverged: None,
         };
@@ -140,8 +141,8 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
         let senses = |quantity| task.record.contains(&quantity);
-        let mounted = task.record.iter().any(|one| one.mounted().is_some());
-        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) || mounted {
+        let imus = task.record.iter().any(|one| one.imu_signal().is_some());
+        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) || imus {
             simulation.sensors = Some(simulation.sensors_at_rest());
         }
         simulation
@@ -152,7 +153,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event.servo_reads);
-        } else if self.lags {
+        } else if self.has_drive_lag {
             self.hold();
         }
         let now = self.instant();
@@ -201,7 +202,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             (None, _) => self.voltage = feed_forward.map(S::splat),
         }
         for i in 0..N {
-            self.driven[i] = self.plant.joints[i].driven(self.voltage[i]);
+            self.effective_voltage[i] = self.plant.joints[i].effective_voltage(self.voltage[i]);
         }
         self.hold();
     }
@@ -210,16 +211,17 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     #[inline(always)]
     pub(crate) fn hold(&mut self) {
         for i in 0..N {
-            let (driven, memory) = (self.driven[i], &mut self.remembered[i]);
+            let (effective_voltage, memory) = (self.effective_voltage[i], &mut self.drive_state[i]);
             let joint = &self.plant.joints[i];
-            let driven = joint.held(driven, memory, self.task.clock.step);
-            let torque = S::splat(self.current.torque_per_volt[i]) * driven;
+            let effective_voltage =
+                joint.hold_voltage(effective_voltage, memory, self.task.clock.step);
+            let torque = S::splat(self.current.torque_per_volt[i]) * effective_voltage;
             self.target[i] = torque;
             if self.current.bandwidth[i].is_infinite() {
                 self.motion.torque[i] = torque;
             }
         }
-        if self.standing {
+        if self.has_held_motors {
             self.release();
         }
     }
@@ -232,7 +234,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             modes,
         } = &mut self.motion;
         self.plant.release(state, torque, modes);
-        self.standing = is_any_standing(&self.motion);
+        self.has_held_motors = has_held_motors(&self.motion);
     }
 
     /// Advances by one integrator step. A step in which friction changes its mode is repeated event
@@ -247,14 +249,14 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             .runge_kutta(&self.motion.state, now, &torque, modes, h, watch);
         let margins = self
             .plant
-            .margins(&state, &torque.end, modes, self.standing);
-        let mut least = margins[0];
+            .margins(&state, &torque.end, modes, self.has_held_motors);
+        let mut smallest_margin = margins[0];
         for margin in &margins[1..] {
-            least = least.min(*margin);
+            smallest_margin = smallest_margin.min(*margin);
         }
-        self.stretches.clear();
-        if least.any_negative() {
-            self.redo();
+        self.spans.clear();
+        if smallest_margin.any_negative() {
+            self.repeat_step();
         } else {
             self.motion.state = state;
             self.motion.torque = torque.end;
@@ -262,15 +264,15 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(never)]
-    fn redo(&mut self) {
+    fn repeat_step(&mut self) {
         self.motion = self.plant.advance(
             &self.motion,
             &self.target,
             &self.current,
             self.task.clock.step,
-            &mut self.stretches,
+            &mut self.spans,
         );
-        self.standing = is_any_standing(&self.motion);
+        self.has_held_motors = has_held_motors(&self.motion);
     }
 
     fn sensors_at_rest(&self) -> Sensors<S, N> {
@@ -287,12 +289,12 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 let hz = joints[i].gyro_hz?;
                 Some(LowPass::first_order(hz, h, readings[1][i]))
             }),
-            mounted: self
+            imus: self
                 .task
                 .record
                 .iter()
-                .any(|one| one.mounted().is_some())
-                .then(|| Mounted::at_rest(&self.task.config, h, self.signals(&now))),
+                .any(|one| one.imu_signal().is_some())
+                .then(|| Imus::at_rest(&self.task.config, h, self.signals(&now))),
             readings,
         }
     }
@@ -311,7 +313,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     /// Signals of ideal IMUs, before the low-passes.
     #[inline(always)]
-    fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; MOUNTED] {
+    fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; IMU_SIGNALS] {
         let velocity = &self.motion.state.link_velocity;
         let acceleration = &now.acceleration.link;
         imu::ideal(&self.plant.arm, &now.posture, velocity, acceleration)
@@ -322,13 +324,13 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let Some(sensors) = &self.sensors else {
             return;
         };
-        let signals = sensors.mounted.is_some().then(|| self.signals(now));
+        let signals = sensors.imus.is_some().then(|| self.signals(now));
         let readings = self.readings(now);
         let Some(sensors) = &mut self.sensors else {
             return;
         };
-        if let (Some(mounted), Some(signals)) = (&mut sensors.mounted, signals) {
-            mounted.update(signals);
+        if let (Some(imus), Some(signals)) = (&mut sensors.imus, signals) {
+            imus.update(signals);
         }
         sensors.readings = readings;
         for i in 0..N {
@@ -345,7 +347,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     #[inline(never)]
     pub(crate) fn record(&mut self, step: usize, now: &Instant<A, S, N>) {
-        S::scope(Recording(self, step, now));
+        S::scope(RecordWork(self, step, now));
     }
 
     #[inline(always)]
@@ -362,13 +364,13 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 Quantity::LinkAcceleration => now.acceleration.link,
                 Quantity::GearTorque => self.plant.gear_torques(state),
                 Quantity::Encoder => self.encoder(),
-                Quantity::Accelerometer => self.sensed(0),
-                Quantity::Gyro => self.sensed(1),
+                Quantity::Accelerometer => self.reading(0),
+                Quantity::Gyro => self.reading(1),
                 Quantity::SpecificForceX
                 | Quantity::SpecificForceY
                 | Quantity::AngularAcceleration
                 | Quantity::SquaredRate
-                | Quantity::AngularRate => self.mounted(self.task.record[k]),
+                | Quantity::AngularRate => self.imu_reading(self.task.record[k]),
                 Quantity::Sliding => state.motor_velocity.map(|one| sign(one.lane(0))),
             };
             self.record[k].push(row);
@@ -377,7 +379,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn sensed(&self, kind: usize) -> [S; N] {
+    fn reading(&self, kind: usize) -> [S; N] {
         match &self.sensors {
             Some(sensors) => sensors.readings[kind],
             None => [S::splat(0.0); N],
@@ -385,13 +387,13 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn mounted(&self, quantity: Quantity) -> [S; N] {
+    fn imu_reading(&self, quantity: Quantity) -> [S; N] {
         let sensors = self.sensors.as_ref();
         match (
-            quantity.mounted(),
-            sensors.and_then(|all| all.mounted.as_ref()),
+            quantity.imu_signal(),
+            sensors.and_then(|all| all.imus.as_ref()),
         ) {
-            (Some(place), Some(mounted)) => mounted.readings[place],
+            (Some(signal), Some(imus)) => imus.readings[signal],
             _ => [S::splat(0.0); N],
         }
     }
@@ -415,14 +417,14 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
 /// [`Simulation::record`] in the scope of its scalar. Outside of it, operations that the compiler
 /// moves out of the loop would be calls.
-struct Recording<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+struct RecordWork<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     &'g mut Simulation<'a, A, S, G, N, EFFECTS>,
     usize,
     &'g Instant<A, S, N>,
 );
 
 impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for Recording<'_, '_, A, S, G, N, EFFECTS>
+    for RecordWork<'_, '_, A, S, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]
@@ -431,6 +433,6 @@ impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     }
 }
 
-fn is_any_standing<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
+fn has_held_motors<S: Real, const N: usize>(motion: &Motion<S, N>) -> bool {
     motion.modes.free.iter().any(|free| free.lane(0) < 0.5)
 }

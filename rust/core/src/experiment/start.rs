@@ -13,10 +13,10 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     plant: &Plant<A, S, G, N, EFFECTS>,
     current: &CurrentLoop<S, N>,
     initial: &Initial<N>,
-    given: &impl Fn(Source, f64) -> S,
+    lift: &impl Fn(Source, f64) -> S,
 ) -> Motion<S, N> {
     let each = |source: fn(usize) -> Source, values: &[f64; N]| -> [S; N] {
-        std::array::from_fn(|i| given(source(i), values[i]))
+        std::array::from_fn(|i| lift(source(i), values[i]))
     };
     let mut state = State {
         motor_angle: each(Source::MotorAngle, &initial.motor_angle),
@@ -30,9 +30,9 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         base_torque_rate: [S::splat(0.0); N],
     };
     if initial.link_angle.is_none() {
-        let hanging = hanging(plant, &state.motor_angle);
+        let equilibrium = solve_equilibrium(plant, &state.motor_angle);
         for i in 0..N {
-            state.link_angle[i] = hanging[i] + state.link_angle[i];
+            state.link_angle[i] = equilibrium[i] + state.link_angle[i];
         }
     }
     for i in 0..N {
@@ -44,8 +44,8 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     plant.carry_parts(&mut state);
     plant.load_bases(&mut state);
     let torque = std::array::from_fn(|i| {
-        let driven = plant.joints[i].driven(S::splat(initial.voltage[i]));
-        S::splat(current.torque_per_volt[i]) * driven
+        let voltage = plant.joints[i].effective_voltage(S::splat(initial.voltage[i]));
+        S::splat(current.torque_per_volt[i]) * voltage
     });
     let modes = plant.modes_at(&state, &torque);
     for i in 0..N {
@@ -67,27 +67,28 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
 /// rotation of bases. The stiffness of gravity is about a thousandth of theirs, so each iteration
 /// gains three digits. After convergence the number of iterations is doubled, because derivatives
 /// converge as fast but start later.
-fn hanging<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+fn solve_equilibrium<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     plant: &Plant<A, S, G, N, EFFECTS>,
     motor_angle: &[S; N],
 ) -> [S; N] {
-    let untwisted: [S; N] = std::array::from_fn(|i| plant.untwisted(motor_angle[i], i));
-    let mut angle = untwisted;
+    let unloaded_link_angle: [S; N] =
+        std::array::from_fn(|i| plant.unloaded_link_angle(motor_angle[i], i));
+    let mut angle = unloaded_link_angle;
     let mut settled = None;
     for round in 0..400 {
         let at = plant.arm.posture(&angle);
         let mut gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
         if EFFECTS {
-            let borne = plant.borne(&angle);
-            gravity = std::array::from_fn(|i| gravity[i] + borne[i]);
+            let loads = plant.static_loads(&angle);
+            gravity = std::array::from_fn(|i| gravity[i] + loads[i]);
         }
         let mut change = 0.0f64;
         for i in 0..N {
             if !plant.is_rigid(i) {
                 let joint = &plant.joints[i];
-                let mut next = untwisted[i] - joint.torsion::<EFFECTS>(gravity[i]);
+                let mut next = unloaded_link_angle[i] - joint.torsion::<EFFECTS>(gravity[i]);
                 if EFFECTS {
-                    next = next - joint.effects.base_turn(gravity[i]);
+                    next = next - joint.effects.base_rotation(gravity[i]);
                 }
                 change = change.max((next - angle[i]).lane(0).abs());
                 angle[i] = next;

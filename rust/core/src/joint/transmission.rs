@@ -1,6 +1,6 @@
 //! Drive train of one joint: friction of its motor, and its gear.
 
-use crate::joint::effects::{Effects, Twist};
+use crate::joint::effects::{Effects, Torsion};
 use crate::joint::gear::{Gears, Spring};
 use crate::parameter::{DAMPING, INERTIA, Parameter, Sign, TIME, TORQUE};
 use crate::scalar::Real;
@@ -96,9 +96,9 @@ pub struct Joint<R: Real, G: Gears> {
 /// State of a gear at one instant.
 pub(crate) struct Gear<R> {
     /// Torsion and its rate.
-    pub(crate) twist: Twist<R>,
+    pub(crate) torsion: Torsion<R>,
     /// Local ratio n + e'(theta_M): torque at the motor per torque at the link.
-    pub(crate) lever: R,
+    pub(crate) local_ratio: R,
 }
 
 /// `EFFECTS` states at compile time whether the joint may have effects on motor, gear or link.
@@ -116,21 +116,21 @@ impl<R: Real, G: Gears> Joint<R, G> {
 
     /// Effective voltage [V] for a commanded one.
     #[inline(always)]
-    pub(crate) fn driven(&self, voltage: R) -> R {
+    pub(crate) fn effective_voltage(&self, voltage: R) -> R {
         self.effects.drive(voltage)
     }
 
     /// Mean effective voltage [V] over a time [s] for a constant voltage; updates the state of the
     /// drive.
     #[inline(always)]
-    pub(crate) fn held(&self, driven: R, memory: &mut R, time: f64) -> R {
-        let [mean, end] = self.effects.held(driven, *memory, time);
+    pub(crate) fn hold_voltage(&self, voltage: R, memory: &mut R, time: f64) -> R {
+        let [mean, end] = self.effects.hold_voltage(voltage, *memory, time);
         *memory = end;
         mean
     }
 
     /// Link angle [rad] at zero torsion: n theta_M + e(theta_M).
-    pub fn untwisted<const EFFECTS: bool>(&self, motor_angle: R) -> R {
+    pub fn unloaded_link_angle<const EFFECTS: bool>(&self, motor_angle: R) -> R {
         let angle = self.ratio * motor_angle;
         if EFFECTS {
             angle + self.effects.error(motor_angle)[0]
@@ -147,29 +147,29 @@ impl<R: Real, G: Gears> Joint<R, G> {
         [motor_angle, link_angle]: [R; 2],
         [motor_velocity, link_velocity]: [R; 2],
     ) -> Gear<R> {
-        let mut lever = self.ratio;
-        let mut angle = lever.mul_add(motor_angle, -link_angle);
+        let mut local_ratio = self.ratio;
+        let mut angle = local_ratio.mul_add(motor_angle, -link_angle);
         if EFFECTS {
-            let [off, slope] = self.effects.error(motor_angle);
-            (angle, lever) = (angle + off, lever + slope);
+            let [error, slope] = self.effects.error(motor_angle);
+            (angle, local_ratio) = (angle + error, local_ratio + slope);
         }
-        let rate = lever.mul_add(motor_velocity, -link_velocity);
+        let rate = local_ratio.mul_add(motor_velocity, -link_velocity);
         Gear {
-            twist: Twist { angle, rate },
-            lever,
+            torsion: Torsion { angle, rate },
+            local_ratio,
         }
     }
 
     /// T(delta) + d_G ddelta, with effects.
     #[inline(always)]
-    pub(crate) fn transmitted<const EFFECTS: bool>(&self, twist: &Twist<R>, z: R) -> R {
+    pub(crate) fn transmitted<const EFFECTS: bool>(&self, torsion: &Torsion<R>, z: R) -> R {
         if EFFECTS {
-            let sprung = self.spring.torque(self.effects.strain(twist.angle));
-            let torque = self.gear_damping.mul_add(twist.rate, sprung);
+            let elastic = self.spring.torque(self.effects.strain(torsion.angle));
+            let torque = self.gear_damping.mul_add(torsion.rate, elastic);
             torque + self.effects.gear_torque(z)
         } else {
             self.gear_damping
-                .mul_add(twist.rate, self.spring.torque(twist.angle))
+                .mul_add(torsion.rate, self.spring.torque(torsion.angle))
         }
     }
 

@@ -7,7 +7,7 @@ pub use crate::arm::Name;
 use crate::arm::Arm;
 use crate::joint::Joint;
 use crate::joint::effects::{self, EffectKinds, Effects};
-use crate::joint::gear::{self, Gears, Law, MOST_OF_A_LAW};
+use crate::joint::gear::{self, Gears, Law, MAX_LAW_PARAMETERS};
 use crate::joint::transmission::{DRIVE, GEAR_DAMPING, SETTLING};
 use crate::parameter::Parameter;
 use crate::plant::Plant;
@@ -87,18 +87,23 @@ pub(crate) enum Role {
 }
 
 /// Owner of a parameter, and its declaration.
-pub type Declared = (&'static str, Parameter);
+pub type OwnedParameter = (&'static str, Parameter);
 
 /// Parameters of joints of any arm, once per owner: the drive, the gear laws by name, every elastic
 /// gear, and the effects by name.
-pub fn joint_parameters() -> Vec<Declared> {
-    let of = |owner, own: &[Parameter]| own.iter().map(|&one| (owner, one)).collect::<Vec<_>>();
+pub fn joint_parameters() -> Vec<OwnedParameter> {
+    let of = |owner, parameters: &[Parameter]| {
+        parameters
+            .iter()
+            .map(|&one| (owner, one))
+            .collect::<Vec<_>>()
+    };
     let mut all = of("drive", &DRIVE);
     for law in gear::known() {
         all.extend(of(law.name, law.parameters));
     }
     all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
-    for effect in effects::DECLARED {
+    for effect in effects::DECLARATIONS {
         all.extend(of(effect.name, effect.parameters));
     }
     all
@@ -124,7 +129,7 @@ impl JointConfig {
 }
 
 fn numbered(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(Role, Parameter)> {
-    let each = |(place, &parameter)| (role(place), parameter);
+    let each = |(index, &parameter)| (role(index), parameter);
     parameters.iter().enumerate().map(each).collect()
 }
 
@@ -133,8 +138,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     pub fn parameter_names(&self) -> Vec<Name> {
         let mut names = self.arm.names();
         for (i, joint) in self.joints.iter().enumerate() {
-            let own = joint.parameters().into_iter();
-            names.extend(own.map(|(_, parameter)| (parameter.name, Some(i + 1))));
+            let parameters = joint.parameters().into_iter();
+            names.extend(parameters.map(|(_, parameter)| (parameter.name, Some(i + 1))));
         }
         names
     }
@@ -166,14 +171,14 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         if let Some(k) = values[..bases].iter().position(|value| !value.is_finite()) {
             return Err(invalid(k, "finite"));
         }
-        let own = self.joints.iter().flat_map(JointConfig::parameters);
-        for (k, (_, parameter)) in (bases..).zip(own) {
+        let parameters = self.joints.iter().flat_map(JointConfig::parameters);
+        for (k, (_, parameter)) in (bases..).zip(parameters) {
             if !values[k].is_finite() || !parameter.sign.allows(values[k]) {
                 return Err(invalid(k, parameter.sign.words()));
             }
         }
-        let rises = |k: &usize| values[*k] <= values[k - 1];
-        if let Some(k) = self.rising().into_iter().find(rises) {
+        let is_not_rising = |k: &usize| values[*k] <= values[k - 1];
+        if let Some(k) = self.rising().into_iter().find(is_not_rising) {
             return Err(invalid(k, &format!("above {}", names[k - 1].0)));
         }
         self.check_arm(&names, values)
@@ -182,8 +187,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
     /// Indices of values that must exceed the previous one.
     fn rising(&self) -> Vec<usize> {
         let roles = self.roles();
-        let rises = |&(role, i): &(Role, usize)| matches!(role, Role::Gear(place) if self.joints[i].gear.rising.contains(&place));
-        (0..roles.len()).filter(|&k| rises(&roles[k])).collect()
+        let must_rise = |&(role, i): &(Role, usize)| matches!(role, Role::Gear(index) if self.joints[i].gear.rising.contains(&index));
+        (0..roles.len()).filter(|&k| must_rise(&roles[k])).collect()
     }
 
     fn check_arm(&self, names: &[Name], values: &[f64]) -> Result<(), InvalidParameter> {
@@ -220,22 +225,22 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         assert!(EFFECTS || !self.has_plant_effects());
         assert!(!EFFECTS || R::LANES == 1);
         let mut next = 0;
-        let mut take = || {
+        let mut next_value = || {
             next += 1;
             value(next - 1)
         };
-        let base: Vec<R> = self.arm.names().iter().map(|_| take()).collect();
+        let base: Vec<R> = self.arm.names().iter().map(|_| next_value()).collect();
         let joints = self.joints.map(|joint| {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
-                DRIVE.map(|_| take());
+                DRIVE.map(|_| next_value());
             let zero = R::splat(0.0);
-            let mut of_law = [zero; MOST_OF_A_LAW];
+            let mut of_law = [zero; MAX_LAW_PARAMETERS];
             for value in &mut of_law[..joint.gear.parameters.len()] {
-                *value = take();
+                *value = next_value();
             }
             let spring = G::spring(&joint.gear, &of_law, self.corner);
             let [gear_damping, settling_time] = match joint.gear.elastic {
-                true => [take(), take()],
+                true => [next_value(), next_value()],
                 false => [zero; 2],
             };
             Joint {
@@ -245,13 +250,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 motor_viscous,
                 coulomb,
                 settling_time,
-                settling_rate: R::splat(1.0) / settling_time.max(R::splat(AT_ONCE)),
+                settling_rate: R::splat(1.0) / settling_time.max(R::splat(MIN_SETTLING_TIME)),
                 offset,
                 link_viscous,
                 rigid: !joint.gear.elastic,
                 spring,
                 gear_damping,
-                effects: Effects::of(joint.effects, &mut take),
+                effects: Effects::of(joint.effects, &mut next_value),
             }
         });
         let settles = |joint: &Joint<R, G>| (-joint.settling_time).any_negative();
@@ -300,4 +305,4 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
 }
 
 /// Settling time [s] that is treated as zero; the inverse is finite.
-const AT_ONCE: f64 = 1e-200;
+const MIN_SETTLING_TIME: f64 = 1e-200;

@@ -32,10 +32,10 @@ use crate::scalar::{Real, Work};
 ///
 /// More events require a torque that changes sign many times within a step, which the step cannot
 /// resolve.
-const MOST_EVENTS: usize = 12;
+const MAX_STEP_EVENTS: usize = 12;
 
 /// Fraction of a span after which the initial slope of a margin is evaluated.
-const SOON: f64 = 1e-4;
+const SLOPE_PROBE_FRACTION: f64 = 1e-4;
 
 /// Motion of one arm: state, motor torques and friction modes.
 #[derive(Clone, Copy, Debug)]
@@ -92,7 +92,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// Margins of the friction modes at the end of a step; negative if a mode has ended.
     ///
     /// The margin of a sliding motor is its velocity in its direction, or with a settling time
-    /// `dtheta_M + tau ddtheta_M`; that of a held motor is the remaining friction. `standing`
+    /// `dtheta_M + tau ddtheta_M`; that of a held motor is the remaining friction. `has_held_motors`
     /// states whether any motor is held; otherwise the holding torques need not be computed.
     #[inline(always)]
     pub fn margins(
@@ -100,30 +100,32 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         x: &State<R, N>,
         torque: &[R; N],
         modes: &Modes<R, N>,
-        standing: bool,
+        has_held_motors: bool,
     ) -> [R; N] {
         let mut margin = x.motor_velocity;
         for i in 0..N {
             margin[i] = margin[i] * modes.direction[i];
         }
-        if standing || self.settles {
+        if has_held_motors || self.settles {
             let holding = self.holding_torques(x, torque, modes);
             for i in 0..N {
                 let joint = &self.joints[i];
-                let most = self.dry_friction_in(x, i);
-                let left = most - holding[i].abs();
-                let held = (R::splat(1.0) - modes.free[i]) * left;
+                let limit = self.dry_friction_in(x, i);
+                let reserve = limit - holding[i].abs();
+                let held = (R::splat(1.0) - modes.free[i]) * reserve;
                 // 1 for an instant stop, 0 with a settling time
-                let at_once = R::splat(1.0) - joint.settling_time * joint.settling_rate;
-                let beyond = modes.direction[i] * holding[i] - most;
-                let lever = joint.settling_time * joint.motor_mobility * modes.free[i];
-                margin[i] = at_once.mul_add(margin[i], lever.mul_add(beyond, held));
+                let is_instant = R::splat(1.0) - joint.settling_time * joint.settling_rate;
+                let beyond = modes.direction[i] * holding[i] - limit;
+                let velocity_per_torque =
+                    joint.settling_time * joint.motor_mobility * modes.free[i];
+                margin[i] =
+                    is_instant.mul_add(margin[i], velocity_per_torque.mul_add(beyond, held));
             }
         }
         margin
     }
 
-    /// Advances the motion by `h` [s] through all events; `stretches` receives the spans between
+    /// Advances the motion by `h` [s] through all events; `spans` receives the spans between
     /// them.
     pub fn advance(
         &self,
@@ -131,34 +133,34 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         target: &[R; N],
         current: &CurrentLoop<R, N>,
         h: f64,
-        stretches: &mut Vec<Stretch<R, N>>,
+        spans: &mut Vec<Span<R, N>>,
     ) -> Motion<R, N> {
         let mut now = *motion;
-        let mut left = R::splat(h);
-        for _ in 0..MOST_EVENTS {
-            let leg = Leg::new(self, &now, target, current, left);
-            let (end, margins) = leg.end(R::splat(1.0));
-            let event = leg.first_event(&margins);
-            stretches.push(Stretch::new(&now, left, event));
+        let mut remaining = R::splat(h);
+        for _ in 0..MAX_STEP_EVENTS {
+            let integrator = SpanIntegrator::new(self, &now, target, current, remaining);
+            let (end, margins) = integrator.end(R::splat(1.0));
+            let event = integrator.first_event(&margins);
+            spans.push(Span::new(&now, remaining, event));
             let Some((part, joint)) = event else {
                 return end;
             };
             // a mode that does not fit from the beginning ends at a fixed time
             let part = if part > 0.0 {
-                R::root(part, |part| leg.end(part).1[joint])
+                R::root(part, |part| integrator.end(part).1[joint])
             } else {
                 R::splat(part)
             };
-            now = leg.end(part).0;
-            self.turn(&mut now, joint);
-            left = left * (R::splat(1.0) - part);
-            if left.lane(0) <= 1e-15 * h {
+            now = integrator.end(part).0;
+            self.change_mode(&mut now, joint);
+            remaining = remaining * (R::splat(1.0) - part);
+            if remaining.lane(0) <= 1e-15 * h {
                 return now;
             }
         }
-        self.hold_restless(&mut now);
-        stretches.push(Stretch::new(&now, left, None));
-        Leg::new(self, &now, target, current, left)
+        self.hold_resting_motors(&mut now);
+        spans.push(Span::new(&now, remaining, None));
+        SpanIntegrator::new(self, &now, target, current, remaining)
             .end(R::splat(1.0))
             .0
     }
@@ -174,11 +176,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         (length, part): (R, R),
         watch: &mut impl Watch<R, N>,
     ) -> (Motion<R, N>, [R; N]) {
-        Leg::new(self, from, target, current, length).integrate(part, watch)
+        SpanIntegrator::new(self, from, target, current, length).integrate(part, watch)
     }
 
     /// Changes the mode of a joint at its event.
-    fn turn(&self, motion: &mut Motion<R, N>, joint: usize) {
+    fn change_mode(&self, motion: &mut Motion<R, N>, joint: usize) {
         if motion.modes.free[joint].lane(0) != 0.0 {
             motion.modes.direction[joint] = R::splat(0.0);
             motion.modes.free[joint] = R::splat(0.0);
@@ -198,10 +200,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     }
 
     /// Ends chattering: motors at rest stick until the end of the step.
-    fn hold_restless(&self, motion: &mut Motion<R, N>) {
+    fn hold_resting_motors(&self, motion: &mut Motion<R, N>) {
         for i in 0..N {
-            let rests = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
-            if rests && self.dry_friction_at_rest(i) > 0.0 {
+            let is_at_rest = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
+            if is_at_rest && self.dry_friction_at_rest(i) > 0.0 {
                 motion.state.motor_velocity[i] = R::splat(0.0);
                 motion.modes.direction[i] = R::splat(0.0);
                 motion.modes.free[i] = R::splat(0.0);
@@ -215,7 +217,7 @@ pub type Event = (f64, usize);
 
 /// The span between two events of a step.
 #[derive(Clone, Copy, Debug)]
-pub struct Stretch<R, const N: usize> {
+pub struct Span<R, const N: usize> {
     /// Motion at its beginning.
     pub from: Motion<R, N>,
     /// Remaining length of the step [s].
@@ -224,7 +226,7 @@ pub struct Stretch<R, const N: usize> {
     pub event: Option<Event>,
 }
 
-impl<R: Real, const N: usize> Stretch<R, N> {
+impl<R: Real, const N: usize> Span<R, N> {
     fn new(from: &Motion<R, N>, length: R, event: Option<Event>) -> Self {
         Self {
             from: *from,
@@ -235,23 +237,23 @@ impl<R: Real, const N: usize> Stretch<R, N> {
 }
 
 /// A span of time with fixed modes, and the integrator's step over any part of it.
-struct Leg<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
+struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
     plant: &'a Plant<A, R, G, N, EFFECTS>,
     from: &'a Motion<R, N>,
     target: &'a [R; N],
     current: &'a CurrentLoop<R, N>,
     length: R,
     begin: Instant<A, R, N>,
-    standing: bool,
+    has_held_motors: bool,
 }
 
-struct BeginOf<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+struct BeginWork<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     &'a Plant<A, R, G, N, EFFECTS>,
     &'a Motion<R, N>,
 );
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for BeginOf<'_, A, R, G, N, EFFECTS>
+    for BeginWork<'_, A, R, G, N, EFFECTS>
 {
     type Output = Instant<A, R, N>;
     #[inline(always)]
@@ -260,13 +262,13 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     }
 }
 
-struct EndOf<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'l Leg<'a, A, R, G, N, EFFECTS>,
+struct EndWork<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>,
     R,
 );
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for EndOf<'_, '_, A, R, G, N, EFFECTS>
+    for EndWork<'_, '_, A, R, G, N, EFFECTS>
 {
     type Output = (Motion<R, N>, [R; N]);
     #[inline(always)]
@@ -276,7 +278,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
 }
 
 impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
-    Leg<'a, A, R, G, N, EFFECTS>
+    SpanIntegrator<'a, A, R, G, N, EFFECTS>
 {
     fn new(
         plant: &'a Plant<A, R, G, N, EFFECTS>,
@@ -291,14 +293,14 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             target,
             current,
             length,
-            begin: R::scope(BeginOf(plant, from)),
-            standing: from.modes.free.iter().any(|free| free.lane(0) == 0.0),
+            begin: R::scope(BeginWork(plant, from)),
+            has_held_motors: from.modes.free.iter().any(|free| free.lane(0) == 0.0),
         }
     }
 
     /// Motion and margins after a part of the length.
     fn end(&self, part: R) -> (Motion<R, N>, [R; N]) {
-        R::scope(EndOf(self, part))
+        R::scope(EndWork(self, part))
     }
 
     #[inline(always)]
@@ -311,7 +313,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             .runge_kutta(&self.from.state, &self.begin, &torque, modes, t, watch);
         let margins = self
             .plant
-            .margins(&state, &torque.end, modes, self.standing);
+            .margins(&state, &torque.end, modes, self.has_held_motors);
         let motion = Motion {
             state,
             torque: torque.end,
@@ -326,7 +328,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             &self.from.state,
             &self.from.torque,
             &self.from.modes,
-            self.standing,
+            self.has_held_motors,
         );
         (0..N)
             .filter(|&i| margins_at_end[i].lane(0) < 0.0)
@@ -334,7 +336,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];
                 let margin = |part| self.end(R::splat(part)).1[i].lane(0);
                 let slope = if self.plant.joints[i].settling_time.lane(0) > 0.0 {
-                    (margin(SOON) - ends[0]) / SOON
+                    (margin(SLOPE_PROBE_FRACTION) - ends[0]) / SLOPE_PROBE_FRACTION
                 } else {
                     // the margin of a sliding motor is its speed
                     let slope = self.begin.acceleration.motor[i] * self.from.modes.direction[i];

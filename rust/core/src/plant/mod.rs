@@ -7,10 +7,10 @@ pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
-use crate::joint::effects::{At, BaseTorque, Lead, Twist};
+use crate::joint::effects::{BaseTorque, JointState, PartDeflection, Torsion};
 use crate::joint::gear::{Gears, Spring};
 use crate::joint::{Gear, Joint};
-use crate::scalar::{Real, Work, apart, solve};
+use crate::scalar::{Real, Work, run_out_of_line, solve};
 
 /// State: angles [rad] and velocities [rad/s] of motors and links, and the states of effects.
 #[derive(Clone, Copy, Debug)]
@@ -80,8 +80,8 @@ pub(crate) const fn first_bearing<A: Arm<N>, const N: usize>(i: usize) -> usize 
 #[inline(always)]
 pub(crate) fn angle_in_space<A: Arm<N>, R: Real, const N: usize>(of_links: &[R; N], i: usize) -> R {
     let mut angle = of_links[i];
-    for own in &of_links[first_bearing::<A, N>(i)..i] {
-        angle = angle + *own;
+    for rotation in &of_links[first_bearing::<A, N>(i)..i] {
+        angle = angle + *rotation;
     }
     angle
 }
@@ -141,7 +141,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut load = R::splat(0.0);
         if EFFECTS && !self.is_rigid(i) {
             let gear = self.gear(x, i);
-            load = gear.lever * self.transmitted(x, i, &gear.twist);
+            load = gear.local_ratio * self.transmitted(x, i, &gear.torsion);
         }
         self.dry_friction(x.motor_velocity[i], load, i)
     }
@@ -154,9 +154,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             .motor_torque(x.motor_angle[i], x.motor_velocity[i])
     }
 
-    /// [`Joint::untwisted`] of one joint.
-    pub fn untwisted(&self, motor_angle: R, joint: usize) -> R {
-        self.joints[joint].untwisted::<EFFECTS>(motor_angle)
+    /// [`Joint::unloaded_link_angle`] of one joint.
+    pub fn unloaded_link_angle(&self, motor_angle: R, joint: usize) -> R {
+        self.joints[joint].unloaded_link_angle::<EFFECTS>(motor_angle)
     }
 
     /// The `i`-th joint's gear.
@@ -165,8 +165,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let joint = &self.joints[i];
         let (mut angle, mut velocity) = (x.link_angle[i], x.link_velocity[i]);
         if EFFECTS {
-            angle = angle - joint.effects.base_turn(x.base_torque[i]);
-            velocity = velocity - joint.effects.base_turn(x.base_torque_rate[i]);
+            angle = angle - joint.effects.base_rotation(x.base_torque[i]);
+            velocity = velocity - joint.effects.base_rotation(x.base_torque_rate[i]);
         }
         joint.gear::<EFFECTS>([x.motor_angle[i], angle], [x.motor_velocity[i], velocity])
     }
@@ -189,12 +189,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     pub(crate) fn load_bases(&self, x: &mut State<R, N>) {
         for i in (0..N).filter(|&i| !self.is_rigid(i)) {
             let joint = &self.joints[i];
-            let compliance = joint.effects.base_turn(R::splat(1.0));
+            let compliance = joint.effects.base_rotation(R::splat(1.0));
             let mut settled = None;
             for round in 0..400 {
-                let twist = self.gear(x, i).twist;
-                let torque = self.transmitted(x, i, &twist);
-                let strain = joint.effects.strain(twist.angle);
+                let torsion = self.gear(x, i).torsion;
+                let torque = self.transmitted(x, i, &torsion);
+                let strain = joint.effects.strain(torsion.angle);
                 let slope = R::splat(1.0) + compliance * joint.spring.stiffness(strain);
                 let change = (torque + x.base_torque[i]) / slope;
                 x.base_torque[i] = x.base_torque[i] - change;
@@ -211,8 +211,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Lead of the flexible part of the `i`-th link.
     #[inline(always)]
-    fn lead(x: &State<R, N>, i: usize) -> Lead<R> {
-        Lead {
+    fn deflection(x: &State<R, N>, i: usize) -> PartDeflection<R> {
+        PartDeflection {
             angle: x.part_angle[i] - angle_in_space::<A, R, N>(&x.link_angle, i),
             rate: x.part_velocity[i] - angle_in_space::<A, R, N>(&x.link_velocity, i),
         }
@@ -228,52 +228,52 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Accelerations of the flexible parts, and load torques of effects on each joint [N m].
     #[inline(always)]
-    fn swinging(&self, x: &State<R, N>) -> [[R; N]; 2] {
-        let mut borne = self.borne(&x.link_angle);
+    fn part_accelerations_and_loads(&self, x: &State<R, N>) -> [[R; N]; 2] {
+        let mut loads = self.static_loads(&x.link_angle);
         let mut part = [R::splat(0.0); N];
         for i in 0..N {
             let effects = &self.joints[i].effects;
             if effects.flexible_link.is_some() {
-                part[i] = effects.part_acceleration(&Self::lead(x, i));
+                part[i] = effects.part_acceleration(&Self::deflection(x, i));
                 let load = effects.part_load(part[i]);
-                for own in &mut borne[first_bearing::<A, N>(i)..=i] {
-                    *own = *own + load;
+                for sum in &mut loads[first_bearing::<A, N>(i)..=i] {
+                    *sum = *sum + load;
                 }
             }
         }
-        [part, borne]
+        [part, loads]
     }
 
     /// Load torques of effects on each joint at rest [N m].
     #[inline(always)]
-    pub(crate) fn borne(&self, link_angle: &[R; N]) -> [R; N] {
-        let mut borne = [R::splat(0.0); N];
+    pub(crate) fn static_loads(&self, link_angle: &[R; N]) -> [R; N] {
+        let mut loads = [R::splat(0.0); N];
         for i in 0..N {
             let effects = &self.joints[i].effects;
-            borne[i] = borne[i] + effects.load(link_angle[i]);
+            loads[i] = loads[i] + effects.load(link_angle[i]);
             let weight = effects.weight(angle_in_space::<A, R, N>(link_angle, i));
-            for own in &mut borne[first_bearing::<A, N>(i)..=i] {
-                *own = *own + weight;
+            for sum in &mut loads[first_bearing::<A, N>(i)..=i] {
+                *sum = *sum + weight;
             }
         }
-        borne
+        loads
     }
 
     /// Torque of the `i`-th joint's gear [N m].
     #[inline(always)]
-    pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, twist: &Twist<R>) -> R {
-        self.joints[i].transmitted::<EFFECTS>(twist, x.hysteresis[i])
+    pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, torsion: &Torsion<R>) -> R {
+        self.joints[i].transmitted::<EFFECTS>(torsion, x.hysteresis[i])
     }
 
     /// Hysteresis states at a stage `t` after the beginning.
     #[inline(always)]
-    fn twisted(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
+    fn hysteresis_states(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
         let mut z = begin.hysteresis;
         for i in 0..N {
             let effects = &self.joints[i].effects;
             if effects.hysteresis.is_some() {
-                let (from, to) = (self.gear(begin, i).twist, self.gear(stage, i).twist);
-                z[i] = effects.after(z[i], &from, &to, t);
+                let (from, to) = (self.gear(begin, i).torsion, self.gear(stage, i).torsion);
+                z[i] = effects.hysteresis_after(z[i], &from, &to, t);
             }
         }
         z
@@ -303,10 +303,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        if EFFECTS || A::COMPACT {
+        if EFFECTS || A::HAS_OUTLINED_EQUATIONS {
             // inlined into every stage, the exponentials and sines of effects would be half of the
             // program
-            apart::<R, _>(Accelerating(self, x, at, torque, modes))
+            run_out_of_line::<R, _>(AccelerationWork(self, x, at, torque, modes))
         } else {
             self.accelerations(x, at, torque, modes)
         }
@@ -327,9 +327,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ) -> Acceleration<R, N> {
         let mut inertia = self.arm.inertia(&self.base, at);
         let bias = self.arm.bias(&self.base, at, &x.link_velocity);
-        let [mut part, mut borne, mut base] = [[R::splat(0.0); N]; 3];
+        let [mut part, mut loads, mut base] = [[R::splat(0.0); N]; 3];
         if EFFECTS {
-            [part, borne] = self.swinging(x);
+            [part, loads] = self.part_accelerations_and_loads(x);
         }
         let mut motor = [R::splat(0.0); N];
         let mut force = [R::splat(0.0); N];
@@ -337,18 +337,18 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let joint = &self.joints[i];
             let velocity = x.motor_velocity[i];
             let mut load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
-            let mut given = torque[i];
+            let mut applied = torque[i];
             if EFFECTS {
-                load = load + borne[i];
-                given = given + self.added_torque(x, i);
+                load = load + loads[i];
+                applied = applied + self.added_torque(x, i);
             }
-            let driven = |at_motor: R| {
+            let drive_torque = |at_motor: R| {
                 let dry = self.dry_friction(velocity, at_motor, i);
                 let dry = dry.mul_add(modes.direction[i], joint.offset);
-                (-joint.motor_viscous).mul_add(velocity, given - dry)
+                (-joint.motor_viscous).mul_add(velocity, applied - dry)
             };
             if self.is_rigid(i) {
-                let drive = driven(R::splat(0.0));
+                let drive = drive_torque(R::splat(0.0));
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
                 force[i] = modes.free[i] * (drive * row - load);
@@ -360,9 +360,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 }
             } else {
                 let gear = self.gear(x, i);
-                let transmitted = self.transmitted(x, i, &gear.twist);
-                let at_motor = gear.lever * transmitted;
-                let net = (-gear.lever).mul_add(transmitted, driven(at_motor));
+                let transmitted = self.transmitted(x, i, &gear.torsion);
+                let at_motor = gear.local_ratio * transmitted;
+                let net = (-gear.local_ratio).mul_add(transmitted, drive_torque(at_motor));
                 let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
                 motor[i] = settling.mul_add(
                     x.motor_velocity[i],
@@ -406,8 +406,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             if !self.is_rigid(i) {
                 let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
                 let gear = self.gear(x, i);
-                let transmitted = self.transmitted(x, i, &gear.twist);
-                holding[i] = (-gear.lever).mul_add(transmitted, holding[i]);
+                let transmitted = self.transmitted(x, i, &gear.torsion);
+                holding[i] = (-gear.local_ratio).mul_add(transmitted, holding[i]);
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
@@ -428,9 +428,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let at = self.arm.posture(&x.link_angle);
         let inertia = self.arm.inertia(&self.base, &at);
         let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
-        let mut borne = [R::splat(0.0); N];
+        let mut loads = [R::splat(0.0); N];
         if EFFECTS {
-            borne = self.swinging(x)[1];
+            loads = self.part_accelerations_and_loads(x)[1];
         }
         for i in 0..N {
             if !self.is_rigid(i) {
@@ -442,7 +442,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let others = self.accelerations_at(x, &at, torque, &held).link;
             let mut load = bias[i];
             if EFFECTS {
-                load = load + borne[i];
+                load = load + loads[i];
             }
             for j in 0..N {
                 if j != i {
@@ -472,27 +472,27 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let a1 = &now.acceleration;
         watch.stage(0, x, a1);
         let half = R::splat(0.5) * h;
-        let reached = |(stage, turned): Stage<R, N>, t: R| {
-            let mut held = self.held(x, stage, modes, t);
+        let complete_stage = |(stage, rotation): Stage<R, N>, t: R| {
+            let mut held = self.settle_held_motors(x, stage, modes, t);
             if EFFECTS {
-                held.hysteresis = apart::<R, _>(Twisting(self, x, &held, t));
+                held.hysteresis = run_out_of_line::<R, _>(HysteresisWork(self, x, &held, t));
             }
-            (held, turned)
+            (held, rotation)
         };
-        let second = reached(x.drifted::<EFFECTS>(half, a1), half);
-        let a2 = self.after(now, &second, &torque.middle, modes);
+        let second = complete_stage(x.drifted::<EFFECTS>(half, a1), half);
+        let a2 = self.accelerations_near(now, &second, &torque.middle, modes);
         watch.stage(1, &second.0, &a2);
-        let third = reached(x.moved::<EFFECTS>(half, half * half, a1, half, &a2), half);
-        let a3 = self.after(now, &third, &torque.middle, modes);
+        let third = complete_stage(x.moved::<EFFECTS>(half, half * half, a1, half, &a2), half);
+        let a3 = self.accelerations_near(now, &third, &torque.middle, modes);
         watch.stage(2, &third.0, &a3);
-        let fourth = reached(x.moved::<EFFECTS>(h, h * half, &a2, h, &a3), h);
-        let a4 = self.after(now, &fourth, &torque.end, modes);
+        let fourth = complete_stage(x.moved::<EFFECTS>(h, h * half, &a2, h, &a3), h);
+        let a4 = self.accelerations_near(now, &fourth, &torque.end, modes);
         watch.stage(3, &fourth.0, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
         let inner = a2.plus::<EFFECTS>(&a3);
         let for_angle = a1.plus::<EFFECTS>(&inner);
         let for_velocity = for_angle.plus::<EFFECTS>(&inner).plus::<EFFECTS>(&a4);
-        reached(
+        complete_stage(
             x.moved::<EFFECTS>(h, h * sixth, &for_angle, sixth, &for_velocity),
             h,
         )
@@ -504,7 +504,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ///
     /// The equation is solved exactly instead of integrated, so tau may be any part of the step.
     #[inline(always)]
-    fn held(
+    fn settle_held_motors(
         &self,
         begin: &State<R, N>,
         mut stage: State<R, N>,
@@ -520,10 +520,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             let joint = &self.joints[i];
             let (free, one) = (modes.free[i], R::splat(1.0));
-            let left = (-joint.settling_rate * t).exp();
-            let velocity = begin.motor_velocity[i] * left;
-            let way = joint.settling_time * begin.motor_velocity[i] * (one - left);
-            let angle = begin.motor_angle[i] + way;
+            let decay = (-joint.settling_rate * t).exp();
+            let velocity = begin.motor_velocity[i] * decay;
+            let displacement = joint.settling_time * begin.motor_velocity[i] * (one - decay);
+            let angle = begin.motor_angle[i] + displacement;
             stage.motor_velocity[i] = free.mul_add(stage.motor_velocity[i] - velocity, velocity);
             stage.motor_angle[i] = free.mul_add(stage.motor_angle[i] - angle, angle);
         }
@@ -532,14 +532,14 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Accelerations at a later stage, whose link angles differ little from those of `now`.
     #[inline(always)]
-    fn after(
+    fn accelerations_near(
         &self,
         now: &Instant<A, R, N>,
-        (x, turned): &Stage<R, N>,
+        (x, rotation): &Stage<R, N>,
         torque: &[R; N],
         modes: &Modes<R, N>,
     ) -> Acceleration<R, N> {
-        self.accelerations_at(x, &self.arm.near(&now.posture, turned), torque, modes)
+        self.accelerations_at(x, &self.arm.near(&now.posture, rotation), torque, modes)
     }
 
     /// Kinetic, elastic and gravitational energy [J].
@@ -558,7 +558,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let at = self.at(x, i);
             energy = energy + joint.effects.energy(&at);
             if !self.is_rigid(i) {
-                let strain = joint.effects.strain(at.twist.angle);
+                let strain = joint.effects.strain(at.torsion.angle);
                 energy = energy + joint.spring.energy(strain);
             }
         }
@@ -566,15 +566,15 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     }
 
     /// State of the `i`-th joint for its effects.
-    fn at(&self, x: &State<R, N>, i: usize) -> At<R> {
-        At {
+    fn at(&self, x: &State<R, N>, i: usize) -> JointState<R> {
+        JointState {
             motor_angle: x.motor_angle[i],
             motor_velocity: x.motor_velocity[i],
             link_angle: x.link_angle[i],
             angle_in_space: angle_in_space::<A, R, N>(&x.link_angle, i),
-            twist: self.gear(x, i).twist,
+            torsion: self.gear(x, i).torsion,
             z: x.hysteresis[i],
-            lead: Self::lead(x, i),
+            deflection: Self::deflection(x, i),
             part_velocity: x.part_velocity[i],
             base: Self::base_torque(x, i),
         }
@@ -592,7 +592,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let at = self.at(x, i);
             power = power + joint.effects.loss(&at);
             if !self.is_rigid(i) {
-                power = power + joint.gear_damping * at.twist.rate * at.twist.rate;
+                power = power + joint.gear_damping * at.torsion.rate * at.torsion.rate;
             }
         }
         power
@@ -604,14 +604,14 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             if self.is_rigid(i) {
                 R::splat(0.0)
             } else {
-                self.transmitted(x, i, &self.gear(x, i).twist)
+                self.transmitted(x, i, &self.gear(x, i).torsion)
             }
         })
     }
 }
 
 /// [`Plant::accelerations`].
-struct Accelerating<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+struct AccelerationWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     &'p Plant<A, R, G, N, EFFECTS>,
     &'p State<R, N>,
     &'p A::Posture<R>,
@@ -620,7 +620,7 @@ struct Accelerating<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFE
 );
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for Accelerating<'_, A, R, G, N, EFFECTS>
+    for AccelerationWork<'_, A, R, G, N, EFFECTS>
 {
     type Output = Acceleration<R, N>;
     #[inline(always)]
@@ -629,8 +629,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     }
 }
 
-/// [`Plant::twisted`].
-struct Twisting<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+/// [`Plant::hysteresis_states`].
+struct HysteresisWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
     &'p Plant<A, R, G, N, EFFECTS>,
     &'p State<R, N>,
     &'p State<R, N>,
@@ -638,12 +638,12 @@ struct Twisting<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS:
 );
 
 impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for Twisting<'_, A, R, G, N, EFFECTS>
+    for HysteresisWork<'_, A, R, G, N, EFFECTS>
 {
     type Output = [R; N];
     #[inline(always)]
     fn run(self) -> Self::Output {
-        self.0.twisted(self.1, self.2, self.3)
+        self.0.hysteresis_states(self.1, self.2, self.3)
     }
 }
 
@@ -655,11 +655,11 @@ impl<R: Real, const N: usize> State<R, N> {
     #[inline(always)]
     fn drifted<const EFFECTS: bool>(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
         let mut next = *self;
-        let mut turned = self.link_velocity;
+        let mut rotation = self.link_velocity;
         for i in 0..N {
-            turned[i] = t * self.link_velocity[i];
+            rotation[i] = t * self.link_velocity[i];
             next.motor_angle[i] = t.mul_add(self.motor_velocity[i], self.motor_angle[i]);
-            next.link_angle[i] = self.link_angle[i] + turned[i];
+            next.link_angle[i] = self.link_angle[i] + rotation[i];
             next.motor_velocity[i] = t.mul_add(a.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = t.mul_add(a.link[i], self.link_velocity[i]);
             if EFFECTS {
@@ -669,7 +669,7 @@ impl<R: Real, const N: usize> State<R, N> {
                 next.base_torque_rate[i] = t.mul_add(a.base[i], self.base_torque_rate[i]);
             }
         }
-        (next, turned)
+        (next, rotation)
     }
 
     /// q + t q' + s a, q' + r b: the later stages and the end.
@@ -683,14 +683,14 @@ impl<R: Real, const N: usize> State<R, N> {
         b: &Acceleration<R, N>,
     ) -> Stage<R, N> {
         let mut next = *self;
-        let mut turned = self.link_velocity;
+        let mut rotation = self.link_velocity;
         for i in 0..N {
-            turned[i] = s.mul_add(a.link[i], t * self.link_velocity[i]);
+            rotation[i] = s.mul_add(a.link[i], t * self.link_velocity[i]);
             next.motor_angle[i] = s.mul_add(
                 a.motor[i],
                 t.mul_add(self.motor_velocity[i], self.motor_angle[i]),
             );
-            next.link_angle[i] = self.link_angle[i] + turned[i];
+            next.link_angle[i] = self.link_angle[i] + rotation[i];
             next.motor_velocity[i] = r.mul_add(b.motor[i], self.motor_velocity[i]);
             next.link_velocity[i] = r.mul_add(b.link[i], self.link_velocity[i]);
             if EFFECTS {
@@ -706,7 +706,7 @@ impl<R: Real, const N: usize> State<R, N> {
                 next.base_torque_rate[i] = r.mul_add(b.base[i], self.base_torque_rate[i]);
             }
         }
-        (next, turned)
+        (next, rotation)
     }
 }
 

@@ -42,7 +42,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_begin_with_a_line_and_are_as_many_as_asked_for() {
+    fn list_is_aligned_and_has_requested_length() {
         for count in [0, 1, 7, 8, 1000] {
             let mut numbers = Aligned::zeros(count);
             assert_eq!(numbers.as_ptr() as usize % LINE, 0);

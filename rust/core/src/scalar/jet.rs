@@ -210,23 +210,23 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_tangent_is_the_slope(x in -3.0..3.0f64) {
-            let found = mixed(Jet { value: x, tangent: 2.0 });
-            prop_assert_eq!(found.value, mixed(x));
+        fn tangent_matches_difference(x in -3.0..3.0f64) {
+            let actual = mixed(Jet { value: x, tangent: 2.0 });
+            prop_assert_eq!(actual.value, mixed(x));
             let h = 1e-5;
             let sides = [mixed(x + h) - mixed(x), mixed(x) - mixed(x - h)].map(|rise| rise / h);
             // no slope exists where a branch changes in between
             prop_assume!((sides[0] - sides[1]).abs() < 1e-3);
             // h^2 / 6 times the third derivative, which is below 10^3
-            prop_assert!((found.tangent - (sides[0] + sides[1])).abs() < 1e-7);
+            prop_assert!((actual.tangent - (sides[0] + sides[1])).abs() < 1e-7);
         }
 
         #[test]
-        fn a_root_moves_with_what_the_function_holds(root in 0.1..3.0f64) {
+        fn root_derivative_follows_implicit_function_theorem(root in 0.1..3.0f64) {
             let square = Jet { value: root * root, tangent: 1.0 };
-            let found = Jet::root(root, |at| at * at - square);
-            prop_assert_eq!(found.value, root);
-            prop_assert!((found.tangent - 0.5 / root).abs() < 1e-14 / root);
+            let actual = Jet::root(root, |at| at * at - square);
+            prop_assert_eq!(actual.value, root);
+            prop_assert!((actual.tangent - 0.5 / root).abs() < 1e-14 / root);
         }
     }
 }

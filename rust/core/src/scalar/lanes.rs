@@ -12,7 +12,7 @@
 use std::arch::x86_64::*;
 
 use super::real::{one_lane, operators};
-use super::{Lanes, MOST_LANES, Real, Work};
+use super::{Lanes, MAX_LANES, Real, Work};
 
 /// Runs work compiled for AVX2 and fused multiply-add.
 ///
@@ -204,23 +204,23 @@ vector!(
 impl Lanes for F64x4 {
     /// A negative number in each lane that takes one, and the indices of the two halves of each
     /// number.
-    type Pick = ([f64; 4], [i32; 8]);
+    type Selection = ([f64; 4], [i32; 8]);
 
-    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {
-        let takes = std::array::from_fn(|lane| from[lane].map_or(0.0, |_| -1.0));
+    fn selection(from: [Option<usize>; MAX_LANES]) -> Self::Selection {
+        let mask = std::array::from_fn(|lane| from[lane].map_or(0.0, |_| -1.0));
         let half = |at: usize| from[at / 2].map_or(0, |k| (2 * k + at % 2) as i32);
-        (takes, std::array::from_fn(half))
+        (mask, std::array::from_fn(half))
     }
 
     #[inline(always)]
-    fn picked(self, (takes, places): &Self::Pick, four: &[f64; 4]) -> Self {
-        let (four, takes) = (Self::load(four), Self::load(takes));
+    fn replace_selected(self, (mask, indices): &Self::Selection, four: &[f64; 4]) -> Self {
+        let (four, mask) = (Self::load(four), Self::load(mask));
         // SAFETY: the processor has the feature, see the top of this file, and there are as many
         // indices as the register holds.
         Self(unsafe {
-            let places = _mm256_loadu_si256(places.as_ptr().cast());
-            let moved = _mm256_permutevar8x32_ps(_mm256_castpd_ps(four.0), places);
-            _mm256_blendv_pd(self.0, _mm256_castps_pd(moved), takes.0)
+            let indices = _mm256_loadu_si256(indices.as_ptr().cast());
+            let permuted = _mm256_permutevar8x32_ps(_mm256_castpd_ps(four.0), indices);
+            _mm256_blendv_pd(self.0, _mm256_castps_pd(permuted), mask.0)
         })
     }
 
@@ -228,7 +228,7 @@ impl Lanes for F64x4 {
     fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
         let [a, b, c, d] = four.map(|vector| vector.0);
         // SAFETY: the processor has the feature, see the top of this file.
-        let turned = unsafe {
+        let transposed = unsafe {
             let (ab, cd) = (_mm256_unpacklo_pd(a, b), _mm256_unpacklo_pd(c, d));
             let (high_ab, high_cd) = (_mm256_unpackhi_pd(a, b), _mm256_unpackhi_pd(c, d));
             [
@@ -240,29 +240,29 @@ impl Lanes for F64x4 {
         };
         let rows = &mut rows[..4];
         for lane in 0..4 {
-            Self(turned[lane]).store(&mut rows[lane]);
+            Self(transposed[lane]).store(&mut rows[lane]);
         }
     }
 }
 
 impl Lanes for F64x8 {
     /// A bit for each lane that takes a number, and the indices of the numbers.
-    type Pick = (u8, [i64; 8]);
+    type Selection = (u8, [i64; 8]);
 
-    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick {
+    fn selection(from: [Option<usize>; MAX_LANES]) -> Self::Selection {
         let bits = from.iter().enumerate();
-        let takes = bits.fold(0, |all, (lane, k)| all | u8::from(k.is_some()) << lane);
-        (takes, from.map(|k| k.unwrap_or(0) as i64))
+        let mask = bits.fold(0, |all, (lane, k)| all | u8::from(k.is_some()) << lane);
+        (mask, from.map(|k| k.unwrap_or(0) as i64))
     }
 
     #[inline(always)]
-    fn picked(self, (takes, places): &Self::Pick, four: &[f64; 4]) -> Self {
+    fn replace_selected(self, (mask, indices): &Self::Selection, four: &[f64; 4]) -> Self {
         let four = F64x4::load(four);
         // SAFETY: as in `F64x4`.
         Self(unsafe {
-            let places = _mm512_loadu_epi64(places.as_ptr());
+            let indices = _mm512_loadu_epi64(indices.as_ptr());
             let twice = _mm512_broadcast_f64x4(four.0);
-            _mm512_mask_permutexvar_pd(self.0, *takes, places, twice)
+            _mm512_mask_permutexvar_pd(self.0, *mask, indices, twice)
         })
     }
 }

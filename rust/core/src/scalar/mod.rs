@@ -11,6 +11,6 @@ mod solve;
 pub(crate) use aligned::Aligned;
 pub use dual::Dual;
 pub use jet::Jet;
-pub(crate) use real::apart;
-pub use real::{Lanes, MOST_LANES, Real, Work};
+pub(crate) use real::run_out_of_line;
+pub use real::{Lanes, MAX_LANES, Real, Work};
 pub(crate) use solve::{inverse, solve};

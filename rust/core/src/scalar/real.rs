@@ -15,7 +15,7 @@ pub trait Work {
 }
 
 /// Largest number of lanes of any scalar.
-pub const MOST_LANES: usize = 8;
+pub const MAX_LANES: usize = 8;
 
 /// A real number, or several in lanes.
 pub trait Real:
@@ -166,11 +166,11 @@ fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
 /// Registers that can move numbers between lanes; dual numbers cannot.
 pub trait Lanes: Real {
     /// Selection of one of four numbers for each lane.
-    type Pick: Copy + Send + Sync;
+    type Selection: Copy + Send + Sync;
     /// Lane `l` takes number `from[l]`; `None` keeps the lane.
-    fn pick(from: [Option<usize>; MOST_LANES]) -> Self::Pick;
+    fn selection(from: [Option<usize>; MAX_LANES]) -> Self::Selection;
     /// Replaces the selected lanes by numbers of `four`.
-    fn picked(self, pick: &Self::Pick, four: &[f64; 4]) -> Self;
+    fn replace_selected(self, selection: &Self::Selection, four: &[f64; 4]) -> Self;
     /// Stores lane `l` of all four numbers to `rows[l]`.
     #[inline(always)]
     fn store_rows(four: &[Self; 4], rows: &mut [[f64; 4]]) {
@@ -183,7 +183,7 @@ pub trait Lanes: Real {
 /// Runs work in a function of its own, so that long code that every stage of every step calls is
 /// compiled once.
 #[inline(never)]
-pub(crate) fn apart<R: Real, W: Work>(work: W) -> W::Output {
+pub(crate) fn run_out_of_line<R: Real, W: Work>(work: W) -> W::Output {
     R::scope(work)
 }
 
@@ -191,14 +191,14 @@ pub(crate) fn apart<R: Real, W: Work>(work: W) -> W::Output {
 macro_rules! one_lane {
     ($type:ty) => {
         impl $crate::scalar::Lanes for $type {
-            type Pick = Option<usize>;
+            type Selection = Option<usize>;
             #[inline(always)]
-            fn pick(from: [Option<usize>; MOST_LANES]) -> Option<usize> {
+            fn selection(from: [Option<usize>; MAX_LANES]) -> Option<usize> {
                 from[0]
             }
             #[inline(always)]
-            fn picked(self, pick: &Option<usize>, four: &[f64; 4]) -> Self {
-                pick.map_or(self, |k| Self::splat(four[k]))
+            fn replace_selected(self, selection: &Option<usize>, four: &[f64; 4]) -> Self {
+                selection.map_or(self, |k| Self::splat(four[k]))
             }
         }
     };

@@ -1,6 +1,6 @@
 //! Small symmetric positive definite systems.
 
-use super::{Real, Work, apart};
+use super::{Real, Work, run_out_of_line};
 
 /// Solves a small symmetric positive definite system, by Cramer's rule for two rows (one division)
 /// and by L D L' for more.
@@ -15,7 +15,7 @@ pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N
         x[0] = d.mul_add(right[0], -(b * right[1])) * scale;
         x[1] = a.mul_add(right[1], -(b * right[0])) * scale;
     } else {
-        x = apart::<R, _>(Solving(matrix, right));
+        x = run_out_of_line::<R, _>(SolveWork(matrix, right));
     }
     x
 }
@@ -24,7 +24,7 @@ pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N
 #[inline(always)]
 pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) -> [[R; N]; N] {
     if N > 2 {
-        return apart::<R, _>(Inverting(matrix, factor));
+        return run_out_of_line::<R, _>(InverseWork(matrix, factor));
     }
     let mut all = [[R::splat(0.0); N]; N];
     for j in 0..N {
@@ -37,9 +37,9 @@ pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) 
 }
 
 /// [`solve`] for more than two rows.
-struct Solving<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N]);
+struct SolveWork<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N]);
 
-impl<R: Real, const N: usize> Work for Solving<'_, R, N> {
+impl<R: Real, const N: usize> Work for SolveWork<'_, R, N> {
     type Output = [R; N];
     #[inline(always)]
     fn run(self) -> [R; N] {
@@ -48,9 +48,9 @@ impl<R: Real, const N: usize> Work for Solving<'_, R, N> {
 }
 
 /// [`inverse`] for more than two rows.
-struct Inverting<'m, R, const N: usize>(&'m [[R; N]; N], R);
+struct InverseWork<'m, R, const N: usize>(&'m [[R; N]; N], R);
 
-impl<R: Real, const N: usize> Work for Inverting<'_, R, N> {
+impl<R: Real, const N: usize> Work for InverseWork<'_, R, N> {
     type Output = [[R; N]; N];
     #[inline(always)]
     fn run(self) -> [[R; N]; N] {
@@ -119,7 +119,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn solves_what_it_multiplied(factor in prop::array::uniform9(-1.0..1.0f64), x in prop::array::uniform3(-2.0..2.0f64)) {
+        fn solve_inverts_multiplication(factor in prop::array::uniform9(-1.0..1.0f64), x in prop::array::uniform3(-2.0..2.0f64)) {
             let mut matrix = [[0.0; 3]; 3];
             for i in 0..3 {
                 for j in 0..3 {
@@ -128,12 +128,12 @@ mod tests {
                 matrix[i][i] += 0.5;
             }
             let right: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| matrix[i][j] * x[j]).sum());
-            let found = solve(&matrix, &right);
+            let actual = solve(&matrix, &right);
             let inverse = inverse(&matrix, 2.0);
             for i in 0..3 {
                 let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
                 prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // the condition number enters twice
-                prop_assert!((found[i] - x[i]).abs() < 1e-12); // condition number below 10
+                prop_assert!((actual[i] - x[i]).abs() < 1e-12); // condition number below 10
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
             let right = [corner[0][0] * x[0] + corner[0][1] * x[1], corner[1][0] * x[0] + corner[1][1] * x[1]];

@@ -13,22 +13,22 @@ use crate::plant::{Modes, State};
 use crate::scalar::{Dual, Lanes, Real};
 use crate::sensitivity::dual_simulation::seeded;
 use crate::sensitivity::event::EventSensitivity;
-use crate::sensitivity::imu::MountedSensed;
+use crate::sensitivity::imu::ImuReadings;
 use crate::sensitivity::sample_buffer::SampleBuffer;
-use crate::sensitivity::sensing::{Sensed, Sensing};
+use crate::sensitivity::sensing::{BlockSensors, Sensing};
 use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensitivity::tangent_block::TangentBlock;
-use crate::sensitivity::variational::Linearised;
+use crate::sensitivity::variational::LinearisedStep;
 
 /// A span between events, for all blocks.
-pub(crate) struct Through<S, const N: usize> {
+pub(crate) struct LinearisedSpan<S, const N: usize> {
     /// Motors that stick, including those held after too many events.
-    pub(crate) rests: [bool; N],
+    pub(crate) is_stuck: [bool; N],
     /// Whether the motor of the event at the end stops instantly.
-    pub(crate) stops: bool,
+    pub(crate) stops_motor: bool,
     /// Whether the time of the event has derivatives; it has none if the modes did not fit from the
     /// beginning.
-    pub(crate) moves: bool,
+    pub(crate) has_time_derivative: bool,
     /// Remaining shares of the torques' distances to their targets.
     pub(crate) decay: StepTorque<S, N>,
     /// Length [s].
@@ -55,20 +55,20 @@ pub(crate) struct BlockTrajectory<
     dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS>,
     /// Whether the torques have derivatives: with a servo, or for directions by parameters of
     /// effects of the drive.
-    pub(crate) driven: bool,
+    pub(crate) has_torque_derivatives: bool,
     pub(crate) torque: [V; N],
     target: [V; N],
     current: CurrentLoop<V, N>,
     /// Sensors of the block, if any are recorded.
-    pub(crate) sensed: Option<Sensed<V, N>>,
+    pub(crate) block_sensors: Option<BlockSensors<V, N>>,
     /// Derivatives of the remaining length of a step, between its events.
-    pub(crate) left: V,
+    pub(crate) remaining: V,
     ratio: [f64; N],
     /// Half of a step [s].
     half: f64,
     /// Joint of each direction's parameter, and the index of the parameter among those of the
     /// joint.
-    own: Vec<Option<(usize, usize)>>,
+    parameter_indices: Vec<Option<(usize, usize)>>,
 }
 
 impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
@@ -80,28 +80,29 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         directions: &[Source],
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
-        let given = |source, value| seeded(source, value, directions);
+        let lift = |source, value| seeded(source, value, directions);
         let dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS> =
-            Simulation::new(task, member, &given);
+            Simulation::new(task, member, &lift);
         let zero = [V::splat(0.0); N];
         let ratio = task.config.joints.map(|joint| joint.ratio);
         let half = 0.5 * task.clock.step;
-        let most = directions.len().min(V::LANES);
+        let width = directions.len().min(V::LANES);
         let tangent = tangent_of(&dual.motion, &ratio, half);
-        let mut own = Self {
+        let mut trajectory = Self {
             block: TangentBlock::new(&task.config, directions, tangent),
-            driven: task.servo.is_some() || drives(&task.config, &directions[..most]),
+            has_torque_derivatives: task.servo.is_some()
+                || has_drive_parameter(&task.config, &directions[..width]),
             torque: dual.motion.torque.map(|number| number.tangent),
             target: zero,
             current: task.config.current_loop(task.clock.step),
-            sensed: None,
-            left: V::splat(0.0),
+            block_sensors: None,
+            remaining: V::splat(0.0),
             ratio,
             half,
-            own: own_parameters(&task.config, &directions[..most]),
+            parameter_indices: joint_parameter_indices(&task.config, &directions[..width]),
             dual,
         };
-        if let (Some(sensing), Some(sensors)) = (sensing, &own.dual.sensors) {
+        if let (Some(sensing), Some(sensors)) = (sensing, &trajectory.dual.sensors) {
             let mut first = [zero; 2];
             for i in 0..N {
                 let accelerometer = sensors.accelerometer[i].as_ref();
@@ -109,20 +110,20 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 first[0][i] = accelerometer.map_or(zero[i], |filter| filter.output().tangent);
                 first[1][i] = gyro.map_or(zero[i], |filter| filter.output().tangent);
             }
-            let mut sensed = Sensed::at_rest(sensing, first);
-            if let (Some(all), Some(mounted)) = (&sensing.mounted, &sensors.mounted) {
-                let first = mounted.readings.map(|row| row.map(|one| one.tangent));
-                sensed.mounted = Some(Box::new(MountedSensed::at_rest(all, first)));
+            let mut block_sensors = BlockSensors::at_rest(sensing, first);
+            if let (Some(all), Some(imus)) = (&sensing.imus, &sensors.imus) {
+                let first = imus.readings.map(|row| row.map(|one| one.tangent));
+                block_sensors.imus = Some(Box::new(ImuReadings::at_rest(all, first)));
             }
-            own.sensed = Some(sensed);
+            trajectory.block_sensors = Some(block_sensors);
         }
-        own
+        trajectory
     }
 
     /// The motion with the derivatives of this block.
     #[inline(always)]
     fn lifted(&self, nominal: &Motion<S, N>) -> Motion<Dual<S, V>, N> {
-        lifted(
+        lift_motion(
             nominal,
             &self.block.tangent,
             &self.torque,
@@ -134,19 +135,19 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     pub(crate) fn command(&mut self, nominal: &Motion<S, N>, step: usize, servo_reads: bool) {
         self.dual.motion = self.lifted(nominal);
         self.dual.command(step, servo_reads);
-        self.take_torques();
+        self.store_torques();
     }
 
     /// Applies a lagging drive in a step without a command.
     pub(crate) fn hold(&mut self, nominal: &Motion<S, N>) {
-        if EFFECTS && self.driven && self.dual.lags {
+        if EFFECTS && self.has_torque_derivatives && self.dual.has_drive_lag {
             self.dual.motion = self.lifted(nominal);
             self.dual.hold();
-            self.take_torques();
+            self.store_torques();
         }
     }
 
-    fn take_torques(&mut self) {
+    fn store_torques(&mut self) {
         self.target = self.dual.target.map(|number| number.tangent);
         self.torque = self.dual.motion.torque.map(|number| number.tangent);
     }
@@ -155,10 +156,10 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     #[inline(always)]
     pub(crate) fn advance<L: Lanes>(
         &mut self,
-        linear: &Linearised<A, L, G, N>,
+        linear: &LinearisedStep<A, L, G, N>,
         first: &Response<V, N>,
     ) {
-        if self.driven {
+        if self.has_torque_derivatives {
             let torque = self.current.over_step(&self.torque, &self.target);
             self.block.advance(linear, first, Some(&torque));
             self.torque = torque.end;
@@ -172,47 +173,50 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     /// With fixed length the span is a step like any other. The time of the event moves so that its
     /// margin stays zero; the remaining length of the step changes by the opposite amount.
     #[inline(always)]
-    pub(crate) fn pass<L: Lanes>(
+    pub(crate) fn advance_span<L: Lanes>(
         &mut self,
-        linear: &Linearised<A, L, G, N>,
-        through: &Through<S, N>,
+        linear: &LinearisedStep<A, L, G, N>,
+        linearised_span: &LinearisedSpan<S, N>,
     ) {
         for i in 0..N {
-            if through.rests[i] {
-                self.rest(i);
+            if linearised_span.is_stuck[i] {
+                self.stop_motor(i);
             }
         }
-        let torque = self.torques(&through.decay);
+        let torque = self.torques(&linearised_span.decay);
         let x = self.block.tangent;
         let first = self.block.respond(linear, 0, &x, Some(&torque.begin));
-        let part = 0.5 * through.duration / self.half;
+        let part = 0.5 * linearised_span.duration / self.half;
         self.block
             .advance_part::<A, L, G, false>(linear, &first, Some(&torque), part);
         self.torque = torque.end;
-        let mut later = self.left;
-        if let Some(event) = &through.event {
-            if through.moves {
-                let per_time = event.along(&through.rates, &through.torque_rates).lane(0);
-                let along = event.along(&self.block.tangent, &self.torque);
-                later = (along + event.by_parameters(&self.own)) * V::splat(-1.0 / per_time);
+        let mut delay = self.remaining;
+        if let Some(event) = &linearised_span.event {
+            if linearised_span.has_time_derivative {
+                let per_time = event
+                    .directional_derivative(&linearised_span.rates, &linearised_span.torque_rates)
+                    .lane(0);
+                let derivative = event.directional_derivative(&self.block.tangent, &self.torque);
+                delay = (derivative + event.by_parameters(&self.parameter_indices))
+                    * V::splat(-1.0 / per_time);
             }
-            self.left = self.left - later;
+            self.remaining = self.remaining - delay;
         }
-        self.block.tangent.add(&through.rates, later);
+        self.block.tangent.add(&linearised_span.rates, delay);
         for i in 0..N {
-            let rate = V::splat(through.torque_rates[i].lane(0));
-            self.torque[i] = rate.mul_add(later, self.torque[i]);
+            let rate = V::splat(linearised_span.torque_rates[i].lane(0));
+            self.torque[i] = rate.mul_add(delay, self.torque[i]);
         }
-        if let Some(event) = &through.event
-            && through.stops
+        if let Some(event) = &linearised_span.event
+            && linearised_span.stops_motor
         {
-            self.rest(event.joint);
+            self.stop_motor(event.joint);
         }
     }
 
     /// Sets the velocity derivatives of a resting motor to zero.
     #[inline(always)]
-    fn rest(&mut self, joint: usize) {
+    fn stop_motor(&mut self, joint: usize) {
         self.block.tangent.motor[joint] = V::splat(0.0);
     }
 
@@ -236,20 +240,20 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
 
     #[inline(always)]
     fn reading(&self, kind: usize) -> [V; N] {
-        match &self.sensed {
-            Some(sensed) => sensed.readings[kind],
+        match &self.block_sensors {
+            Some(block_sensors) => block_sensors.readings[kind],
             None => [V::splat(0.0); N],
         }
     }
 
     #[inline(always)]
-    fn mounted(&self, quantity: Quantity) -> [V; N] {
-        let sensed = self.sensed.as_ref();
+    fn imu_readings(&self, quantity: Quantity) -> [V; N] {
+        let block_sensors = self.block_sensors.as_ref();
         match (
-            quantity.mounted(),
-            sensed.and_then(|all| all.mounted.as_ref()),
+            quantity.imu_signal(),
+            block_sensors.and_then(|all| all.imus.as_ref()),
         ) {
-            (Some(place), Some(mounted)) => mounted.readings[place],
+            (Some(position), Some(imus)) => imus.readings[position],
             _ => [V::splat(0.0); N],
         }
     }
@@ -283,51 +287,54 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 | Quantity::SpecificForceY
                 | Quantity::AngularAcceleration
                 | Quantity::SquaredRate
-                | Quantity::AngularRate => self.mounted(*quantity),
+                | Quantity::AngularRate => self.imu_readings(*quantity),
                 Quantity::Sliding => continue,
             };
             for i in 0..N {
-                row[i].store(&mut buffer.place(k, i)[first..]);
+                row[i].store(&mut buffer.entry(k, i)[first..]);
             }
         }
     }
 }
 
 /// Whether a direction is a parameter of an effect of the drive.
-fn drives<A: Arm<N>, const N: usize>(config: &Config<A, N>, directions: &[Source]) -> bool {
+fn has_drive_parameter<A: Arm<N>, const N: usize>(
+    config: &Config<A, N>,
+    directions: &[Source],
+) -> bool {
     let roles = config.roles();
     directions.iter().any(|&direction| {
         let Source::Parameter(k) = direction else {
             return false;
         };
-        let (Role::Effect(place), joint) = roles[k] else {
+        let (Role::Effect(position), joint) = roles[k] else {
             return false;
         };
-        config.joints[joint].effects.parameters()[place].of_drive
+        config.joints[joint].effects.parameters()[position].of_drive
     })
 }
 
 /// Joint of each direction's parameter, and the index of the parameter among those of the joint.
-fn own_parameters<A: Arm<N>, const N: usize>(
+fn joint_parameter_indices<A: Arm<N>, const N: usize>(
     config: &Config<A, N>,
     directions: &[Source],
 ) -> Vec<Option<(usize, usize)>> {
     let names = config.parameter_names();
-    let place = |source: &Source| {
+    let position = |source: &Source| {
         let &Source::Parameter(k) = source else {
             return None;
         };
-        let own = names.get(config.arm.names().len()..k)?;
+        let joint_names = names.get(config.arm.names().len()..k)?;
         let joint = names[k].1?;
-        let before = own.iter().filter(|name| name.1 == Some(joint));
+        let before = joint_names.iter().filter(|name| name.1 == Some(joint));
         Some((joint - 1, before.count()))
     };
-    directions.iter().map(place).collect()
+    directions.iter().map(position).collect()
 }
 
 /// Converts link-side values to motor-side values.
 #[inline(always)]
-fn over<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
+fn to_motor_side<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
     let mut motor = *link_side;
     for i in 0..N {
         motor[i] = link_side[i] * V::splat(1.0 / ratio[i]);
@@ -339,17 +346,17 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     /// Derivatives of the motor angles [rad].
     #[inline(always)]
     fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
-        let mut link_side = self.twist;
+        let mut link_side = self.torsion;
         for i in 0..N {
-            link_side[i] = self.twist[i] + self.angle[i];
+            link_side[i] = self.torsion[i] + self.angle[i];
         }
-        over(ratio, &link_side)
+        to_motor_side(ratio, &link_side)
     }
 
     /// Derivatives of the motor velocities [rad/s]; `half` [s] is half a step.
     #[inline(always)]
     fn motor_velocities(&self, ratio: &[f64; N], half: f64) -> [V; N] {
-        over(ratio, &self.motor).map(|one| V::splat(1.0 / half) * one)
+        to_motor_side(ratio, &self.motor).map(|one| V::splat(1.0 / half) * one)
     }
 
     /// Derivatives of the link velocities [rad/s].
@@ -361,7 +368,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
 
 /// A motion with derivatives, over dual numbers.
 #[inline(always)]
-fn lifted<S: Real, V: Real, const N: usize>(
+fn lift_motion<S: Real, V: Real, const N: usize>(
     nominal: &Motion<S, N>,
     x: &Tangent<V, N>,
     torque: &[V; N],
@@ -406,7 +413,7 @@ fn tangent_of<S: Real, V: Real, const N: usize>(
     let angle = x.link_angle.map(|number| number.tangent);
     let at_links = |i: usize, motor: &[Dual<S, V>; N]| V::splat(ratio[i]) * motor[i].tangent;
     Tangent {
-        twist: std::array::from_fn(|i| at_links(i, &x.motor_angle) - angle[i]),
+        torsion: std::array::from_fn(|i| at_links(i, &x.motor_angle) - angle[i]),
         angle,
         motor: std::array::from_fn(|i| V::splat(half) * at_links(i, &x.motor_velocity)),
         link: x

@@ -12,7 +12,7 @@ use crate::sensitivity::Sensitivities;
 ///
 /// # Errors
 /// The motion diverged.
-pub(crate) fn by_duals<
+pub(crate) fn differentiate_over_dual_numbers<
     A: Arm<N>,
     S: Real,
     V: Real,
@@ -33,9 +33,9 @@ pub(crate) fn by_duals<
         tangents: vec![vec![0.0; task.clock.samples * N * directions.len()]; task.record.len()],
     };
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
-        let given = |source, value| seeded(source, value, &directions[first..]);
-        let chain = Simulate::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, member, given);
-        all.take(&Dual::<S, V>::scope(chain)?, first, directions.len());
+        let lift = |source, value| seeded(source, value, &directions[first..]);
+        let chain = Simulate::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, member, lift);
+        all.store_directions(&Dual::<S, V>::scope(chain)?, first, directions.len());
     }
     Ok(all.decimated(decimation, directions.len()))
 }

@@ -8,8 +8,8 @@
 
 use crate::arm::Arm;
 use crate::joint::effects::{
-    BaseTorque, Effect, EffectKinds, Effects, Enters, FlexibleLink, Hysteresis, Lead, Size,
-    SoftBase,
+    AffectedTerms, BaseTorque, Effect, EffectKinds, Effects, FlexibleLink, Hysteresis,
+    PartDeflection, Size, SoftBase,
 };
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::config::{Config, Role};
@@ -21,7 +21,7 @@ use crate::sensitivity::trace::{Stage, Stages, Trace};
 
 /// Effects of size zero, joint by joint.
 pub(crate) struct EffectSensitivity<L, const N: usize> {
-    own: [Vec<OneSize<L>>; N],
+    sizes: [Vec<OneSize<L>>; N],
     /// Hysteresis laws.
     hysteresis: [Option<Hysteresis<f64>>; N],
     /// z at the beginning of the step.
@@ -29,33 +29,33 @@ pub(crate) struct EffectSensitivity<L, const N: usize> {
     /// Laws of the flexible parts.
     flexible: [Option<FlexibleLink<f64>>; N],
     /// Angles and velocities of the flexible parts in space at the beginning of the step.
-    part: [Swing; N],
+    part: [SecondOrderState; N],
     /// Laws of the bases.
     soft: [Option<SoftBase<f64>>; N],
     /// Torques of the bases' springs and their rates at the beginning of the step.
-    base: [Swing; N],
+    base: [SecondOrderState; N],
 }
 
 /// State of a second-order equation, and its rate.
-type Swing = [f64; 2];
+type SecondOrderState = [f64; 2];
 
 /// Derivatives with respect to one size at zero.
 pub(crate) struct OneSize<L> {
     /// Index among the parameters of the joint's effects.
-    pub(crate) place: usize,
+    pub(crate) position: usize,
     size: Size,
     /// The effects with the derivative of this size, for stages in lanes and for one instant.
     effects: Effects<Jet<L>>,
-    at_once: Effects<Jet<f64>>,
+    scalar_effects: Effects<Jet<f64>>,
 }
 
 /// State of a joint at one instant, for its effects.
-struct Moment<R> {
+struct JointInstant<R> {
     motor_angle: R,
     motor_velocity: R,
     link_angle: R,
     angle_in_space: R,
-    twist: R,
+    torsion: R,
     z: R,
     /// Gear torque at the motor [N m].
     load: R,
@@ -68,7 +68,7 @@ struct Moment<R> {
 }
 
 /// Derivatives of the equations with respect to a size.
-pub(crate) struct Adds<R> {
+pub(crate) struct SizeDerivatives<R> {
     /// Derivative of the friction limit.
     pub(crate) friction: R,
     /// Derivative of the motor torque.
@@ -76,87 +76,87 @@ pub(crate) struct Adds<R> {
     /// Derivative of the gear torque.
     pub(crate) gear: R,
     /// Derivative of the local ratio.
-    pub(crate) lever: R,
+    pub(crate) local_ratio: R,
     /// Derivative of the load torque on the link, or on the link and all preceding links.
     pub(crate) link: R,
 }
 
-impl<R: Real> Adds<R> {
+impl<R: Real> SizeDerivatives<R> {
     #[inline(always)]
-    fn of(effects: &Effects<Jet<R>>, enters: Enters, at: &Moment<R>) -> Self {
+    fn of(effects: &Effects<Jet<R>>, affects: AffectedTerms, at: &JointInstant<R>) -> Self {
         let zero = R::splat(0.0);
-        let mut adds = Self {
+        let mut derivatives = Self {
             friction: zero,
             motor: zero,
             gear: zero,
-            lever: zero,
+            local_ratio: zero,
             link: zero,
         };
         let (angle, velocity) = (
             Jet::constant(at.motor_angle),
             Jet::constant(at.motor_velocity),
         );
-        if enters.friction {
+        if affects.friction {
             let load = Jet::constant(at.load);
-            adds.friction = effects.dry_friction(velocity, load).tangent;
+            derivatives.friction = effects.dry_friction(velocity, load).tangent;
         }
-        if enters.motor {
-            adds.motor = effects.motor_torque(angle, velocity).tangent;
+        if affects.motor {
+            derivatives.motor = effects.motor_torque(angle, velocity).tangent;
         }
-        if enters.gear {
-            let [off, slope] = effects.error(angle).map(|one| one.tangent);
-            let strain = effects.strain(Jet::constant(at.twist)).tangent;
-            let turn = |torque: R| effects.base_turn(Jet::constant(torque)).tangent;
-            let [turned, turning] = [turn(at.base.torque), turn(at.base.rate)];
-            let damped = at.damping * slope.mul_add(at.motor_velocity, turning);
-            let remembered = effects.gear_torque(Jet::constant(at.z)).tangent;
-            let strained = off + strain + turned;
-            adds.gear = at.stiffness.mul_add(strained, damped + remembered);
-            adds.lever = slope;
+        if affects.gear {
+            let [error, slope] = effects.error(angle).map(|one| one.tangent);
+            let strain = effects.strain(Jet::constant(at.torsion)).tangent;
+            let rotation = |torque: R| effects.base_rotation(Jet::constant(torque)).tangent;
+            let [base_angle, base_rate] = [rotation(at.base.torque), rotation(at.base.rate)];
+            let damped = at.damping * slope.mul_add(at.motor_velocity, base_rate);
+            let hysteresis = effects.gear_torque(Jet::constant(at.z)).tangent;
+            let strained = error + strain + base_angle;
+            derivatives.gear = at.stiffness.mul_add(strained, damped + hysteresis);
+            derivatives.local_ratio = slope;
         }
-        if enters.link {
-            adds.link = effects.load(Jet::constant(at.link_angle)).tangent;
+        if affects.link {
+            derivatives.link = effects.load(Jet::constant(at.link_angle)).tangent;
         }
-        if enters.weight {
+        if affects.weight {
             let weight = effects.weight(Jet::constant(at.angle_in_space));
             let load = effects.part_load(Jet::constant(at.part_acceleration));
-            adds.link = (weight + load).tangent;
+            derivatives.link = (weight + load).tangent;
         }
-        adds
+        derivatives
     }
 }
 
 impl<L: Real> OneSize<L> {
     /// Derivatives at the event at the end of a span.
-    pub(crate) fn at_an_event<S: Real>(
+    pub(crate) fn at_event<S: Real>(
         &self,
-        held: &Holding<S>,
+        holding: &Holding<S>,
         z: f64,
         base: BaseTorque<f64>,
-    ) -> Adds<f64> {
-        let moment = Moment {
-            motor_angle: held.motor_angle,
-            motor_velocity: held.speed,
+    ) -> SizeDerivatives<f64> {
+        let instant = JointInstant {
+            motor_angle: holding.motor_angle,
+            motor_velocity: holding.speed,
             link_angle: 0.0, // the load on the link does not hold the motor
             angle_in_space: 0.0,
-            twist: held.twist.lane(0),
+            torsion: holding.torsion.lane(0),
             z,
-            load: held.ratio * held.transmitted,
-            stiffness: held.stiffness,
-            damping: held.damping,
+            load: holding.ratio * holding.transmitted,
+            stiffness: holding.stiffness,
+            damping: holding.damping,
             part_acceleration: 0.0,
             base,
         };
-        Adds::of(&self.at_once, self.size.enters, &moment)
+        SizeDerivatives::of(&self.scalar_effects, self.size.affects, &instant)
     }
 }
 
 /// Effects of one joint with given values, one of which has derivative one.
-fn moving<R: Real>(kinds: EffectKinds, values: &[f64], place: usize) -> Effects<Jet<R>> {
+fn seed_effects<R: Real>(kinds: EffectKinds, values: &[f64], position: usize) -> Effects<Jet<R>> {
     let mut next = 0;
     Effects::of(kinds, || {
         let mut value = Jet::constant(R::splat(values[next]));
-        if next == place {
+        if next == position {
             value.tangent = R::splat(1.0);
         }
         next += 1;
@@ -173,21 +173,21 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     ) -> Self {
         let roles = config.roles();
         let values = |i: usize| -> Vec<f64> {
-            let of_joint = |k: &usize| matches!(roles[*k], (Role::Effect(_), j) if j == i);
-            let places = (0..roles.len()).filter(of_joint);
-            places.map(|k| parameters[k]).collect()
+            let is_of_joint = |k: &usize| matches!(roles[*k], (Role::Effect(_), j) if j == i);
+            let positions = (0..roles.len()).filter(is_of_joint);
+            positions.map(|k| parameters[k]).collect()
         };
-        let mut own = std::array::from_fn(|_| Vec::new());
+        let mut sizes = std::array::from_fn(|_| Vec::new());
         let (mut hysteresis, mut flexible, mut soft) = ([None; N], [None; N], [None; N]);
         for i in 0..N {
             let (kinds, values) = (config.joints[i].effects, values(i));
-            for (place, parameter) in kinds.parameters().into_iter().enumerate() {
+            for (position, parameter) in kinds.parameters().into_iter().enumerate() {
                 let Some(size) = parameter.size else { continue };
-                own[i].push(OneSize {
-                    place,
+                sizes[i].push(OneSize {
+                    position,
                     size,
-                    effects: moving(kinds, &values, place),
-                    at_once: moving(kinds, &values, place),
+                    effects: seed_effects(kinds, &values, position),
+                    scalar_effects: seed_effects(kinds, &values, position),
                 });
             }
             let mut all = values.iter();
@@ -200,7 +200,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         let base =
             |i: usize| [begin.base_torque[i], begin.base_torque_rate[i]].map(|one| one.lane(0));
         Self {
-            own,
+            sizes,
             hysteresis,
             z: [0.0; N],
             flexible,
@@ -219,13 +219,13 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
 
     /// Sizes of one joint.
     pub(crate) fn of(&self, joint: usize) -> &[OneSize<L>] {
-        &self.own[joint]
+        &self.sizes[joint]
     }
 
     /// Adds the derivatives at the stages of a step of length `h` to `quads`; `push` is the change
     /// of each motor's acceleration per negative motor torque.
     #[inline(always)]
-    pub(crate) fn enter<A: Arm<N>, S: Real, G: Gears>(
+    pub(crate) fn add_to_quads<A: Arm<N>, S: Real, G: Gears>(
         &self,
         quads: &mut Quads<N>,
         plant: &Plant<A, L, G, N>,
@@ -234,45 +234,49 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         push: &[f64; N],
     ) {
         for i in 0..N {
-            let z = self.remembered(trace, h, i);
-            let swung = self.swung::<A>(trace, h, i);
-            let swayed = self.swayed(plant, trace, h, i);
+            let z = self.hysteresis_states(trace, h, i);
+            let part_accelerations = self.part_accelerations::<A>(trace, h, i);
+            let base_stages = self.base_stages(plant, trace, h, i);
             for first in (0..4).step_by(L::LANES) {
                 let each = |number: fn(&Stage<N>) -> &[f64; N]| {
                     trace.across::<L>(first, |stage| number(stage)[i])
                 };
-                let (joint, twist) = (&plant.joints[i], each(|stage| &stage.twist));
+                let (joint, torsion) = (&plant.joints[i], each(|stage| &stage.torsion));
                 let (angle, rate) = (each(|stage| &stage.angle), each(|stage| &stage.rate));
                 let spring = &joint.spring;
-                let transmitted = joint.gear_damping.mul_add(rate, spring.torque(twist));
-                let moment = Moment {
-                    motor_angle: (twist + angle) * L::splat(1.0 / trace.ratio[i]),
+                let transmitted = joint.gear_damping.mul_add(rate, spring.torque(torsion));
+                let instant = JointInstant {
+                    motor_angle: (torsion + angle) * L::splat(1.0 / trace.ratio[i]),
                     motor_velocity: each(|stage| &stage.motor_velocity),
                     link_angle: angle,
                     angle_in_space: trace
                         .across::<L>(first, |stage| angle_in_space::<A, f64, N>(&stage.angle, i)),
-                    twist,
+                    torsion,
                     z: L::load(&z[first..]),
                     load: joint.ratio * transmitted,
-                    stiffness: spring.stiffness(twist),
+                    stiffness: spring.stiffness(torsion),
                     damping: joint.gear_damping,
-                    part_acceleration: L::load(&swung[first..]),
+                    part_acceleration: L::load(&part_accelerations[first..]),
                     base: BaseTorque {
-                        torque: L::load(&swayed.place[first..]),
-                        rate: L::load(&swayed.rate[first..]),
+                        torque: L::load(&base_stages.value[first..]),
+                        rate: L::load(&base_stages.rate[first..]),
                     },
                 };
                 let direction = L::splat(modes.direction[i].lane(0));
-                for own in &self.own[i] {
-                    let adds = Adds::of(&own.effects, own.size.enters, &moment);
-                    let against = direction.mul_add(adds.friction, adds.lever * transmitted);
-                    let motor = L::splat(push[i]) * (against - adds.motor);
-                    let (quad, slot) = (own.size.index / 4, own.size.index % 4);
+                for size in &self.sizes[i] {
+                    let derivatives =
+                        SizeDerivatives::of(&size.effects, size.size.affects, &instant);
+                    let opposing = direction
+                        .mul_add(derivatives.friction, derivatives.local_ratio * transmitted);
+                    let motor = L::splat(push[i]) * (opposing - derivatives.motor);
+                    let (quad, slot) = (size.size.index / 4, size.size.index % 4);
                     for lane in 0..L::LANES {
                         let stage = first + lane;
-                        quads.own[i][GEAR_EFFECTS + quad].0[stage][slot] = adds.gear.lane(lane);
-                        quads.own[i][MOTOR_EFFECTS + quad].0[stage][slot] = motor.lane(lane);
-                        quads.of_link(i, quad).0[stage][slot] = adds.link.lane(lane);
+                        quads.drive_train[i][GEAR_EFFECTS + quad].0[stage][slot] =
+                            derivatives.gear.lane(lane);
+                        quads.drive_train[i][MOTOR_EFFECTS + quad].0[stage][slot] =
+                            motor.lane(lane);
+                        quads.of_link(i, quad).0[stage][slot] = derivatives.link.lane(lane);
                     }
                 }
             }
@@ -281,59 +285,61 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
 
     /// z of one gear at the stages of a step of length `h`.
     #[inline(always)]
-    fn remembered(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
+    fn hysteresis_states(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
         let Some(law) = &self.hysteresis[i] else {
             return [0.0; 4];
         };
-        let from = trace.twist_at(i, 0);
-        let z = |k, t| law.follow(self.z[i], &from, &trace.twist_at(i, k), t);
+        let from = trace.torsion_at(i, 0);
+        let z = |k, t| law.state_after(self.z[i], &from, &trace.torsion_at(i, k), t);
         [self.z[i], z(1, 0.5 * h), z(2, 0.5 * h), z(3, h)]
     }
 
     /// Accelerations of the flexible part of one link at the stages of a step of length `h`.
     #[inline(always)]
-    fn swung<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> Stages {
+    fn part_accelerations<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> Stages {
         let Some(law) = &self.flexible[i] else {
             return [0.0; 4];
         };
-        let at = |k: usize, [angle, velocity]: Swing| {
+        let at = |k: usize, [angle, velocity]: SecondOrderState| {
             let stage = &trace.stages[k];
-            law.part_acceleration(&Lead {
+            law.part_acceleration(&PartDeflection {
                 angle: angle - angle_in_space::<A, f64, N>(&stage.angle, i),
                 rate: velocity - angle_in_space::<A, f64, N>(&stage.velocity, i),
             })
         };
-        Swaying::over(self.part[i], h, at).acceleration
+        SecondOrderStages::integrate(self.part[i], h, at).acceleration
     }
 
     /// Torque of the spring under one joint's base at the stages of a step of length `h`.
     #[inline(always)]
-    fn swayed<A: Arm<N>, G: Gears>(
+    fn base_stages<A: Arm<N>, G: Gears>(
         &self,
         plant: &Plant<A, L, G, N>,
         trace: &Trace<N>,
         h: f64,
         i: usize,
-    ) -> Swaying {
+    ) -> SecondOrderStages {
         let Some(law) = &self.soft[i] else {
-            return Swaying::NONE;
+            return SecondOrderStages::NONE;
         };
         let joint = &plant.joints[i];
         let mut gear = [0.0; 4];
         for first in (0..4).step_by(L::LANES) {
-            let twist = trace.across(first, |stage| stage.twist[i]);
+            let torsion = trace.across(first, |stage| stage.torsion[i]);
             let rate = trace.across(first, |stage| stage.rate[i]);
-            let torque: L = joint.gear_damping.mul_add(rate, joint.spring.torque(twist));
+            let torque: L = joint
+                .gear_damping
+                .mul_add(rate, joint.spring.torque(torsion));
             torque.store(&mut gear[first..]);
         }
-        Swaying::over(self.base[i], h, |k, [torque, rate]| {
+        SecondOrderStages::integrate(self.base[i], h, |k, [torque, rate]| {
             law.base_acceleration(&BaseTorque { torque, rate }, gear[k])
         })
     }
 
     /// Sets the states of the effects to the end of a step.
     #[inline(always)]
-    pub(crate) fn passed<A: Arm<N>, S: Real, G: Gears>(
+    pub(crate) fn advance_effect_states<A: Arm<N>, S: Real, G: Gears>(
         &mut self,
         plant: &Plant<A, L, G, N>,
         trace: &Trace<N>,
@@ -342,48 +348,56 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     ) {
         for i in 0..N {
             if self.flexible[i].is_some() {
-                self.part[i] = moved_on(self.part[i], &self.swung::<A>(trace, h, i), h);
+                self.part[i] = advance_second_order(
+                    self.part[i],
+                    &self.part_accelerations::<A>(trace, h, i),
+                    h,
+                );
             }
             if self.soft[i].is_some() {
-                let swayed = self.swayed(plant, trace, h, i);
-                self.base[i] = moved_on(self.base[i], &swayed.acceleration, h);
+                let base_stages = self.base_stages(plant, trace, h, i);
+                self.base[i] = advance_second_order(self.base[i], &base_stages.acceleration, h);
             }
             if let Some(law) = &self.hysteresis[i] {
-                let to = trace.twist_of(i, end);
-                self.z[i] = law.follow(self.z[i], &trace.twist_at(i, 0), &to, h);
+                let to = trace.torsion_of(i, end);
+                self.z[i] = law.state_after(self.z[i], &trace.torsion_at(i, 0), &to, h);
             }
         }
     }
 }
 
 /// A second-order equation at the stages of a step.
-struct Swaying {
-    place: Stages,
+struct SecondOrderStages {
+    value: Stages,
     rate: Stages,
     acceleration: Stages,
 }
 
-impl Swaying {
+impl SecondOrderStages {
     const NONE: Self = Self {
-        place: [0.0; 4],
+        value: [0.0; 4],
         rate: [0.0; 4],
         acceleration: [0.0; 4],
     };
 
     /// The integrator's step of length `h`.
     #[inline(always)]
-    fn over([place, rate]: Swing, h: f64, at: impl Fn(usize, Swing) -> f64) -> Self {
+    fn integrate(
+        [value, rate]: SecondOrderState,
+        h: f64,
+        at: impl Fn(usize, SecondOrderState) -> f64,
+    ) -> Self {
         let half = 0.5 * h;
-        let middle = place + half * rate;
-        let a1 = at(0, [place, rate]);
+        let middle = value + half * rate;
+        let a1 = at(0, [value, rate]);
         let second = [middle, rate + half * a1];
         let a2 = at(1, second);
         let third = [middle + half * half * a1, rate + half * a2];
         let a3 = at(2, third);
-        let fourth = [place + h * rate + h * half * a2, rate + h * a3];
+        let fourth = [value + h * rate + h * half * a2, rate + h * a3];
         let a4 = at(3, fourth);
         Self {
-            place: [place, second[0], third[0], fourth[0]],
+            value: [value, second[0], third[0], fourth[0]],
             rate: [rate, second[1], third[1], fourth[1]],
             acceleration: [a1, a2, a3, a4],
         }
@@ -392,9 +406,13 @@ impl Swaying {
 
 /// State at the end of a step of length `h`, from the accelerations at its stages.
 #[inline(always)]
-fn moved_on([place, rate]: Swing, &[a1, a2, a3, a4]: &Stages, h: f64) -> Swing {
+fn advance_second_order(
+    [value, rate]: SecondOrderState,
+    &[a1, a2, a3, a4]: &Stages,
+    h: f64,
+) -> SecondOrderState {
     [
-        place + h * rate + h * h / 6.0 * (a1 + a2 + a3),
+        value + h * rate + h * h / 6.0 * (a1 + a2 + a3),
         rate + h / 6.0 * (a1 + 2.0 * (a2 + a3) + a4),
     ]
 }
@@ -411,11 +429,11 @@ pub(crate) fn without_plant_effects<A: Arm<N>, const N: usize>(
     }
     let mut values = Vec::with_capacity(parameters.len());
     for (&(role, i), &value) in config.roles().iter().zip(parameters) {
-        let Role::Effect(place) = role else {
+        let Role::Effect(position) = role else {
             values.push(value);
             continue;
         };
-        let parameter = config.joints[i].effects.parameters()[place];
+        let parameter = config.joints[i].effects.parameters()[position];
         if parameter.of_drive {
             values.push(value);
         } else if parameter.size.is_some() && value != 0.0 {

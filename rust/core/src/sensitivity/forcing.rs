@@ -7,11 +7,11 @@ use std::collections::BTreeMap;
 
 use crate::arm::Arm;
 use crate::experiment::Source;
-use crate::joint::effects::{Enters, SIZES, Size};
+use crate::joint::effects::{AffectedTerms, EFFECT_SIZE_COUNT, Size};
 use crate::joint::transmission::DRIVE;
 use crate::plant::config::{Config, Role};
 use crate::plant::first_bearing;
-use crate::scalar::{Lanes, MOST_LANES};
+use crate::scalar::{Lanes, MAX_LANES};
 
 /// Row of the equations.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -39,16 +39,16 @@ pub(crate) const MOTOR_EFFECTS: usize = 3;
 /// First quad of the sizes of effects, in the gear's row.
 pub(crate) const GEAR_EFFECTS: usize = MOTOR_EFFECTS + EFFECT_QUADS;
 /// Number of quads for the sizes of effects.
-const EFFECT_QUADS: usize = SIZES.div_ceil(4);
+const EFFECT_QUADS: usize = EFFECT_SIZE_COUNT.div_ceil(4);
 /// Number of quads of a joint's motor and gear.
-const OWN: usize = GEAR_EFFECTS + EFFECT_QUADS;
+const DRIVE_TRAIN_QUADS: usize = GEAR_EFFECTS + EFFECT_QUADS;
 /// Quads of the link's viscous friction, the arm's base parameters and the sizes of effects, in
 /// this order.
-const LINK: usize = OWN;
+const LINK: usize = DRIVE_TRAIN_QUADS;
 
 /// Quads of all joints.
 pub(crate) struct Quads<const N: usize> {
-    pub(crate) own: [[Quad; OWN]; N],
+    pub(crate) drive_train: [[Quad; DRIVE_TRAIN_QUADS]; N],
     /// Quads of the links' rows, joint by joint.
     pub(crate) link: Vec<Quad>,
 }
@@ -67,11 +67,11 @@ pub(crate) fn all_link_quads(bases: usize) -> usize {
 
 impl<const N: usize> Quads<N> {
     /// Zero derivatives.
-    pub(crate) fn nothing(bases: usize) -> Self {
-        let nothing = Quad([[0.0; 4]; 4]);
+    pub(crate) fn zeros(bases: usize) -> Self {
+        let zero = Quad([[0.0; 4]; 4]);
         Self {
-            own: [[nothing; OWN]; N],
-            link: vec![nothing; N * all_link_quads(bases)],
+            drive_train: [[zero; DRIVE_TRAIN_QUADS]; N],
+            link: vec![zero; N * all_link_quads(bases)],
         }
     }
 
@@ -86,31 +86,31 @@ impl<const N: usize> Quads<N> {
 fn row(quad: usize) -> Row {
     match quad {
         MOTOR | MOTOR_EFFECTS..GEAR_EFFECTS => Row::Motor,
-        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..OWN => Row::Gear,
+        GEAR..MOTOR_EFFECTS | GEAR_EFFECTS..DRIVE_TRAIN_QUADS => Row::Gear,
         _ => Row::Link,
     }
 }
 
 /// Location of a derivative: the row of a joint, and the quad and the slot.
 #[derive(Clone, Copy)]
-struct Place {
+struct Location {
     joint: usize,
     /// The joint of the quad.
-    of: usize,
+    quad_joint: usize,
     quad: usize,
     slot: usize,
 }
 
 /// Locations for each parameter.
-fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
-    let at = |joint, quad, slot| Place {
+fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Location>> {
+    let at = |joint, quad, slot| Location {
         joint,
-        of: joint,
+        quad_joint: joint,
         quad: quad + slot / 4,
         slot: slot % 4,
     };
     let bases = config.arm.names().len();
-    let place = |(role, i): (Role, usize)| match role {
+    let location = |(role, i): (Role, usize)| match role {
         Role::Base(k) => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
         Role::Drive(LINK_VISCOUS) => vec![at(i, LINK, 0)],
         Role::Drive(k) => vec![at(i, MOTOR, k)],
@@ -121,80 +121,84 @@ fn places<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Place>> {
         // other parameters of an effect have no influence at size zero
         Role::Effect(k) => match config.joints[i].effects.parameters()[k].size {
             Some(size) => {
-                let own = effect_places(size, bases);
-                let mut all: Vec<_> = own.map(|(quad, slot)| at(i, quad, slot)).collect();
-                if size.enters.weight {
-                    let weighing = at(i, LINK + link_quads(bases), size.index);
+                let own_rows = effect_locations(size, bases);
+                let mut all: Vec<_> = own_rows.map(|(quad, slot)| at(i, quad, slot)).collect();
+                if size.affects.weight {
+                    let weight_location = at(i, LINK + link_quads(bases), size.index);
                     let first = first_bearing::<A, N>(i);
-                    all.extend((first..=i).map(|joint| Place { joint, ..weighing }));
+                    all.extend((first..=i).map(|joint| Location {
+                        joint,
+                        ..weight_location
+                    }));
                 }
                 all
             }
             None => Vec::new(),
         },
     };
-    config.roles().into_iter().map(place).collect()
+    config.roles().into_iter().map(location).collect()
 }
 
 /// Quads and slots of the size of an effect in the rows of its own joint.
-fn effect_places(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
-    let Enters {
+fn effect_locations(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
+    let AffectedTerms {
         friction,
         motor,
         gear,
         link,
         weight: _, // it enters other joints' rows as well
         drive: _,  // the motor's torque has derivatives of its own
-    } = size.enters;
+    } = size.affects;
     let rows = [
         (friction || motor, MOTOR_EFFECTS),
         (gear, GEAR_EFFECTS),
         (link, LINK + link_quads(bases)),
     ];
-    let entered = rows.into_iter().filter(|(enters, _)| *enters);
-    entered.map(move |(_, quad)| (quad, size.index))
+    let affected_rows = rows.into_iter().filter(|(affects, _)| *affects);
+    affected_rows.map(move |(_, quad)| (quad, size.index))
 }
 
 /// Index of the link's viscous friction in a joint's drive; those before it act on the motor.
 const LINK_VISCOUS: usize = DRIVE.len() - 1;
 
 /// Largest number of quads per row: each lane uses at most one.
-const MOST_QUADS: usize = MOST_LANES;
+const MAX_ROW_QUADS: usize = MAX_LANES;
 
 /// Quads of a row with the selection of their numbers.
-type Picks<P> = [Option<(usize, P)>; MOST_QUADS];
+type RowSelection<P> = [Option<(usize, P)>; MAX_ROW_QUADS];
 
 /// Derivatives of the equations for the directions of a block.
 pub(crate) struct Forcing<V: Lanes, const N: usize> {
-    picks: [[Picks<V::Pick>; N]; 3],
+    selections: [[RowSelection<V::Selection>; N]; 3],
 }
 
 impl<V: Lanes, const N: usize> Forcing<V, N> {
     /// Forcing for the first `V::LANES` directions.
     pub(crate) fn new<A: Arm<N>>(config: &Config<A, N>, directions: &[Source]) -> Self {
-        let places = places(config);
+        let locations = locations(config);
         let per_link = all_link_quads(config.arm.names().len());
-        let mut wanted: BTreeMap<_, [Option<usize>; MOST_LANES]> = BTreeMap::new();
+        let mut slots_by_quad: BTreeMap<_, [Option<usize>; MAX_LANES]> = BTreeMap::new();
         for (lane, direction) in directions.iter().take(V::LANES).enumerate() {
             if let &Source::Parameter(k) = direction {
-                for place in &places[k] {
-                    let key = (place.joint, place.quad, place.of);
-                    let slots = wanted.entry(key).or_default();
-                    slots[lane] = Some(place.slot);
+                for location in &locations[k] {
+                    let key = (location.joint, location.quad, location.quad_joint);
+                    let slots = slots_by_quad.entry(key).or_default();
+                    slots[lane] = Some(location.slot);
                 }
             }
         }
-        let mut picks = [[[None; MOST_QUADS]; N]; 3];
-        for ((joint, quad, of), slots) in wanted {
-            let own: &mut Picks<V::Pick> = &mut picks[row(quad) as usize][joint];
-            let next = own.iter().position(Option::is_none);
+        let mut selections = [[[None; MAX_ROW_QUADS]; N]; 3];
+        for ((joint, quad, of), slots) in slots_by_quad {
+            let selections: &mut RowSelection<V::Selection> =
+                &mut selections[row(quad) as usize][joint];
+            let next = selections.iter().position(Option::is_none);
             let quad = match quad.checked_sub(LINK) {
                 Some(of_link) => of * per_link + of_link,
                 None => quad,
             };
-            own[next.expect("a lane takes one quad")] = Some((quad, V::pick(slots)));
+            selections[next.expect("a lane takes one quad")] = Some((quad, V::selection(slots)));
         }
-        Self { picks }
+        Self { selections }
     }
 
     /// Derivatives of a joint's row at a stage.
@@ -202,14 +206,14 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
     pub(crate) fn of(&self, quads: &Quads<N>, row: Row, joint: usize, stage: usize) -> V {
         let from = match row {
             Row::Link => &quads.link[..],
-            Row::Gear | Row::Motor => &quads.own[joint][..],
+            Row::Gear | Row::Motor => &quads.drive_train[joint][..],
         };
         let mut sum = V::splat(0.0);
-        for own in &self.picks[row as usize][joint] {
-            let Some((quad, pick)) = own else {
+        for selection in &self.selections[row as usize][joint] {
+            let Some((quad, selection)) = selection else {
                 break;
             };
-            sum = sum.picked(pick, &from[*quad].0[stage]);
+            sum = sum.replace_selected(selection, &from[*quad].0[stage]);
         }
         sum
     }

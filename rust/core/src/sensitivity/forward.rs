@@ -11,10 +11,10 @@ use crate::experiment::simulate::Simulation;
 use crate::experiment::{Diverged, Event, Member, Quantity, Source, Task, values};
 use crate::joint::Joint;
 use crate::joint::gear::Gears;
-use crate::plant::friction::{Motion, Stretch};
+use crate::plant::friction::{Motion, Span};
 use crate::plant::{Instant, Watch};
 use crate::scalar::{Dual, Lanes, Work};
-use crate::sensitivity::block_trajectory::{BlockTrajectory, Through};
+use crate::sensitivity::block_trajectory::{BlockTrajectory, LinearisedSpan};
 use crate::sensitivity::event::EventSensitivity;
 use crate::sensitivity::sample_buffer::SampleBuffer;
 use crate::sensitivity::sensing::Sensing;
@@ -22,7 +22,7 @@ use crate::sensitivity::step_length::StepLengthSensitivity;
 use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensitivity::tangent_block::TangentBlock;
 use crate::sensitivity::trace::Trace;
-use crate::sensitivity::variational::Linearised;
+use crate::sensitivity::variational::LinearisedStep;
 use crate::sensitivity::{Sensitivities, decimated};
 use crate::sensors::decimation::Decimation;
 
@@ -30,11 +30,12 @@ use crate::sensors::decimation::Decimation;
 /// directions per block, and lanes `L` for the stages of a step.
 ///
 /// With `EFFECTS`, directions may be sizes of effects on motor, gear and link that the arm does not
-/// have: `asked` is the arm with these effects at size zero. Otherwise `asked` is the arm itself.
+/// have: `requested` is the arm with these effects at size zero. Otherwise `requested` is the arm
+/// itself.
 pub(crate) struct ForwardSensitivity<'a, A, S, V, L, G, const N: usize, const EFFECTS: bool> {
     pub(crate) task: &'a Task<A, N>,
     pub(crate) member: &'a Member<'a, N>,
-    pub(crate) asked: (&'a Task<A, N>, &'a Member<'a, N>),
+    pub(crate) requested: (&'a Task<A, N>, &'a Member<'a, N>),
     pub(crate) directions: &'a [Source],
     /// Low-pass of the samples, if there is one.
     pub(crate) decimation: Option<&'a Decimation>,
@@ -73,18 +74,18 @@ struct Chain<
     const EFFECTS: bool,
 > {
     task: &'a Task<A, N>,
-    asked: &'a Task<A, N>,
+    requested: &'a Task<A, N>,
     nominal: Simulation<'a, A, S, G, N>,
     /// Whether voltages were commanded at the last step.
     commanded: bool,
     /// Whether any drive has a lag other than zero.
-    lags: bool,
+    has_drive_lag: bool,
     /// Response without forcing by parameters.
     unforced: TangentBlock<S, N>,
     /// Current loops over a variable time.
-    longer: CurrentLoop<Dual<S, S>, N>,
+    differentiable_current: CurrentLoop<Dual<S, S>, N>,
     trace: Trace<N>,
-    linear: Linearised<A, L, G, N>,
+    linear: LinearisedStep<A, L, G, N>,
     blocks: Vec<BlockTrajectory<'a, A, S, V, G, N, EFFECTS>>,
     /// The sensors that are recorded, if any.
     sensing: Option<Sensing<V, N>>,
@@ -97,33 +98,33 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
         let sizes = [task.record.len(), task.clock.samples, width, V::LANES];
-        let (asked, member) = of.asked;
+        let (requested, member) = of.requested;
         let plain = |_, value| S::splat(value);
         let nominal = Simulation::new(task, of.member, &plain);
         let sensing = Sensing::new(task, nominal.sensors.as_ref());
         let trajectory = |first| {
             let directions = &of.directions[first..];
-            BlockTrajectory::new(asked, member, directions, sensing.as_ref())
+            BlockTrajectory::new(requested, member, directions, sensing.as_ref())
         };
-        let lags = |joint: &Joint<S, G>| {
+        let has_lag = |joint: &Joint<S, G>| {
             let lag = joint.effects.drive_lag;
             lag.is_some_and(|lag| lag.time_constant.lane(0) != 0.0)
         };
-        let linear = Linearised::new(
+        let linear = LinearisedStep::new(
             &task.config,
             of.member.parameters,
-            (&asked.config, member.parameters),
+            (&requested.config, member.parameters),
             &nominal.motion.state,
             task.clock.step,
         );
         Self {
             task,
-            asked,
-            lags: nominal.plant.joints.iter().any(lags),
+            requested,
+            has_drive_lag: nominal.plant.joints.iter().any(has_lag),
             nominal,
             commanded: false,
-            unforced: TangentBlock::new(&task.config, &[], Tangent::still()),
-            longer: task.config.current_loop(task.clock.step),
+            unforced: TangentBlock::new(&task.config, &[], Tangent::zero()),
+            differentiable_current: task.config.current_loop(task.clock.step),
             trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
             linear,
             blocks: (0..width).step_by(V::LANES).map(trajectory).collect(),
@@ -136,12 +137,12 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     fn step(&mut self, step: usize, event: &Event) {
         if event.commands {
             self.command(step, event);
-        } else if EFFECTS && (self.commanded || self.lags) {
+        } else if EFFECTS && (self.commanded || self.has_drive_lag) {
             // a lag of zero has settled one step after the command
             for trajectory in &mut self.blocks {
                 trajectory.hold(&self.nominal.motion);
             }
-            if self.lags {
+            if self.has_drive_lag {
                 self.nominal.hold();
             }
         }
@@ -163,15 +164,15 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         self.linear
             .update(&self.trace, &now.posture, &before.modes, h);
         self.propagate(event, &before, &now);
-        if self.nominal.stretches.is_empty() {
+        if self.nominal.spans.is_empty() {
             self.linear
-                .passed(&self.trace, &self.nominal.motion.state, h);
+                .advance_effect_states(&self.trace, &self.nominal.motion.state, h);
         }
     }
 
     fn command(&mut self, step: usize, event: &Event) {
         for trajectory in &mut self.blocks {
-            if trajectory.driven {
+            if trajectory.has_torque_derivatives {
                 trajectory.command(&self.nominal.motion, step, event.servo_reads);
             }
         }
@@ -182,19 +183,23 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     #[inline(always)]
     fn propagate(&mut self, event: &Event, before: &Motion<S, N>, now: &Instant<A, S, N>) {
         if let Some(sensing) = &mut self.sensing {
-            sensing.take(&self.nominal.plant.arm, &before.state, now);
+            sensing.compute_slopes(&self.nominal.plant.arm, &before.state, now);
         }
-        let smooth = !event.last && self.nominal.stretches.is_empty();
+        let smooth = !event.last && self.nominal.spans.is_empty();
         let mut first = 0;
         for trajectory in &mut self.blocks {
             let x = trajectory.block.tangent;
-            let torque = trajectory.driven.then_some(&trajectory.torque);
+            let torque = trajectory
+                .has_torque_derivatives
+                .then_some(&trajectory.torque);
             let response = trajectory.block.respond(&self.linear, 0, &x, torque);
-            if let (Some(sensing), Some(sensed)) = (&self.sensing, &mut trajectory.sensed) {
-                sensed.sense::<A>(sensing, &x, &response);
+            if let (Some(sensing), Some(block_sensors)) =
+                (&self.sensing, &mut trajectory.block_sensors)
+            {
+                block_sensors.sense::<A>(sensing, &x, &response);
             }
             if event.samples {
-                V::scope(Put {
+                V::scope(RecordWork {
                     trajectory,
                     quantities: &self.task.record,
                     buffer: &mut self.buffer,
@@ -208,28 +213,28 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             first += V::LANES;
         }
         if event.samples {
-            self.buffer.take::<V>();
+            self.buffer.store_sample::<V>();
         }
         if !event.last && !smooth {
-            V::scope(Redo(self));
+            V::scope(RepeatWork(self));
         }
     }
 
     /// Repeats a step with friction events, span by span.
     #[inline(always)]
-    fn redo(&mut self) {
+    fn repeat_step(&mut self) {
         for trajectory in &mut self.blocks {
-            trajectory.left = V::splat(0.0);
+            trajectory.remaining = V::splat(0.0);
         }
-        for place in 0..self.nominal.stretches.len() {
-            let stretch = self.nominal.stretches[place];
-            let through = self.through(&stretch);
+        for index in 0..self.nominal.spans.len() {
+            let span = self.nominal.spans[index];
+            let linearised_span = self.linearise_span(&span);
             for trajectory in &mut self.blocks {
-                trajectory.pass(&self.linear, &through);
+                trajectory.advance_span(&self.linear, &linearised_span);
             }
         }
         for trajectory in &mut self.blocks {
-            if !trajectory.driven {
+            if !trajectory.has_torque_derivatives {
                 trajectory.torque = [V::splat(0.0); N];
             }
         }
@@ -237,12 +242,12 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
 
     /// Linearises a span for all blocks.
     #[inline(always)]
-    fn through(&mut self, stretch: &Stretch<S, N>) -> Through<S, N> {
-        let Stretch {
+    fn linearise_span(&mut self, span: &Span<S, N>) -> LinearisedSpan<S, N> {
+        let Span {
             from,
             length,
             event,
-        } = stretch;
+        } = span;
         let (nominal, trace) = (&self.nominal, &mut self.trace);
         let (plant, target) = (&nominal.plant, &nominal.target);
         let current = &nominal.current;
@@ -252,38 +257,41 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let (end, _) = plant.retrace(from, target, current, whole, trace);
         let begin = plant.arm.posture(&from.state.link_angle);
         self.linear.update(trace, &begin, &from.modes, duration);
-        self.linear.passed(trace, &end.state, duration);
-        let lasting = Dual {
+        self.linear
+            .advance_effect_states(trace, &end.state, duration);
+        let dual_duration = Dual {
             value: S::splat(duration),
             tangent: S::splat(1.0),
         };
         let (begin, target) = (from.torque.map(Dual::constant), target.map(Dual::constant));
-        let torque = self.longer.over(&begin, &target, lasting);
+        let torque = self
+            .differentiable_current
+            .over(&begin, &target, dual_duration);
         let torque = [torque.middle, torque.end].map(|row| row.map(|one| one.tangent));
-        let longer = StepLengthSensitivity::new(trace, &self.linear, torque, duration);
-        let at_once = |i: usize| plant.joints[i].settling_time.lane(0) == 0.0;
+        let by_length = StepLengthSensitivity::new(trace, &self.linear, torque, duration);
+        let stops_instantly = |i: usize| plant.joints[i].settling_time.lane(0) == 0.0;
         let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
-        let (asked, effects) = (&self.asked.config.joints, self.linear.effects.as_ref());
+        let (requested, effects) = (&self.requested.config.joints, self.linear.effects.as_ref());
         let half = self.linear.half;
         let margin =
-            |joint| EventSensitivity::new(plant, &asked[joint], effects, &end, (joint, half));
-        Through {
-            rests: std::array::from_fn(|i| at_once(i) && !slides(i)),
-            stops: event.is_some_and(|(_, joint)| at_once(joint) && slides(joint)),
-            moves: part > 0.0,
+            |joint| EventSensitivity::new(plant, &requested[joint], effects, &end, (joint, half));
+        LinearisedSpan {
+            is_stuck: std::array::from_fn(|i| stops_instantly(i) && !slides(i)),
+            stops_motor: event.is_some_and(|(_, joint)| stops_instantly(joint) && slides(joint)),
+            has_time_derivative: part > 0.0,
             decay: current.over(&[S::splat(1.0); N], &[S::splat(0.0); N], S::splat(duration)),
             duration,
             event: event.map(|(_, joint)| margin(joint)),
             rates: self
                 .unforced
-                .by_step_length(&self.linear, &longer, duration),
+                .by_step_length(&self.linear, &by_length, duration),
             torque_rates: torque[1],
         }
     }
 }
 
-/// [`Chain::redo`] in a scope of its own, because it is rare and long.
-struct Redo<
+/// [`Chain::repeat_step`] in a scope of its own, because it is rare and long.
+struct RepeatWork<
     'c,
     'a,
     A: Arm<N>,
@@ -296,17 +304,26 @@ struct Redo<
 >(&'c mut Chain<'a, A, S, V, L, G, N, EFFECTS>);
 
 impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for Redo<'_, '_, A, S, V, L, G, N, EFFECTS>
+    for RepeatWork<'_, '_, A, S, V, L, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        self.0.redo();
+        self.0.repeat_step();
     }
 }
 
 /// [`BlockTrajectory::record`] in a scope of its own, so that steps without a sample stay short.
-struct Put<'c, 'a, A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> {
+struct RecordWork<
+    'c,
+    'a,
+    A: Arm<N>,
+    S: Lanes,
+    V: Lanes,
+    G: Gears,
+    const N: usize,
+    const EFFECTS: bool,
+> {
     trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
     quantities: &'c [Quantity],
     buffer: &'c mut SampleBuffer<N>,
@@ -316,7 +333,7 @@ struct Put<'c, 'a, A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, cons
 }
 
 impl<A: Arm<N>, S: Lanes, V: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for Put<'_, '_, A, S, V, G, N, EFFECTS>
+    for RecordWork<'_, '_, A, S, V, G, N, EFFECTS>
 {
     type Output = ();
     #[inline(always)]

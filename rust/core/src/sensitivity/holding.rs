@@ -11,7 +11,7 @@ pub(crate) struct Holding<S> {
     pub(crate) joint: usize,
     pub(crate) ratio: f64,
     pub(crate) inertia: f64,
-    pub(crate) twist: S,
+    pub(crate) torsion: S,
     pub(crate) rate: f64,
     pub(crate) motor_angle: f64,
     /// dtheta_M [rad/s].
@@ -25,7 +25,7 @@ pub(crate) struct Holding<S> {
     pub(crate) stiffness: f64,
     pub(crate) damping: f64,
     /// Derivatives of the holding torque with respect to the torsion, n dtheta_M and dtheta_L.
-    pub(crate) by_twist: f64,
+    pub(crate) by_torsion: f64,
     pub(crate) by_motor: f64,
     pub(crate) by_link: f64,
 }
@@ -41,7 +41,7 @@ impl<S: Real> Holding<S> {
         let plain = |number: S| number.lane(0);
         let gear = plant.gear(x, i);
         let (ratio, inertia) = (plain(drive.ratio), plain(drive.motor_inertia));
-        let stiffness = plain(drive.spring.stiffness(gear.twist.angle));
+        let stiffness = plain(drive.spring.stiffness(gear.torsion.angle));
         let damping = plain(drive.gear_damping);
         let (mut settling, mut brake) = (0.0, 0.0);
         if plain(drive.settling_time) > 0.0 {
@@ -53,16 +53,16 @@ impl<S: Real> Holding<S> {
             joint: i,
             ratio,
             inertia,
-            twist: gear.twist.angle,
-            rate: plain(gear.twist.rate),
+            torsion: gear.torsion.angle,
+            rate: plain(gear.torsion.rate),
             motor_angle: plain(x.motor_angle[i]),
             speed: plain(x.motor_velocity[i]),
             settling,
-            transmitted: plain(plant.transmitted(x, i, &gear.twist)),
+            transmitted: plain(plant.transmitted(x, i, &gear.torsion)),
             torque: plain(holding[i]),
             stiffness,
             damping,
-            by_twist: -ratio * stiffness,
+            by_torsion: -ratio * stiffness,
             by_motor: brake / ratio - ratio * damping,
             by_link: ratio * damping,
         }

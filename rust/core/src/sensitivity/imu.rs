@@ -5,25 +5,25 @@ use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 use crate::plant::{Instant, State};
 use crate::scalar::Real;
 use crate::sensitivity::tangent::{Response, Tangent};
-use crate::sensors::imu::{MOUNTED, Mounted, Signals};
+use crate::sensors::imu::{IMU_SIGNALS, Imus, Signals};
 use crate::sensors::low_pass::{Feedthrough, LowPass};
 
 /// Low-passes and slopes for all blocks.
-pub(crate) struct MountedSensing<V, const N: usize> {
-    filters: [[Option<Feedthrough<V, 2>>; N]; MOUNTED],
+pub(crate) struct ImuSensing<V, const N: usize> {
+    filters: [[Option<Feedthrough<V, 2>>; N]; IMU_SIGNALS],
     slopes: [LinkSignalSlopes<f64, N>; N],
 }
 
 /// States of the low-passes and readings of one block.
 #[derive(Clone)]
-pub(crate) struct MountedSensed<V, const N: usize> {
-    states: [[[V; 2]; N]; MOUNTED],
+pub(crate) struct ImuReadings<V, const N: usize> {
+    states: [[[V; 2]; N]; IMU_SIGNALS],
     pub(crate) readings: Signals<V, N>,
 }
 
-impl<V: Real, const N: usize> MountedSensing<V, N> {
+impl<V: Real, const N: usize> ImuSensing<V, N> {
     /// From the low-passes of a simulation.
-    pub(crate) fn new<S: Real>(plain: &Mounted<S, N>) -> Self {
+    pub(crate) fn new<S: Real>(plain: &Imus<S, N>) -> Self {
         let none = LinkSignalSlopes {
             angle: [[0.0; N]; LINK_SIGNALS],
             velocity: [[0.0; N]; LINK_SIGNALS],
@@ -38,7 +38,7 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
 
     /// Computes the slopes of the signals at an instant, in half steps of 1/`rate` [s].
     #[inline(always)]
-    pub(crate) fn take<A: Arm<N>, S: Real>(
+    pub(crate) fn compute_slopes<A: Arm<N>, S: Real>(
         &mut self,
         arm: &A,
         rate: f64,
@@ -47,12 +47,12 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
     ) {
         let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
         let slopes = arm.link_signal_slopes(&now.posture, dq, ddq);
-        for (own, from) in self.slopes.iter_mut().zip(&slopes) {
+        for (entries, from) in self.slopes.iter_mut().zip(&slopes) {
             for k in 0..LINK_SIGNALS {
                 for j in 0..N {
-                    own.angle[k][j] = from.angle[k][j].lane(0);
-                    own.velocity[k][j] = rate * from.velocity[k][j].lane(0);
-                    own.acceleration[k][j] = rate * rate * from.acceleration[k][j].lane(0);
+                    entries.angle[k][j] = from.angle[k][j].lane(0);
+                    entries.velocity[k][j] = rate * from.velocity[k][j].lane(0);
+                    entries.acceleration[k][j] = rate * rate * from.acceleration[k][j].lane(0);
                 }
             }
         }
@@ -66,17 +66,17 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) -> Signals<V, N> {
-        let mut all = [[V::splat(0.0); N]; MOUNTED];
+        let mut all = [[V::splat(0.0); N]; IMU_SIGNALS];
         for (i, slopes) in self.slopes.iter().enumerate() {
             for k in 0..LINK_SIGNALS {
                 for j in 0..=i {
                     let mut sum = all[k][i];
                     sum = V::splat(slopes.velocity[k][j]).mul_add(x.link[j], sum);
-                    if A::FELT[j] {
+                    if A::DEPENDS_ON_ANGLE[j] {
                         sum = V::splat(slopes.angle[k][j]).mul_add(x.angle[j], sum);
                     }
-                    let turning = V::splat(slopes.acceleration[k][j]);
-                    all[k][i] = turning.mul_add(response.link[j], sum);
+                    let slope = V::splat(slopes.acceleration[k][j]);
+                    all[k][i] = slope.mul_add(response.link[j], sum);
                 }
             }
         }
@@ -85,9 +85,9 @@ impl<V: Real, const N: usize> MountedSensing<V, N> {
     }
 }
 
-impl<V: Real, const N: usize> MountedSensed<V, N> {
+impl<V: Real, const N: usize> ImuReadings<V, N> {
     /// Low-passes at rest at the derivatives of the initial signals.
-    pub(crate) fn at_rest(sensing: &MountedSensing<V, N>, first: Signals<V, N>) -> Self {
+    pub(crate) fn at_rest(sensing: &ImuSensing<V, N>, first: Signals<V, N>) -> Self {
         let rest = |k: usize, i: usize| match &sensing.filters[k][i] {
             Some(filter) => filter.at_rest(first[k][i]),
             None => [V::splat(0.0); 2],
@@ -102,13 +102,13 @@ impl<V: Real, const N: usize> MountedSensed<V, N> {
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
-        sensing: &MountedSensing<V, N>,
+        sensing: &ImuSensing<V, N>,
         rates: [V; N],
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) {
         self.readings = sensing.tangents::<A>(rates, x, response);
-        for k in 0..MOUNTED {
+        for k in 0..IMU_SIGNALS {
             for i in 0..N {
                 if let Some(filter) = &sensing.filters[k][i] {
                     let reading = &mut self.readings[k][i];

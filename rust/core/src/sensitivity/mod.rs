@@ -68,7 +68,7 @@ impl<const N: usize> Sensitivities<N> {
     }
 
     /// Stores the directions that begin at index `first`, of `width` in all.
-    fn take<S: Real, V: Real>(
+    fn store_directions<S: Real, V: Real>(
         &mut self,
         record: &RecordOf<Dual<S, V>, N>,
         first: usize,
@@ -77,9 +77,9 @@ impl<const N: usize> Sensitivities<N> {
         let lanes = V::LANES.min(width - first);
         for (quantity, rows) in self.tangents.iter_mut().zip(record) {
             let cells = rows.as_flattened();
-            for (own, cell) in quantity.chunks_mut(width.max(1)).zip(cells) {
+            for (tangent, cell) in quantity.chunks_mut(width.max(1)).zip(cells) {
                 for lane in 0..lanes {
-                    own[first + lane] = cell.tangent.lane(lane);
+                    tangent[first + lane] = cell.tangent.lane(lane);
                 }
             }
         }

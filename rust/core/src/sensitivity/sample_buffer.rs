@@ -7,7 +7,7 @@ use crate::sensors::decimation::{Decimation, Decimator};
 pub(crate) struct SampleBuffer<const N: usize> {
     directions: usize,
     /// Number of directions, rounded up to whole blocks.
-    places: usize,
+    padded_directions: usize,
     /// Directions for each quantity and joint.
     sample: Aligned,
     decimated: Option<Decimator>,
@@ -21,15 +21,15 @@ impl<const N: usize> SampleBuffer<N> {
         [quantities, samples, directions, lanes]: [usize; 4],
         decimation: Option<&Decimation>,
     ) -> Self {
-        let places = directions.next_multiple_of(lanes);
+        let padded_directions = directions.next_multiple_of(lanes);
         let rows = decimation.map_or(samples, |decimation| decimation.rows(samples));
         Self {
             directions,
-            places,
-            sample: Aligned::zeros(quantities * N * places),
+            padded_directions,
+            sample: Aligned::zeros(quantities * N * padded_directions),
             decimated: decimation
                 .filter(|_| directions > 0)
-                .map(|decimation| Decimator::new(decimation, N * places, samples)),
+                .map(|decimation| Decimator::new(decimation, N * padded_directions, samples)),
             tangents: (0..quantities)
                 .map(|_| Vec::with_capacity(rows * N * directions))
                 .collect(),
@@ -38,22 +38,23 @@ impl<const N: usize> SampleBuffer<N> {
 
     /// The derivatives of one quantity and joint in the current sample.
     #[inline(always)]
-    pub(crate) fn place(&mut self, quantity: usize, joint: usize) -> &mut [f64] {
-        &mut self.sample[(quantity * N + joint) * self.places..][..self.places]
+    pub(crate) fn entry(&mut self, quantity: usize, joint: usize) -> &mut [f64] {
+        &mut self.sample[(quantity * N + joint) * self.padded_directions..]
+            [..self.padded_directions]
     }
 
     /// Stores the current sample.
-    pub(crate) fn take<V: Real>(&mut self) {
+    pub(crate) fn store_sample<V: Real>(&mut self) {
         let whole = match &mut self.decimated {
             None => Some(&self.sample[..]),
             Some(decimated) => decimated.push::<V>(&self.sample),
         };
-        let Some(numbers) = whole.filter(|_| self.places > 0) else {
+        let Some(numbers) = whole.filter(|_| self.padded_directions > 0) else {
             return;
         };
-        let quantities = numbers.chunks_exact(N * self.places);
+        let quantities = numbers.chunks_exact(N * self.padded_directions);
         for (all, joints) in self.tangents.iter_mut().zip(quantities) {
-            for joint in joints.chunks_exact(self.places) {
+            for joint in joints.chunks_exact(self.padded_directions) {
                 all.extend_from_slice(&joint[..self.directions]);
             }
         }

@@ -6,7 +6,7 @@ use crate::experiment::simulate::Sensors;
 use crate::experiment::{Quantity, Task};
 use crate::plant::{Instant, State};
 use crate::scalar::Real;
-use crate::sensitivity::imu::{MountedSensed, MountedSensing};
+use crate::sensitivity::imu::{ImuReadings, ImuSensing};
 use crate::sensitivity::tangent::{Response, Tangent};
 use crate::sensors::low_pass::Feedthrough;
 
@@ -19,20 +19,20 @@ pub(crate) struct Sensing<V, const N: usize> {
     rate: f64,
     accelerometers: Option<Filters<V, N, 2>>,
     gyros: Option<Filters<V, N, 1>>,
-    pub(crate) mounted: Option<MountedSensing<V, N>>,
+    pub(crate) imus: Option<ImuSensing<V, N>>,
     slopes: ReadingSlopes<N>,
     rates: RateSlopes<N>,
 }
 
 /// States of the filters and readings of one block.
 #[derive(Clone)]
-pub(crate) struct Sensed<V, const N: usize> {
+pub(crate) struct BlockSensors<V, const N: usize> {
     accelerometers: [[V; 2]; N],
     gyros: [[V; 1]; N],
     /// Accelerometers and gyros.
     pub(crate) readings: [[V; N]; 2],
     /// States of the IMUs; in a box, because most recordings have none.
-    pub(crate) mounted: Option<Box<MountedSensed<V, N>>>,
+    pub(crate) imus: Option<Box<ImuReadings<V, N>>>,
 }
 
 /// Slopes of the accelerometers' readings at an instant.
@@ -57,7 +57,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
             gyros: reads(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
-            mounted: sensors.mounted.as_ref().map(MountedSensing::new),
+            imus: sensors.imus.as_ref().map(ImuSensing::new),
             slopes: ReadingSlopes {
                 angle: [[0.0; N]; N],
                 velocity: [[0.0; N]; N],
@@ -72,52 +72,52 @@ impl<V: Real, const N: usize> Sensing<V, N> {
 
     /// Computes the slopes of the readings at an instant.
     #[inline(always)]
-    pub(crate) fn take<A: Arm<N>, S: Real>(
+    pub(crate) fn compute_slopes<A: Arm<N>, S: Real>(
         &mut self,
         arm: &A,
         x: &State<S, N>,
         now: &Instant<A, S, N>,
     ) {
-        if let Some(mounted) = &mut self.mounted {
-            mounted.take(arm, self.rate, x, now);
+        if let Some(imus) = &mut self.imus {
+            imus.compute_slopes(arm, self.rate, x, now);
         }
         if !A::PLANAR {
-            self.rates.take(arm, self.rate, x, now);
+            self.rates.compute_slopes(arm, self.rate, x, now);
         }
         if self.accelerometers.is_none() {
             return;
         }
         let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
         let (slopes, acceleration) = arm.accelerometer_slopes(&now.posture, dq, ddq);
-        let (rate, own) = (self.rate, &mut self.slopes);
+        let (rate, entries) = (self.rate, &mut self.slopes);
         for i in 0..N {
             for j in 0..N {
-                own.angle[i][j] = slopes.angle[i][j].lane(0);
-                own.velocity[i][j] = rate * slopes.velocity[i][j].lane(0);
-                own.acceleration[i][j] = rate * rate * acceleration[i][j].lane(0);
+                entries.angle[i][j] = slopes.angle[i][j].lane(0);
+                entries.velocity[i][j] = rate * slopes.velocity[i][j].lane(0);
+                entries.acceleration[i][j] = rate * rate * acceleration[i][j].lane(0);
             }
         }
     }
 }
 
-impl<V: Real, const N: usize> Sensed<V, N> {
+impl<V: Real, const N: usize> BlockSensors<V, N> {
     /// Filters at rest at the initial readings of accelerometers and gyros.
     pub(crate) fn at_rest(sensing: &Sensing<V, N>, first: [[V; N]; 2]) -> Self {
-        let mut own = Self {
+        let mut sensors = Self {
             accelerometers: [[V::splat(0.0); 2]; N],
             gyros: [[V::splat(0.0)]; N],
             readings: first,
-            mounted: None,
+            imus: None,
         };
         for i in 0..N {
             if let Some(Some(filter)) = sensing.accelerometers.as_ref().map(|all| &all[i]) {
-                own.accelerometers[i] = filter.at_rest(first[0][i]);
+                sensors.accelerometers[i] = filter.at_rest(first[0][i]);
             }
             if let Some(Some(filter)) = sensing.gyros.as_ref().map(|all| &all[i]) {
-                own.gyros[i] = filter.at_rest(first[1][i]);
+                sensors.gyros[i] = filter.at_rest(first[1][i]);
             }
         }
-        own
+        sensors
     }
 
     /// Updates the readings at an instant.
@@ -137,8 +137,8 @@ impl<V: Real, const N: usize> Sensed<V, N> {
                 }
             }
         }
-        if let (Some(all), Some(own)) = (&sensing.mounted, &mut self.mounted) {
-            own.sense::<A>(
+        if let (Some(all), Some(imus)) = (&sensing.imus, &mut self.imus) {
+            imus.sense::<A>(
                 all,
                 sensing.rates.tangents::<A, V>(sensing.rate, x),
                 x,
@@ -167,7 +167,7 @@ impl<const N: usize> ReadingSlopes<N> {
                 sum[i] = c(self.velocity[i][j]).mul_add(x.link[j], sum[i]);
             }
             for j in 0..=i {
-                if A::FELT[j] {
+                if A::DEPENDS_ON_ANGLE[j] {
                     sum[i] = c(self.angle[i][j]).mul_add(x.angle[j], sum[i]);
                 }
             }
@@ -189,7 +189,7 @@ struct RateSlopes<const N: usize> {
 impl<const N: usize> RateSlopes<N> {
     /// Computes the slopes, in half steps of 1/`rate` [s].
     #[inline(always)]
-    fn take<A: Arm<N>, S: Real>(
+    fn compute_slopes<A: Arm<N>, S: Real>(
         &mut self,
         arm: &A,
         rate: f64,

@@ -8,7 +8,7 @@ use crate::joint::gear::Gears;
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::tangent::Tangent;
 use crate::sensitivity::trace::{Stages, Trace};
-use crate::sensitivity::variational::Linearised;
+use crate::sensitivity::variational::LinearisedStep;
 
 /// Derivatives of the stages and of the end of a step with respect to its length, for fixed
 /// accelerations.
@@ -25,13 +25,13 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, L: Lanes, G: Gears>(
         trace: &Trace<N>,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         torque: [[S; N]; 2],
         h: f64,
     ) -> Self {
-        let mut all = [Tangent::still(); 4];
+        let mut all = [Tangent::zero(); 4];
         for i in 0..N {
-            let link = Stretching::of(
+            let link = LengthDerivative::of(
                 trace.each(|stage| stage.velocity[i]),
                 trace.each(|stage| stage.link_acceleration[i]),
                 h,
@@ -39,17 +39,17 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
             let velocity = trace.each(|stage| stage.motor_velocity[i]);
             let acceleration = trace.each(|stage| stage.motor_acceleration[i]);
             let motor = if step.settling[i].is_some() {
-                Stretching::settling(velocity, acceleration)
+                LengthDerivative::settling(velocity, acceleration)
             } else {
-                Stretching::of(velocity, acceleration, h)
+                LengthDerivative::of(velocity, acceleration, h)
             };
             let n = trace.ratio[i];
             for k in 0..4 {
-                let own = &mut all[k];
-                own.twist[i] = S::splat(n * motor.place[k] - link.place[k]);
-                own.angle[i] = S::splat(link.place[k]);
-                own.motor[i] = S::splat(step.half * n * motor.speed[k]);
-                own.link[i] = S::splat(step.half * link.speed[k]);
+                let tangent = &mut all[k];
+                tangent.torsion[i] = S::splat(n * motor.position[k] - link.position[k]);
+                tangent.angle[i] = S::splat(link.position[k]);
+                tangent.motor[i] = S::splat(step.half * n * motor.velocity[k]);
+                tangent.link[i] = S::splat(step.half * link.velocity[k]);
             }
         }
         let [second, third, fourth, end] = all;
@@ -63,22 +63,22 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
 
 /// Derivatives of a position and its velocity with respect to the step length, at the second to the
 /// fourth stage and at the end.
-struct Stretching {
-    place: Stages,
-    speed: Stages,
+struct LengthDerivative {
+    position: Stages,
+    velocity: Stages,
 }
 
-impl Stretching {
+impl LengthDerivative {
     /// From the velocities and accelerations at the stages.
     fn of(v: Stages, a: Stages, h: f64) -> Self {
         Self {
-            place: [
+            position: [
                 0.5 * v[0],
                 0.5 * v[0] + 0.5 * h * a[0],
                 v[0] + h * a[1],
                 v[0] + h * (a[0] + a[1] + a[2]) / 3.0,
             ],
-            speed: [
+            velocity: [
                 0.5 * a[0],
                 0.5 * a[1],
                 a[2],
@@ -90,8 +90,8 @@ impl Stretching {
     /// Derivatives for a held motor, whose stages and end are those of settling.
     fn settling(v: Stages, a: Stages) -> Self {
         Self {
-            place: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],
-            speed: [0.5 * a[1], 0.5 * a[2], a[3], a[3]],
+            position: [0.5 * v[1], 0.5 * v[2], v[3], v[3]],
+            velocity: [0.5 * a[1], 0.5 * a[2], a[3], a[3]],
         }
     }
 }

@@ -9,7 +9,7 @@ use crate::scalar::Real;
 /// step is an angle, so most of a stage is a sum of the last one and its rates.
 #[derive(Clone, Copy)]
 pub(crate) struct Tangent<V, const N: usize> {
-    pub(crate) twist: [V; N],
+    pub(crate) torsion: [V; N],
     pub(crate) angle: [V; N],
     /// n dtheta_M' times half a step.
     pub(crate) motor: [V; N],
@@ -32,10 +32,10 @@ pub(crate) struct Response<V, const N: usize> {
 
 impl<V: Real, const N: usize> Tangent<V, N> {
     /// Zero derivatives.
-    pub(crate) fn still() -> Self {
+    pub(crate) fn zero() -> Self {
         let zero = [V::splat(0.0); N];
         Self {
-            twist: zero,
+            torsion: zero,
             angle: zero,
             motor: zero,
             link: zero,
@@ -55,7 +55,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     #[inline(always)]
     pub(crate) fn shift(&mut self, square: V, a: &Response<V, N>) {
         for i in 0..N {
-            self.twist[i] = square.mul_add(a.motor[i] - a.link[i], self.twist[i]);
+            self.torsion[i] = square.mul_add(a.motor[i] - a.link[i], self.torsion[i]);
             self.angle[i] = square.mul_add(a.link[i], self.angle[i]);
         }
     }
@@ -65,7 +65,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     pub(crate) fn add<S: Real>(&mut self, rates: &Tangent<S, N>, time: V) {
         let c = |rate: S| V::splat(rate.lane(0));
         for i in 0..N {
-            self.twist[i] = c(rates.twist[i]).mul_add(time, self.twist[i]);
+            self.torsion[i] = c(rates.torsion[i]).mul_add(time, self.torsion[i]);
             self.angle[i] = c(rates.angle[i]).mul_add(time, self.angle[i]);
             self.motor[i] = c(rates.motor[i]).mul_add(time, self.motor[i]);
             self.link[i] = c(rates.link[i]).mul_add(time, self.link[i]);
@@ -77,17 +77,17 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     #[inline(always)]
     pub(crate) fn moved<A: Arm<N>>(
         &self,
-        on: impl Fn(V, V) -> V,
+        advance: impl Fn(V, V) -> V,
         at: &Tangent<V, N>,
         a: &Response<V, N>,
     ) -> Self {
         let mut next = *self;
         for i in 0..N {
-            next.twist[i] = on(self.twist[i], a.rate[i]);
-            next.motor[i] = on(self.motor[i], a.motor[i]);
-            next.link[i] = on(self.link[i], a.link[i]);
-            if A::FELT[i] {
-                next.angle[i] = on(self.angle[i], at.link[i]);
+            next.torsion[i] = advance(self.torsion[i], a.rate[i]);
+            next.motor[i] = advance(self.motor[i], a.motor[i]);
+            next.link[i] = advance(self.link[i], a.link[i]);
+            if A::DEPENDS_ON_ANGLE[i] {
+                next.angle[i] = advance(self.angle[i], at.link[i]);
             }
         }
         next
@@ -119,7 +119,7 @@ impl<V: Real, const N: usize> Response<V, N> {
     pub(crate) fn sums(&self, second: &Self, third: &Self) -> [Sum<V, N>; 2] {
         let Self { motor, link, .. } = *second;
         let inner = Sum { motor, link }.plus(&third.motor, &third.link);
-        let places = inner.plus(&self.motor, &self.link);
-        [places, places.plus(&inner.motor, &inner.link)]
+        let positions = inner.plus(&self.motor, &self.link);
+        [positions, positions.plus(&inner.motor, &inner.link)]
     }
 }

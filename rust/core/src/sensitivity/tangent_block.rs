@@ -5,11 +5,11 @@ use crate::arm::Arm;
 use crate::experiment::Source;
 use crate::joint::gear::Gears;
 use crate::plant::config::{Config, Role};
-use crate::scalar::{Lanes, Work, apart};
+use crate::scalar::{Lanes, Work, run_out_of_line};
 use crate::sensitivity::forcing::{Forcing, Row};
 use crate::sensitivity::step_length::StepLengthSensitivity;
 use crate::sensitivity::tangent::{Response, Tangent};
-use crate::sensitivity::variational::Linearised;
+use crate::sensitivity::variational::LinearisedStep;
 
 /// Derivatives in `V::LANES` directions.
 pub(crate) struct TangentBlock<V: Lanes, const N: usize> {
@@ -45,13 +45,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     #[inline(always)]
     pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
     ) -> Response<V, N> {
-        if A::COMPACT {
-            apart::<V, _>(Responding(self, step, k, x, torque))
+        if A::HAS_OUTLINED_EQUATIONS {
+            run_out_of_line::<V, _>(ResponseWork(self, step, k, x, torque))
         } else {
             self.response(step, k, x, torque)
         }
@@ -60,7 +60,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     #[inline(always)]
     fn response<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         k: usize,
         x: &Tangent<V, N>,
         torque: Option<&[V; N]>,
@@ -78,7 +78,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         for i in 0..N {
             let rate = x.motor[i] - x.link[i];
             let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
-            let gear = c(step.stiffness[i][k]).mul_add(x.twist[i], damped);
+            let gear = c(step.stiffness[i][k]).mul_add(x.torsion[i], damped);
             let mut motor = forced(Row::Motor, i);
             if let Some(torque) = torque {
                 motor = c(step.motor[2][i]).mul_add(torque[i], motor);
@@ -87,14 +87,14 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             response.rate[i] = rate;
             response.gear[i] = gear;
             response.motor[i] = c(step.motor[0][i]).mul_add(gear, dragged);
-            let mut taken = forced(Row::Link, i);
+            let mut link_load = forced(Row::Link, i);
             for j in 0..N {
-                if A::FELT[j] {
-                    taken = c(step.by_angle[i][j][k]).mul_add(x.angle[j], taken);
+                if A::DEPENDS_ON_ANGLE[j] {
+                    link_load = c(step.by_angle[i][j][k]).mul_add(x.angle[j], link_load);
                 }
-                taken = c(step.by_velocity[i][j][k]).mul_add(x.link[j], taken);
+                link_load = c(step.by_velocity[i][j][k]).mul_add(x.link[j], link_load);
             }
-            load[i] = gear - taken;
+            load[i] = gear - link_load;
         }
         for i in 0..N {
             let mut link = c(step.inverse[i][0][k]) * load[0];
@@ -110,7 +110,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     #[inline(always)]
     pub(crate) fn advance<A: Arm<N>, L: Lanes, G: Gears>(
         &mut self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
     ) {
@@ -124,13 +124,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     #[inline(always)]
     pub(crate) fn advance_part<A: Arm<N>, L: Lanes, G: Gears, const WHOLE: bool>(
         &mut self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         first: &Response<V, N>,
         torque: Option<&StepTorque<V, N>>,
         part: f64,
     ) {
         let c = V::splat;
-        let on = |x: V, rate: V| {
+        let advance = |x: V, rate: V| {
             if WHOLE {
                 x + rate
             } else {
@@ -141,26 +141,26 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let x = self.tangent;
         let middle = torque.map(|torque| &torque.middle);
         let end = torque.map(|torque| &torque.end);
-        let at = self.held(step, x.moved::<A>(on, &x, first), &x, (part, 0));
+        let at = self.settle_held_motors(step, x.moved::<A>(advance, &x, first), &x, (part, 0));
         let second = self.respond(step, 1, &at, middle);
-        let next = x.moved::<A>(on, &at, &second);
-        let at = self.held(step, next, &at, (part, 0));
+        let next = x.moved::<A>(advance, &at, &second);
+        let at = self.settle_held_motors(step, next, &at, (part, 0));
         let third = self.respond(step, 2, &at, middle);
         let next = x.moved::<A>(twice, &at, &third);
-        let at = self.held(step, next, &at, (2.0 * part, 1));
+        let at = self.settle_held_motors(step, next, &at, (2.0 * part, 1));
         // before the fourth stage, because the sums need fewer registers than their terms
-        let [places, velocities] = first.sums(&second, &third);
+        let [positions, velocities] = first.sums(&second, &third);
         let fourth = self.respond(step, 3, &at, end);
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
         let mut to = x;
         for i in 0..N {
             to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
             to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
-            to.angle[i] = square.mul_add(places.link[i], twice(x.angle[i], x.link[i]));
-            let twist = places.motor[i] - places.link[i];
-            to.twist[i] = square.mul_add(twist, twice(x.twist[i], first.rate[i]));
+            to.angle[i] = square.mul_add(positions.link[i], twice(x.angle[i], x.link[i]));
+            let torsion = positions.motor[i] - positions.link[i];
+            to.torsion[i] = square.mul_add(torsion, twice(x.torsion[i], first.rate[i]));
         }
-        self.tangent = self.held(step, to, &x, (0.0, 1));
+        self.tangent = self.settle_held_motors(step, to, &x, (0.0, 1));
     }
 
     /// Derivatives of the end of a step of length `h` with respect to its length, for a block
@@ -168,7 +168,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     #[inline(always)]
     pub(crate) fn by_step_length<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         by: &StepLengthSensitivity<V, N>,
         h: f64,
     ) -> Tangent<V, N> {
@@ -192,15 +192,15 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
     }
 
     /// Applies settling motors to a later stage, after half a step (`end` = 0) or a whole one
-    /// (`end` = 1). The stage was advanced with the velocities of the stage `before` over `moved`
+    /// (`end` = 1). The stage was advanced with the velocities of the stage `before` over `elapsed`
     /// half steps.
     #[inline(always)]
-    fn held<A: Arm<N>, L: Lanes, G: Gears>(
+    fn settle_held_motors<A: Arm<N>, L: Lanes, G: Gears>(
         &self,
-        step: &Linearised<A, L, G, N>,
+        step: &LinearisedStep<A, L, G, N>,
         mut stage: Tangent<V, N>,
         before: &Tangent<V, N>,
-        (moved, end): (f64, usize),
+        (elapsed, end): (f64, usize),
     ) -> Tangent<V, N> {
         let c = V::splat;
         for i in 0..N {
@@ -210,10 +210,10 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             let motor = self.tangent.motor[i];
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
             // velocity at the start of the step minus velocity with which the stage was advanced
-            let behind = motor - before.motor[i];
-            stage.twist[i] = c(moved).mul_add(behind, stage.twist[i]);
-            stage.twist[i] = c(settling.angle[end]).mul_add(motor, stage.twist[i]);
-            stage.twist[i] = by_time.mul_add(self.settling[i], stage.twist[i]);
+            let difference = motor - before.motor[i];
+            stage.torsion[i] = c(elapsed).mul_add(difference, stage.torsion[i]);
+            stage.torsion[i] = c(settling.angle[end]).mul_add(motor, stage.torsion[i]);
+            stage.torsion[i] = by_time.mul_add(self.settling[i], stage.torsion[i]);
             stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
             stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
         }
@@ -222,16 +222,16 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
 }
 
 /// [`TangentBlock::response`].
-struct Responding<'b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize>(
+struct ResponseWork<'b, A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize>(
     &'b TangentBlock<V, N>,
-    &'b Linearised<A, L, G, N>,
+    &'b LinearisedStep<A, L, G, N>,
     usize,
     &'b Tangent<V, N>,
     Option<&'b [V; N]>,
 );
 
 impl<A: Arm<N>, L: Lanes, V: Lanes, G: Gears, const N: usize> Work
-    for Responding<'_, A, L, V, G, N>
+    for ResponseWork<'_, A, L, V, G, N>
 {
     type Output = Response<V, N>;
     #[inline(always)]

@@ -1,6 +1,6 @@
 //! Stages of a Runge-Kutta step of the simulation.
 
-use crate::joint::effects::Twist;
+use crate::joint::effects::Torsion;
 use crate::plant::{Acceleration, State, Watch};
 use crate::scalar::Real;
 
@@ -22,7 +22,7 @@ pub(crate) struct Trace<const N: usize> {
 pub(crate) struct Stage<const N: usize> {
     pub(crate) angle: [f64; N],
     pub(crate) velocity: [f64; N],
-    pub(crate) twist: [f64; N],
+    pub(crate) torsion: [f64; N],
     pub(crate) rate: [f64; N],
     pub(crate) motor_velocity: [f64; N],
     pub(crate) motor_acceleration: [f64; N],
@@ -31,15 +31,15 @@ pub(crate) struct Stage<const N: usize> {
 
 impl<const N: usize> Trace<N> {
     pub(crate) fn new(ratio: [f64; N]) -> Self {
-        let nothing = [0.0; N];
+        let zero = [0.0; N];
         let stage = Stage {
-            angle: nothing,
-            velocity: nothing,
-            twist: nothing,
-            rate: nothing,
-            motor_velocity: nothing,
-            motor_acceleration: nothing,
-            link_acceleration: nothing,
+            angle: zero,
+            velocity: zero,
+            torsion: zero,
+            rate: zero,
+            motor_velocity: zero,
+            motor_acceleration: zero,
+            link_acceleration: zero,
         };
         Self {
             ratio,
@@ -80,11 +80,11 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
         let stage = &mut self.stages[k];
         for i in 0..N {
             let n = S::splat(self.ratio[i]);
-            let twist = n.mul_add(x.motor_angle[i], -x.link_angle[i]);
+            let torsion = n.mul_add(x.motor_angle[i], -x.link_angle[i]);
             let rate = n.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
             stage.angle[i] = x.link_angle[i].lane(0);
             stage.velocity[i] = x.link_velocity[i].lane(0);
-            stage.twist[i] = twist.lane(0);
+            stage.torsion[i] = torsion.lane(0);
             stage.rate[i] = rate.lane(0);
             stage.motor_velocity[i] = x.motor_velocity[i].lane(0);
             stage.motor_acceleration[i] = a.motor[i].lane(0);
@@ -96,19 +96,19 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
 impl<const N: usize> Trace<N> {
     /// Torsion of gear `i` at stage `k`.
     #[inline(always)]
-    pub(crate) fn twist_at(&self, i: usize, k: usize) -> Twist<f64> {
+    pub(crate) fn torsion_at(&self, i: usize, k: usize) -> Torsion<f64> {
         let stage = &self.stages[k];
-        Twist {
-            angle: stage.twist[i],
+        Torsion {
+            angle: stage.torsion[i],
             rate: stage.rate[i],
         }
     }
 
     /// Torsion of gear `i` in a state.
     #[inline(always)]
-    pub(crate) fn twist_of<S: Real>(&self, i: usize, x: &State<S, N>) -> Twist<f64> {
+    pub(crate) fn torsion_of<S: Real>(&self, i: usize, x: &State<S, N>) -> Torsion<f64> {
         let n = S::splat(self.ratio[i]);
-        Twist {
+        Torsion {
             angle: n.mul_add(x.motor_angle[i], -x.link_angle[i]).lane(0),
             rate: n.mul_add(x.motor_velocity[i], -x.link_velocity[i]).lane(0),
         }

@@ -2,7 +2,7 @@
 //!
 //! Within a step with fixed friction modes, the derivatives of the motion obey linear equations
 //! whose coefficients are the same in every direction. The simulated step records a [`Trace`] of
-//! its four stages; [`Linearised`] computes the coefficients of all four in lanes; each
+//! its four stages; [`LinearisedStep`] computes the coefficients of all four in lanes; each
 //! [`crate::sensitivity::tangent_block::TangentBlock`] of directions advances through the stages
 //! with a few multiply-adds.
 //!
@@ -24,7 +24,7 @@ use crate::sensitivity::trace::{Stages, Trace};
 
 /// Coefficients of the linear equations at the four stages, in the units of
 /// [`crate::sensitivity::tangent::Tangent`].
-pub(crate) struct Linearised<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
+pub(crate) struct LinearisedStep<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
     plant: Plant<A, L, G, N>,
     shared: [Shared<L, G>; N],
     /// Number of parameters of each gear's law.
@@ -66,26 +66,26 @@ impl Settling {
     /// Motion over a step of length `h`; velocities are angles per `half` [s].
     fn new(time: f64, speed: f64, h: f64, half: f64) -> Self {
         let parts = [0.5 * h, h];
-        let left = parts.map(|t| (-t / time).exp());
-        let each = |f: &dyn Fn(f64, f64) -> f64| [f(parts[0], left[0]), f(parts[1], left[1])];
+        let decay = parts.map(|t| (-t / time).exp());
+        let each = |f: &dyn Fn(f64, f64) -> f64| [f(parts[0], decay[0]), f(parts[1], decay[1])];
         Self {
-            angle: each(&|t, left| (time * (1.0 - left) - t) / half),
-            velocity: each(&|_, left| left - 1.0),
+            angle: each(&|t, decay| (time * (1.0 - decay) - t) / half),
+            velocity: each(&|_, decay| decay - 1.0),
             by_time: [
-                each(&|t, left| speed * (1.0 - left - left * t / time)),
-                each(&|t, left| half * speed * left * t / (time * time)),
+                each(&|t, decay| speed * (1.0 - decay - decay * t / time)),
+                each(&|t, decay| half * speed * decay * t / (time * time)),
             ],
         }
     }
 }
 
-impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
+impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     /// For an arm without effects and steps of length `step` [s]. Directions are by the parameters
-    /// of `asked`, which may have effects of size zero; the motion begins in a state.
+    /// of `requested`, which may have effects of size zero; the motion begins in a state.
     pub(crate) fn new<S: Real>(
         config: &Config<A, N>,
         parameters: &[f64],
-        (asked, all): (&Config<A, N>, &[f64]),
+        (requested, all): (&Config<A, N>, &[f64]),
         begin: &State<S, N>,
         step: f64,
     ) -> Self {
@@ -101,10 +101,10 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
             by_velocity: [[[0.0; 4]; N]; N],
             damping: plant.joints.map(|joint| joint.gear_damping.lane(0) / half),
             motor: [[0.0; N]; 3],
-            quads: Quads::nothing(config.arm.names().len()),
-            effects: asked
+            quads: Quads::zeros(config.arm.names().len()),
+            effects: requested
                 .has_effects()
-                .then(|| EffectSensitivity::new(asked, all, begin)),
+                .then(|| EffectSensitivity::new(requested, all, begin)),
             settling: [None; N],
             plant,
         }
@@ -134,15 +134,20 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         }
         if let Some(effects) = &self.effects {
             let push = std::array::from_fn(|i| -self.motor[2][i]);
-            effects.enter(&mut self.quads, &self.plant, (trace, h), modes, &push);
+            effects.add_to_quads(&mut self.quads, &self.plant, (trace, h), modes, &push);
         }
     }
 
     /// Sets the states of effects to the end of a step.
     #[inline(always)]
-    pub(crate) fn passed<S: Real>(&mut self, trace: &Trace<N>, end: &State<S, N>, h: f64) {
+    pub(crate) fn advance_effect_states<S: Real>(
+        &mut self,
+        trace: &Trace<N>,
+        end: &State<S, N>,
+        h: f64,
+    ) {
         if let Some(effects) = &mut self.effects {
-            effects.passed(&self.plant, trace, end, h);
+            effects.advance_effect_states(&self.plant, trace, end, h);
         }
     }
 
@@ -166,21 +171,21 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
             let stage = &trace.stages[k];
             let (acceleration, velocity) = (stage.motor_acceleration[i], stage.motor_velocity[i]);
             let by = [acceleration, velocity, direction, 1.0];
-            put::<L>(&mut self.quads.own[i][MOTOR].0[k], &by, -push);
+            store_scaled::<L>(&mut self.quads.drive_train[i][MOTOR].0[k], &by, -push);
         }
     }
 
     /// Coefficients of the links, for the stages from the `first`.
     #[inline(always)]
     fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
-        let mut turned: [L; N] = trace.joints(first, |stage| &stage.angle);
+        let mut rotation: [L; N] = trace.joints(first, |stage| &stage.angle);
         for i in 0..N {
-            turned[i] = turned[i] - L::splat(trace.stages[0].angle[i]);
+            rotation[i] = rotation[i] - L::splat(trace.stages[0].angle[i]);
         }
         let dq = trace.joints(first, |stage| &stage.velocity);
         let ddq = trace.joints(first, |stage| &stage.link_acceleration);
         let arm = &self.plant.arm;
-        let at = arm.near(begin, &turned);
+        let at = arm.near(begin, &rotation);
         let base = &self.plant.base;
         let inertia = arm.inertia(base, &at);
         let mut slopes = arm.slopes(base, &at, &dq, &ddq);
@@ -192,7 +197,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
         for j in 0..N {
             for i in 0..N {
                 inverse[j][i].store(&mut self.inverse[i][j][first..]);
-                if A::FELT[j] {
+                if A::DEPENDS_ON_ANGLE[j] {
                     slopes.angle[i][j].store(&mut self.by_angle[i][j][first..]);
                 }
                 (rate * slopes.velocity[i][j]).store(&mut self.by_velocity[i][j][first..]);
@@ -207,11 +212,11 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
             for k in 0..link_quads(by.len()) {
                 let mut four = [L::splat(0.0); 4];
                 for slot in 0..4 {
-                    let place = 4 * k + slot;
-                    if place == 0 {
+                    let index = 4 * k + slot;
+                    if index == 0 {
                         four[slot] = dq[i];
-                    } else if place <= by.len() {
-                        four[slot] = by[place - 1][i];
+                    } else if index <= by.len() {
+                        four[slot] = by[index - 1][i];
                     }
                 }
                 let quad = &mut quads[i * per_link + k];
@@ -223,12 +228,12 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
     /// Coefficients of one gear, for the stages from the `first`.
     #[inline(always)]
     fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
-        let (joint, quads) = (&self.plant.joints[i], &mut self.quads.own[i]);
-        let twist = trace.across::<L>(first, |stage| stage.twist[i]);
+        let (joint, quads) = (&self.plant.joints[i], &mut self.quads.drive_train[i]);
+        let torsion = trace.across::<L>(first, |stage| stage.torsion[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);
-        let stiffness = joint.spring.stiffness(twist);
+        let stiffness = joint.spring.stiffness(torsion);
         stiffness.store(&mut self.stiffness[i][first..]);
-        let by = joint.spring.by_parameters(twist, &self.shared[i]);
+        let by = joint.spring.by_parameters(torsion, &self.shared[i]);
         L::store_rows(&[rate, by[0], by[1], by[2]], &mut quads[GEAR].0[first..]);
         if self.of_law[i] > 3 {
             L::store_rows(
@@ -241,7 +246,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> Linearised<A, L, G, N> {
 
 /// Stores four numbers times a factor, as one vector if possible.
 #[inline(always)]
-fn put<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
+fn store_scaled<L: Real>(to: &mut [f64; 4], numbers: &[f64; 4], factor: f64) {
     for first in (0..4).step_by(L::LANES) {
         (L::load(&numbers[first..]) * L::splat(factor)).store(&mut to[first..]);
     }

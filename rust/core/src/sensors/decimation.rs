@@ -116,7 +116,7 @@ impl Decimator {
         if self.filled < step {
             return None;
         }
-        V::scope(Adding::<V>(self, std::marker::PhantomData));
+        V::scope(AddWork::<V>(self, std::marker::PhantomData));
         self.filled = 0;
         self.blocks += 1;
         let row = self.blocks.checked_sub(self.parts())?;
@@ -208,9 +208,9 @@ fn add_products<V: Real, const C: usize, const R: usize>(
 }
 
 /// [`Decimator::add`].
-struct Adding<'t, V>(&'t mut Decimator, std::marker::PhantomData<V>);
+struct AddWork<'t, V>(&'t mut Decimator, std::marker::PhantomData<V>);
 
-impl<V: Real> Work for Adding<'_, V> {
+impl<V: Real> Work for AddWork<'_, V> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
@@ -223,15 +223,15 @@ mod tests {
     use super::*;
 
     /// Numbers without a pattern.
-    fn drawn(count: usize) -> Vec<f64> {
+    fn random_samples(count: usize) -> Vec<f64> {
         (0..count).map(|k| ((k * k) as f64).sin()).collect()
     }
 
     #[test]
-    fn a_row_is_the_sum_of_taps_times_samples() {
-        let taps = vec![drawn(12), drawn(24)[12..].to_vec()];
+    fn row_is_sum_of_taps_times_samples() {
+        let taps = vec![random_samples(12), random_samples(24)[12..].to_vec()];
         let decimation = Decimation::new(taps.clone(), 4).expect("three blocks");
-        let samples = drawn(30);
+        let samples = random_samples(30);
         assert_eq!(decimation.rows(30), 5);
         assert_eq!(decimation.rows(11), 0);
         for (k, taps) in taps.iter().enumerate() {
@@ -244,11 +244,14 @@ mod tests {
     }
 
     #[test]
-    fn samples_one_by_one_make_the_same_rows() {
-        let decimation =
-            Decimation::new(vec![drawn(12), drawn(24)[12..].to_vec()], 4).expect("whole");
+    fn decimator_agrees_with_decimation() {
+        let decimation = Decimation::new(
+            vec![random_samples(12), random_samples(24)[12..].to_vec()],
+            4,
+        )
+        .expect("whole");
         let (samples, width) = (31, 3);
-        let quantities = [drawn(93), drawn(186)[93..].to_vec()];
+        let quantities = [random_samples(93), random_samples(186)[93..].to_vec()];
         let wanted: Vec<Vec<f64>> = (0..2)
             .map(|k| decimation.of::<f64>(k, &quantities[k], width))
             .collect();
@@ -256,10 +259,10 @@ mod tests {
         let mut row = 0;
         for s in 0..samples {
             let own = |k: usize| &quantities[k][s * width..][..width];
-            if let Some(found) = decimated.push::<f64>(&[own(0), own(1)].concat()) {
+            if let Some(actual) = decimated.push::<f64>(&[own(0), own(1)].concat()) {
                 for k in 0..2 {
                     for i in 0..width {
-                        let error = found[k * width + i] - wanted[k][row * width + i];
+                        let error = actual[k * width + i] - wanted[k][row * width + i];
                         assert!(error.abs() < 1e-13);
                     }
                 }
@@ -270,10 +273,10 @@ mod tests {
     }
 
     #[test]
-    fn lists_that_do_not_fit_are_none() {
-        assert!(Decimation::new(vec![drawn(12), drawn(8)], 4).is_none());
-        assert!(Decimation::new(vec![drawn(10)], 4).is_none());
-        assert!(Decimation::new(vec![drawn(10)], 0).is_none());
+    fn mismatched_sizes_are_rejected() {
+        assert!(Decimation::new(vec![random_samples(12), random_samples(8)], 4).is_none());
+        assert!(Decimation::new(vec![random_samples(10)], 4).is_none());
+        assert!(Decimation::new(vec![random_samples(10)], 0).is_none());
         assert!(Decimation::new(Vec::new(), 1).is_none());
     }
 }

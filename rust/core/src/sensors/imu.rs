@@ -7,14 +7,14 @@ use crate::scalar::Real;
 use crate::sensors::low_pass::LowPass;
 
 /// f_x, f_y, alpha, w^2, and the rate itself.
-pub(crate) const MOUNTED: usize = LINK_SIGNALS + 1;
+pub(crate) const IMU_SIGNALS: usize = LINK_SIGNALS + 1;
 
 /// A number per link for each signal.
-pub(crate) type Signals<R, const N: usize> = [[R; N]; MOUNTED];
+pub(crate) type Signals<R, const N: usize> = [[R; N]; IMU_SIGNALS];
 
 /// Low-passes of a simulation.
-pub(crate) struct Mounted<R, const N: usize> {
-    pub(crate) filters: [[Option<LowPass<R, 2>>; N]; MOUNTED],
+pub(crate) struct Imus<R, const N: usize> {
+    pub(crate) filters: [[Option<LowPass<R, 2>>; N]; IMU_SIGNALS],
     pub(crate) readings: Signals<R, N>,
 }
 
@@ -30,7 +30,7 @@ pub(crate) fn ideal<A: Arm<N>, R: Real, const N: usize>(
     [x, y, turning, square, arm.absolute_rates(at, dq)]
 }
 
-impl<R: Real, const N: usize> Mounted<R, N> {
+impl<R: Real, const N: usize> Imus<R, N> {
     /// Low-passes at rest at the initial signals, for steps of `h` [s].
     pub(crate) fn at_rest<A: Arm<N>>(
         config: &Config<A, N>,
@@ -39,12 +39,12 @@ impl<R: Real, const N: usize> Mounted<R, N> {
     ) -> Self {
         let filter = |k: usize, i: usize| {
             let joint = &config.joints[i];
-            let own = if k < LINK_SIGNALS {
+            let reading = if k < LINK_SIGNALS {
                 joint.imu_accelerometer_hz
             } else {
                 joint.imu_gyro_hz
             };
-            own.map(|hz| LowPass::butterworth(hz, h, readings[k][i]))
+            reading.map(|hz| LowPass::butterworth(hz, h, readings[k][i]))
         };
         Self {
             filters: std::array::from_fn(|k| std::array::from_fn(|i| filter(k, i))),

@@ -183,7 +183,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn first_order_follows_a_ramp_with_its_known_lag() {
+    fn first_order_has_its_analytic_ramp_response() {
         let (hz, h) = (5.0, 1e-3);
         let lag = 1.0 / (std::f64::consts::TAU * hz);
         let mut filter = LowPass::first_order(hz, h, 0.0);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn butterworth_has_its_step_response() {
+    fn butterworth_has_its_analytic_step_response() {
         let (hz, h) = (300.0, 1.25e-4);
         let w = std::f64::consts::TAU * hz / std::f64::consts::SQRT_2;
         let mut filter = LowPass::butterworth(hz, h, 0.0);
@@ -210,7 +210,7 @@ mod tests {
     }
 
     #[test]
-    fn without_the_newest_readings_part_it_filters_the_same() {
+    fn feedthrough_form_is_equivalent() {
         let mut filter = LowPass::butterworth(300.0, 1.25e-4, 0.7);
         let other: Feedthrough<f64, 2> = filter.feedthrough();
         let mut state = other.at_rest(0.7);

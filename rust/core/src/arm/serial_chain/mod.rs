@@ -10,16 +10,16 @@ use super::link_signals::LINK_SIGNALS;
 use super::turn::Turn;
 use super::{Arm, Name};
 use crate::parameter::{Parameter, Sign};
-use crate::scalar::{Real, Work, apart};
+use crate::scalar::{Real, Work, run_out_of_line};
 use placement::Placement;
 use vector::{Matrix, cross, dot, plus, scaled, splat, times};
 
 /// Number of inertial parameters of a link.
-const PER_LINK: usize = 10;
+const LINK_PARAMETER_COUNT: usize = 10;
 
 /// Names of the inertial parameters: mass m [kg], first moments m c [kg m] and inertia [kg m^2]
 /// about the origin of the link's frame, along its axes.
-const OF_A_LINK: [Parameter; PER_LINK] = [
+const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
     Parameter::new("link_mass", "m", "mass of the link", MASS, Sign::Positive),
     Parameter::new(
         "link_first_moment_x",
@@ -173,7 +173,7 @@ pub struct Posture<R, const N: usize> {
 }
 
 /// Torques per inertial parameter, link by link.
-pub struct Regressor<R, const N: usize>([[[R; N]; PER_LINK]; N]);
+pub struct Regressor<R, const N: usize>([[[R; N]; LINK_PARAMETER_COUNT]; N]);
 
 impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
     #[inline(always)]
@@ -183,25 +183,30 @@ impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
 }
 
 impl<const N: usize> Arm<N> for SerialChain<N> {
-    type Base<R: Real> = [[R; PER_LINK]; N];
+    type Base<R: Real> = [[R; LINK_PARAMETER_COUNT]; N];
     type Posture<R: Real> = Posture<R, N>;
     type Regressor<R: Real> = Regressor<R, N>;
 
-    const FELT: [bool; N] = [true; N];
+    const DEPENDS_ON_ANGLE: [bool; N] = [true; N];
     const PLANAR: bool = false;
-    const PARAMETERS: &'static [Parameter] = &OF_A_LINK;
-    const COMPACT: bool = true;
+    const PARAMETERS: &'static [Parameter] = &LINK_PARAMETERS;
+    const HAS_OUTLINED_EQUATIONS: bool = true;
 
     fn names(&self) -> Vec<Name> {
-        let of = |i: usize| OF_A_LINK.map(|parameter| (parameter.name, Some(i + 1)));
+        let of = |i: usize| LINK_PARAMETERS.map(|parameter| (parameter.name, Some(i + 1)));
         (0..N).flat_map(of).collect()
     }
 
     /// The pseudo-inertia matrix of a body (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is
     /// positive definite. If those of all links are, the inertia matrix is too.
     fn check(&self, values: &[f64], _: &[Option<f64>; N]) -> Result<(), (usize, &'static str)> {
-        for (i, own) in values.as_chunks::<PER_LINK>().0.iter().enumerate() {
-            let first = i * PER_LINK;
+        for (i, own) in values
+            .as_chunks::<LINK_PARAMETER_COUNT>()
+            .0
+            .iter()
+            .enumerate()
+        {
+            let first = i * LINK_PARAMETER_COUNT;
             if own[0] <= 0.0 {
                 return Err((first, "positive"));
             }
@@ -214,18 +219,18 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     #[inline(always)]
-    fn base<R: Real>(&self, values: &[R]) -> [[R; PER_LINK]; N] {
-        std::array::from_fn(|i| std::array::from_fn(|k| values[i * PER_LINK + k]))
+    fn base<R: Real>(&self, values: &[R]) -> [[R; LINK_PARAMETER_COUNT]; N] {
+        std::array::from_fn(|i| std::array::from_fn(|k| values[i * LINK_PARAMETER_COUNT + k]))
     }
 
     #[inline(always)]
     fn map_base<R: Real, L: Real>(
-        base: &[[R; PER_LINK]; N],
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
         to: impl Fn(R) -> L,
-    ) -> [[L; PER_LINK]; N] {
-        let mut all = [[to(base[0][0]); PER_LINK]; N];
+    ) -> [[L; LINK_PARAMETER_COUNT]; N] {
+        let mut all = [[to(base[0][0]); LINK_PARAMETER_COUNT]; N];
         for i in 0..N {
-            for k in 0..PER_LINK {
+            for k in 0..LINK_PARAMETER_COUNT {
                 all[i][k] = to(base[i][k]);
             }
         }
@@ -276,32 +281,41 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     }
 
     #[inline(always)]
-    fn inertia<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>) -> [[R; N]; N] {
-        apart::<R, _>(MassMatrix(self, base, at))
+    fn inertia<R: Real>(
+        &self,
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
+        at: &Posture<R, N>,
+    ) -> [[R; N]; N] {
+        run_out_of_line::<R, _>(MassMatrix(self, base, at))
     }
 
     #[inline(always)]
-    fn bias<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>, dq: &[R; N]) -> [R; N] {
+    fn bias<R: Real>(
+        &self,
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
+        at: &Posture<R, N>,
+        dq: &[R; N],
+    ) -> [R; N] {
         self.torques(base, at, dq, &[R::splat(0.0); N])
     }
 
     #[inline(always)]
     fn torques<R: Real>(
         &self,
-        base: &[[R; PER_LINK]; N],
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
         at: &Posture<R, N>,
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [R; N] {
-        apart::<R, _>(NewtonEuler(self, base, at, dq, ddq))
+        run_out_of_line::<R, _>(NewtonEuler(self, base, at, dq, ddq))
     }
 
     #[inline(always)]
     fn regressor<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> Regressor<R, N> {
-        apart::<R, _>(PerParameter(self, at, dq, ddq))
+        run_out_of_line::<R, _>(PerParameter(self, at, dq, ddq))
     }
 
-    fn potential<R: Real>(&self, base: &[[R; PER_LINK]; N], at: &Posture<R, N>) -> R {
+    fn potential<R: Real>(&self, base: &[[R; LINK_PARAMETER_COUNT]; N], at: &Posture<R, N>) -> R {
         // mass and first moment of all links from the i-th, about its origin
         let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
         for i in (0..N).rev() {
@@ -316,7 +330,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn accelerometers<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N], ddq: &[R; N]) -> [R; N] {
         let mut reading = [R::splat(0.0); N];
-        for (i, motion) in apart::<R, _>(Motions(self, at, dq, ddq)).iter().enumerate() {
+        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
+            .iter()
+            .enumerate()
+        {
             let placed = &self.joints[i];
             reading[i] = if self.revolute(i) {
                 let zero = [R::splat(0.0); 3];
@@ -338,7 +355,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn absolute_rates<R: Real>(&self, at: &Posture<R, N>, dq: &[R; N]) -> [R; N] {
         let mut rates = *dq;
-        for (i, motion) in apart::<R, _>(Motions(self, at, dq, dq)).iter().enumerate() {
+        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, dq))
+            .iter()
+            .enumerate()
+        {
             rates[i] = dot(&splat(&self.joints[i].axis), &motion.rate);
         }
         rates
@@ -352,7 +372,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         ddq: &[R; N],
     ) -> [[R; N]; LINK_SIGNALS] {
         let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
-        for (i, motion) in apart::<R, _>(Motions(self, at, dq, ddq)).iter().enumerate() {
+        for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
+            .iter()
+            .enumerate()
+        {
             let placed = &self.joints[i];
             let rate = dot(&splat(&placed.axis), &motion.rate);
             all[0][i] = dot(&splat(&placed.x), &motion.force);
@@ -366,7 +389,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
 
 /// Whether ten parameters belong to a body: [[S, h], [h', m]] has a Cholesky factor, where S =
 /// tr(I)/2 - I is the second moment of mass.
-fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; PER_LINK]) -> bool {
+fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; LINK_PARAMETER_COUNT]) -> bool {
     let half = 0.5 * (xx + yy + zz);
     let mut l = [
         [half - xx, -xy, -xz, x],
@@ -410,9 +433,9 @@ macro_rules! out_of_line {
 
 out_of_line! {
     /// [`SerialChain::mass_matrix`].
-    MassMatrix(1: [[R; PER_LINK]; N], 2: Posture<R, N>) -> [[R; N]; N] = SerialChain::mass_matrix;
+    MassMatrix(1: [[R; LINK_PARAMETER_COUNT]; N], 2: Posture<R, N>) -> [[R; N]; N] = SerialChain::mass_matrix;
     /// [`SerialChain::newton_euler`].
-    NewtonEuler(1: [[R; PER_LINK]; N], 2: Posture<R, N>, 3: [R; N], 4: [R; N]) -> [R; N]
+    NewtonEuler(1: [[R; LINK_PARAMETER_COUNT]; N], 2: Posture<R, N>, 3: [R; N], 4: [R; N]) -> [R; N]
         = SerialChain::newton_euler;
     /// [`SerialChain::torques_per_parameter`].
     PerParameter(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
@@ -508,7 +531,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn all_recursions_agree(motion in prop::array::uniform3(prop::array::uniform6(-2.0..2.0f64))) {
+        fn recursions_agree(motion in prop::array::uniform3(prop::array::uniform6(-2.0..2.0f64))) {
             check(&motion.map(|row| [row[0]]));
             check(&motion.map(|row| [row[0], row[1]]));
             check(&motion.map(|row| [row[0], row[1], row[2]]));
@@ -516,7 +539,7 @@ mod tests {
         }
 
         #[test]
-        fn two_links_in_a_plane_are_the_closed_form(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
+        fn planar_two_link_chain_agrees_with_closed_form(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
             let (l, g, distance) = (0.35, 9.81, [0.33, 0.27]);
             let joint = |place: usize| ChainJoint {
                 joint_type: JointType::Revolute,
@@ -548,7 +571,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_body_is_refused() {
+    fn impossible_inertias_are_rejected() {
         let (arm, values) = (chain::<2>(), bodies::<2>());
         let changed = |place: usize, value| {
             let mut values = values.clone();

@@ -3,7 +3,7 @@
 
 use super::placement::JointType;
 use super::vector::{Matrix, Vector, cross, dot, plus, scaled, splat, times, times_transposed};
-use super::{PER_LINK, Posture, SerialChain};
+use super::{LINK_PARAMETER_COUNT, Posture, SerialChain};
 use crate::scalar::Real;
 
 /// Motion of a link in its own frame.
@@ -33,7 +33,7 @@ struct Inertia<R> {
 
 impl<R: Real> Inertia<R> {
     #[inline(always)]
-    fn of(base: &[R; PER_LINK]) -> Self {
+    fn of(base: &[R; LINK_PARAMETER_COUNT]) -> Self {
         let [mass, x, y, z, xx, xy, yy, xz, yz, zz] = *base;
         Self {
             mass,
@@ -128,7 +128,7 @@ impl<const N: usize> SerialChain<N> {
     #[inline(always)]
     pub(super) fn newton_euler<R: Real>(
         &self,
-        base: &[[R; PER_LINK]; N],
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
         at: &Posture<R, N>,
         dq: &[R; N],
         ddq: &[R; N],
@@ -176,7 +176,7 @@ impl<const N: usize> SerialChain<N> {
     #[inline(always)]
     pub(super) fn mass_matrix<R: Real>(
         &self,
-        base: &[[R; PER_LINK]; N],
+        base: &[[R; LINK_PARAMETER_COUNT]; N],
         at: &Posture<R, N>,
     ) -> [[R; N]; N] {
         let zero = [R::splat(0.0); 3];
@@ -211,17 +211,17 @@ impl<const N: usize> SerialChain<N> {
         at: &Posture<R, N>,
         dq: &[R; N],
         ddq: &[R; N],
-    ) -> [[[R; N]; PER_LINK]; N] {
+    ) -> [[[R; N]; LINK_PARAMETER_COUNT]; N] {
         let motions = self.motions(at, dq, ddq);
         let zero = [R::splat(0.0); 3];
         let (turning, moving) = (zero, zero);
         let mut twists = [Twist { turning, moving }; N];
-        let mut all = [[[R::splat(0.0); N]; PER_LINK]; N];
+        let mut all = [[[R::splat(0.0); N]; LINK_PARAMETER_COUNT]; N];
         for k in 0..N {
             self.extend(at, k, &mut twists);
             for j in 0..=k {
                 let by = per_parameter(&twists[j], &motions[k]);
-                for p in 0..PER_LINK {
+                for p in 0..LINK_PARAMETER_COUNT {
                     all[k][p][j] = by[p];
                 }
             }
@@ -232,7 +232,7 @@ impl<const N: usize> SerialChain<N> {
 
 /// w n + v f per parameter of a link, with its force f and moment n.
 #[inline(always)]
-fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; PER_LINK] {
+fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; LINK_PARAMETER_COUNT] {
     let (w, v) = (&twist.turning, &twist.moving);
     let LinkMotion {
         rate,
@@ -241,8 +241,8 @@ fn per_parameter<R: Real>(twist: &Twist<R>, motion: &LinkMotion<R>) -> [R; PER_L
     } = motion;
     // v (alpha x h) = h (v x alpha); v (omega x (omega x h)) = h ((v x omega) x omega);
     // w (h x s) = h (s x w); w (omega x I omega) = (w x omega) I omega
-    let swung = plus(&cross(v, turning), &cross(&cross(v, rate), rate));
-    let h = plus(&swung, &cross(force, w));
+    let part_accelerations = plus(&cross(v, turning), &cross(&cross(v, rate), rate));
+    let h = plus(&part_accelerations, &cross(force, w));
     let u = cross(w, rate);
     let diagonal = |i: usize| w[i].mul_add(turning[i], u[i] * rate[i]);
     let off = |i: usize, j: usize| {

@@ -1,17 +1,17 @@
 //! Backlash: the gear turns freely over a small angle.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
 /// Smallest smoothing width [rad]: far below any backlash, and far above the rounding of a torsion
 /// of zero, whose sign would otherwise determine the derivative of a backlash of zero.
-const LEAST: f64 = 1e-8;
+const MIN_SMOOTHING_WIDTH: f64 = 1e-8;
 
 /// A dead band of the gear's spring at torsions within +-b. Its damping acts there too.
 ///
-/// The strain is delta - b delta / max(|delta|, b, r), with r = [`LEAST`]: sharp for bands
-/// wider than r.
+/// The strain is delta - b delta / max(|delta|, b, r), with r = [`MIN_SMOOTHING_WIDTH`]: sharp for
+/// bands wider than r.
 #[derive(Clone, Copy, Debug)]
 pub struct Backlash<R> {
     /// b [rad] at the link, half the width.
@@ -19,7 +19,7 @@ pub struct Backlash<R> {
 }
 
 impl<R: Real> Effect<R> for Backlash<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "backlash",
         parameters: &[Parameter::new(
             "backlash",
@@ -30,25 +30,29 @@ impl<R: Real> Effect<R> for Backlash<R> {
         )],
         sizes: 1,
         of_gear: true,
-        enters: Enters {
+        affects: AffectedTerms {
             gear: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self { half: values[0] }
     }
 
     #[inline(always)]
     fn strain(&self, torsion: R) -> R {
-        let widest = torsion.abs().max(self.half).max(R::splat(LEAST));
+        let widest = torsion
+            .abs()
+            .max(self.half)
+            .max(R::splat(MIN_SMOOTHING_WIDTH));
         torsion - self.half * torsion / widest
     }
 
-    /// The middle of the dead band at zero strain; approximate for strains below [`LEAST`].
+    /// The middle of the dead band at zero strain; approximate for strains below
+    /// [`MIN_SMOOTHING_WIDTH`].
     fn torsion(&self, strain: R) -> R {
-        strain + self.half * strain / strain.abs().max(R::splat(LEAST))
+        strain + self.half * strain / strain.abs().max(R::splat(MIN_SMOOTHING_WIDTH))
     }
 }
 
@@ -66,7 +70,7 @@ mod tests {
     }
 
     #[test]
-    fn the_spring_feels_what_is_beyond_the_band() {
+    fn strain_is_torsion_beyond_the_band() {
         let gear = Backlash { half: 2e-4 };
         for (torsion, expected) in [(5e-4, 3e-4), (-5e-4, -3e-4), (1e-4, 0.0), (0.0, 0.0)] {
             assert!((gear.strain(torsion) - expected).abs() < 1e-15, "{torsion}");
@@ -77,7 +81,7 @@ mod tests {
     }
 
     #[test]
-    fn a_band_of_no_width_takes_nothing_from_a_torsion_of_rounding() {
+    fn zero_width_derivative_is_insensitive_to_rounding() {
         assert!(strain_by_band(1e-17, 0.0).tangent.abs() < 1e-8);
         assert!((strain_by_band(-1e-5, 0.0).tangent - 1.0).abs() < 1e-5);
         assert_eq!(strain_by_band(3e-4, 0.0).value, 3e-4);

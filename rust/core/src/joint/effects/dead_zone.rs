@@ -1,15 +1,15 @@
 //! Dead zone of a drive: small commands have no effect.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign, VOLTAGE};
 use crate::scalar::Real;
 
 /// Smallest smoothing width [V]: far below any dead zone, and far above the rounding of a voltage
 /// of zero, whose sign would otherwise determine the derivative of a dead zone of zero.
-const LEAST: f64 = 1e-9;
+const MIN_SMOOTHING_WIDTH: f64 = 1e-9;
 
-/// The effective voltage is u - d u / max(|u|, d, r), with r = [`LEAST`]: zero within +-d, and
-/// smaller by d beyond.
+/// The effective voltage is u - d u / max(|u|, d, r), with r = [`MIN_SMOOTHING_WIDTH`]: zero within
+/// +-d, and smaller by d beyond.
 #[derive(Clone, Copy, Debug)]
 pub struct DeadZone<R> {
     /// d [V], half the width.
@@ -17,7 +17,7 @@ pub struct DeadZone<R> {
 }
 
 impl<R: Real> Effect<R> for DeadZone<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "dead-zone",
         parameters: &[Parameter::new(
             "dead_zone",
@@ -28,19 +28,22 @@ impl<R: Real> Effect<R> for DeadZone<R> {
         )],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             drive: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self { half: values[0] }
     }
 
     #[inline(always)]
     fn drive(&self, voltage: R) -> R {
-        let widest = voltage.abs().max(self.half).max(R::splat(LEAST));
+        let widest = voltage
+            .abs()
+            .max(self.half)
+            .max(R::splat(MIN_SMOOTHING_WIDTH));
         voltage - self.half * voltage / widest
     }
 }
@@ -51,7 +54,7 @@ mod tests {
     use crate::scalar::Jet;
 
     #[test]
-    fn what_is_within_the_zone_moves_nothing() {
+    fn voltage_within_the_zone_is_zero() {
         let zone = DeadZone { half: 0.5 };
         for (voltage, expected) in [
             (0.0, 0.0),
@@ -65,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn a_zone_of_no_width_takes_nothing_from_a_voltage_of_rounding() {
+    fn zero_width_derivative_is_insensitive_to_rounding() {
         let zone = DeadZone {
             half: Jet {
                 value: 0.0,

@@ -1,6 +1,6 @@
 //! Gain error of a drive.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
@@ -12,7 +12,7 @@ pub struct DriveGain<R> {
 }
 
 impl<R: Real> Effect<R> for DriveGain<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-gain",
         parameters: &[Parameter::new(
             "drive_gain",
@@ -23,13 +23,13 @@ impl<R: Real> Effect<R> for DriveGain<R> {
         )],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             drive: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self { more: values[0] }
     }
 

@@ -1,6 +1,6 @@
 //! Limit of an amplifier at large voltages.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign, VOLTAGE};
 use crate::scalar::Real;
 
@@ -15,7 +15,7 @@ pub struct DriveLimit<R> {
 }
 
 impl<R: Real> Effect<R> for DriveLimit<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-limit",
         parameters: &[
             Parameter::new(
@@ -35,13 +35,13 @@ impl<R: Real> Effect<R> for DriveLimit<R> {
         ],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             drive: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             loss: values[0],
             limit: values[1],
@@ -61,7 +61,7 @@ mod tests {
     use crate::scalar::Jet;
 
     #[test]
-    fn nothing_is_lost_within_the_limit() {
+    fn voltage_within_the_limit_is_unchanged() {
         let drive = DriveLimit {
             loss: 0.25,
             limit: 6.0,
@@ -78,7 +78,7 @@ mod tests {
     }
 
     #[test]
-    fn a_little_loss_takes_what_is_beyond() {
+    fn derivative_at_zero_loss_is_excess() {
         let drive = DriveLimit {
             loss: Jet {
                 value: 0.0,
@@ -87,8 +87,8 @@ mod tests {
             limit: Jet::constant(6.0),
         };
         for (voltage, expected) in [(5.0, 0.0), (8.0, -2.0), (-9.0, 3.0)] {
-            let driven = drive.drive(Jet::constant(voltage));
-            assert_eq!((driven.value, driven.tangent), (voltage, expected));
+            let effective = drive.drive(Jet::constant(voltage));
+            assert_eq!((effective.value, effective.tangent), (voltage, expected));
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Saturation of a motor: its torque constant decreases with current.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
@@ -12,7 +12,7 @@ pub struct DriveSaturation<R> {
 }
 
 impl<R: Real> Effect<R> for DriveSaturation<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-saturation",
         parameters: &[Parameter::new(
             "drive_saturation",
@@ -23,13 +23,13 @@ impl<R: Real> Effect<R> for DriveSaturation<R> {
         )],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             drive: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             per_volt: values[0],
         }

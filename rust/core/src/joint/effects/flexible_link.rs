@@ -1,6 +1,9 @@
 //! Flexible part of a link.
 
-use super::{At, Declared, Effect, Enters, Lead, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
+    PartDeflection,
+};
 use crate::parameter::{FREQUENCY, INERTIA, Parameter, Sign};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
@@ -18,7 +21,7 @@ pub struct FlexibleLink<R> {
 }
 
 impl<R: Real> Effect<R> for FlexibleLink<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "flexible-link",
         parameters: &[
             Parameter::new(
@@ -45,13 +48,13 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
         ],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             weight: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             inertia: values[0],
             rate: R::splat(TAU) * values[1],
@@ -61,9 +64,9 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
 
     /// -w (2 zeta dx + w x).
     #[inline(always)]
-    fn part_acceleration(&self, lead: &Lead<R>) -> R {
-        let damped = (self.damping + self.damping) * lead.rate;
-        -self.rate * self.rate.mul_add(lead.angle, damped)
+    fn part_acceleration(&self, deflection: &PartDeflection<R>) -> R {
+        let damped = (self.damping + self.damping) * deflection.rate;
+        -self.rate * self.rate.mul_add(deflection.angle, damped)
     }
 
     #[inline(always)]
@@ -71,15 +74,15 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
         self.inertia * acceleration
     }
 
-    fn energy(&self, at: &At<R>) -> R {
-        let strained = self.rate * at.lead.angle;
+    fn energy(&self, at: &JointState<R>) -> R {
+        let strained = self.rate * at.deflection.angle;
         let moving = at.part_velocity * at.part_velocity;
         R::splat(0.5) * self.inertia * (strained * strained + moving)
     }
 
     /// 2 J zeta w dx^2.
-    fn loss(&self, at: &At<R>) -> R {
+    fn loss(&self, at: &JointState<R>) -> R {
         let damping = (self.inertia + self.inertia) * self.damping * self.rate;
-        damping * at.lead.rate * at.lead.rate
+        damping * at.deflection.rate * at.deflection.rate
     }
 }

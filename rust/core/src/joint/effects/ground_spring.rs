@@ -1,6 +1,8 @@
 //! Spring between link and ground, such as a bundle of cables.
 
-use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
+};
 use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -14,7 +16,7 @@ pub struct GroundSpring<R> {
 }
 
 impl<R: Real> Effect<R> for GroundSpring<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "ground-spring",
         parameters: &[
             Parameter::new(
@@ -34,13 +36,13 @@ impl<R: Real> Effect<R> for GroundSpring<R> {
         ],
         sizes: 2,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             link: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             stiffness: values[0],
             preload: values[1],
@@ -52,7 +54,7 @@ impl<R: Real> Effect<R> for GroundSpring<R> {
         self.stiffness.mul_add(angle, self.preload)
     }
 
-    fn energy(&self, at: &At<R>) -> R {
+    fn energy(&self, at: &JointState<R>) -> R {
         (R::splat(0.5) * self.stiffness * at.link_angle + self.preload) * at.link_angle
     }
 }

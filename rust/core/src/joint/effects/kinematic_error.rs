@@ -1,6 +1,6 @@
 //! Kinematic error of a gear: its ratio varies with the angle of the wave generator.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{ANGLE, Parameter, Sign};
 use crate::scalar::Real;
 
@@ -27,7 +27,7 @@ impl<R: Real> KinematicError<R> {
 }
 
 impl<R: Real> Effect<R> for KinematicError<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "kinematic-error",
         parameters: &[
             Parameter::new(
@@ -54,14 +54,14 @@ impl<R: Real> Effect<R> for KinematicError<R> {
         ],
         sizes: 2,
         of_gear: true,
-        enters: Enters {
+        affects: AffectedTerms {
             gear: true,
             motor: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             cos: values[0],
             sin: values[1],
@@ -82,7 +82,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn the_error_has_its_slope(
+        fn error_slope_matches_differences(
             theta in -50.0..50.0f64, cos in -2e-4..2e-4f64, sin in -2e-4..2e-4f64, k in 1..=6u8
         ) {
             let order = f64::from(k);

@@ -1,6 +1,6 @@
 //! Coulomb friction that increases with the torque of the gear.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::Real;
 
@@ -14,7 +14,7 @@ pub struct LoadFriction<R> {
 }
 
 impl<R: Real> Effect<R> for LoadFriction<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "load-friction",
         parameters: &[Parameter::new(
             "load_friction",
@@ -25,13 +25,13 @@ impl<R: Real> Effect<R> for LoadFriction<R> {
         )],
         sizes: 1,
         of_gear: true,
-        enters: Enters {
+        affects: AffectedTerms {
             friction: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self { share: values[0] }
     }
 

@@ -44,11 +44,11 @@ use crate::parameter::Parameter;
 use crate::scalar::Real;
 
 /// Largest number of parameters of an effect.
-pub const MOST_OF_AN_EFFECT: usize = 4;
+pub const MAX_EFFECT_PARAMETERS: usize = 4;
 
 /// Terms of the equations that an effect changes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Enters {
+pub struct AffectedTerms {
     /// Limit of dry friction.
     pub friction: bool,
     /// Torque of the motor.
@@ -64,7 +64,7 @@ pub struct Enters {
 }
 
 /// No term.
-pub const NOWHERE: Enters = Enters {
+pub const NO_TERMS: AffectedTerms = AffectedTerms {
     friction: false,
     motor: false,
     gear: false,
@@ -75,7 +75,7 @@ pub const NOWHERE: Enters = Enters {
 
 /// Declaration of an effect.
 #[derive(Clone, Copy, Debug)]
-pub struct Declared {
+pub struct EffectDeclaration {
     /// Name in study files.
     pub name: &'static str,
     /// Parameters in the order of a flat list of values; the sizes come first.
@@ -85,12 +85,12 @@ pub struct Declared {
     /// Whether it requires an elastic gear.
     pub of_gear: bool,
     /// Terms that it changes.
-    pub enters: Enters,
+    pub affects: AffectedTerms,
 }
 
 /// A gear's torsion [rad] and its rate [rad/s].
 #[derive(Clone, Copy, Debug)]
-pub struct Twist<R> {
+pub struct Torsion<R> {
     /// delta.
     pub angle: R,
     /// ddelta.
@@ -99,7 +99,7 @@ pub struct Twist<R> {
 
 /// Lead [rad] of the flexible part over its link, and its rate [rad/s].
 #[derive(Clone, Copy, Debug)]
-pub struct Lead<R> {
+pub struct PartDeflection<R> {
     /// x.
     pub angle: R,
     /// dx.
@@ -117,7 +117,7 @@ pub struct BaseTorque<R> {
 
 /// State of a joint at one instant.
 #[derive(Clone, Copy, Debug)]
-pub struct At<R> {
+pub struct JointState<R> {
     /// theta_M [rad].
     pub motor_angle: R,
     /// dtheta_M [rad/s].
@@ -127,11 +127,11 @@ pub struct At<R> {
     /// Angle in space, or the joint's own angle if axes are not parallel [rad].
     pub angle_in_space: R,
     /// delta and its rate.
-    pub twist: Twist<R>,
+    pub torsion: Torsion<R>,
     /// Hysteresis state z of the gear.
     pub z: R,
     /// x and dx of the flexible part.
-    pub lead: Lead<R>,
+    pub deflection: PartDeflection<R>,
     /// Velocity of the flexible part in space [rad/s].
     pub part_velocity: R,
     /// s and ds of the spring under the base.
@@ -142,10 +142,10 @@ pub struct At<R> {
 /// integrator calls are `#[inline(always)]`.
 pub trait Effect<R: Real>: Copy + Send + Sync {
     /// Declaration.
-    const DECLARED: Declared;
+    const DECLARATION: EffectDeclaration;
 
     /// The effect with given values of its parameters.
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self;
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self;
 
     /// Friction limit beyond Coulomb's [N m] at a motor velocity [rad/s] and a gear torque at the
     /// motor [N m]; enters by `friction`.
@@ -186,7 +186,7 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
 
     /// Hysteresis state after a time [s] between two torsions.
     #[inline(always)]
-    fn after(&self, z: R, _from: &Twist<R>, _to: &Twist<R>, _time: R) -> R {
+    fn hysteresis_after(&self, z: R, _from: &Torsion<R>, _to: &Torsion<R>, _time: R) -> R {
         z
     }
 
@@ -200,7 +200,7 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     /// Rotation of the base [rad] at a torque of its spring [N m], or the rates of both; linear,
     /// enters by `gear`.
     #[inline(always)]
-    fn base_turn(&self, _torque: R) -> R {
+    fn base_rotation(&self, _torque: R) -> R {
         R::splat(0.0)
     }
 
@@ -220,7 +220,7 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
 
     /// Acceleration in space [rad/s^2] of the flexible part; enters by `weight`.
     #[inline(always)]
-    fn part_acceleration(&self, _lead: &Lead<R>) -> R {
+    fn part_acceleration(&self, _deflection: &PartDeflection<R>) -> R {
         R::splat(0.0)
     }
 
@@ -240,17 +240,17 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     /// Mean effective voltage [V] over a step of the integrator [s], and the state of the drive at
     /// its end [V], for a voltage [V] and a state at the beginning; enters by `drive`.
     #[inline(always)]
-    fn held(&self, voltage: R, memory: R, _time: f64) -> [R; 2] {
+    fn hold_voltage(&self, voltage: R, memory: R, _time: f64) -> [R; 2] {
         [voltage, memory]
     }
 
     /// Recoverable energy [J], without the gear's spring.
-    fn energy(&self, _at: &At<R>) -> R {
+    fn energy(&self, _at: &JointState<R>) -> R {
         R::splat(0.0)
     }
 
     /// Dissipated power [W], without dry friction.
-    fn loss(&self, _at: &At<R>) -> R {
+    fn loss(&self, _at: &JointState<R>) -> R {
         R::splat(0.0)
     }
 }
@@ -277,27 +277,27 @@ macro_rules! effects {
         }
 
         /// Declarations of the effects, in the order of flat lists.
-        pub const DECLARED: &[Declared] = &[$(<$effect<f64> as Effect<f64>>::DECLARED),*];
+        pub const DECLARATIONS: &[EffectDeclaration] = &[$(<$effect<f64> as Effect<f64>>::DECLARATION),*];
 
         impl EffectKinds {
             /// All effects.
             pub const ALL: Self = Self { $($field: true),* };
 
-            fn each(self) -> impl Iterator<Item = (bool, &'static Declared)> {
-                [$(self.$field),*].into_iter().zip(DECLARED)
+            fn each(self) -> impl Iterator<Item = (bool, &'static EffectDeclaration)> {
+                [$(self.$field),*].into_iter().zip(DECLARATIONS)
             }
 
             /// The selected effects of the drive.
             pub(crate) fn of_drive(self) -> Self {
                 Self {
-                    $($field: self.$field && <$effect<f64> as Effect<f64>>::DECLARED.enters.drive),*
+                    $($field: self.$field && <$effect<f64> as Effect<f64>>::DECLARATION.affects.drive),*
                 }
             }
 
             /// Selects the effect of a name; false if there is none.
             pub fn add(&mut self, name: &str) -> bool {
                 $(
-                    if name == <$effect<f64> as Effect<f64>>::DECLARED.name {
+                    if name == <$effect<f64> as Effect<f64>>::DECLARATION.name {
                         self.$field = true;
                         return true;
                     }
@@ -311,14 +311,14 @@ macro_rules! effects {
             pub const NONE: Self = Self { $($field: None),* };
 
             /// Effects of a selection; `take` gives their parameters in order.
-            pub(crate) fn of(kinds: EffectKinds, mut take: impl FnMut() -> R) -> Self {
+            pub(crate) fn of(kinds: EffectKinds, mut next_value: impl FnMut() -> R) -> Self {
                 let mut all = Self::NONE;
                 $(
                     if kinds.$field {
-                        let mut values = [R::splat(0.0); MOST_OF_AN_EFFECT];
-                        let count = <$effect<R> as Effect<R>>::DECLARED.parameters.len();
+                        let mut values = [R::splat(0.0); MAX_EFFECT_PARAMETERS];
+                        let count = <$effect<R> as Effect<R>>::DECLARATION.parameters.len();
                         for value in &mut values[..count] {
-                            *value = take();
+                            *value = next_value();
                         }
                         all.$field = Some($effect::of(&values));
                     }
@@ -331,10 +331,10 @@ macro_rules! effects {
             pub(crate) fn dry_friction(&self, velocity: R, load: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.friction
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.friction
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.dry_friction(velocity, load);
+                        sum = sum + effect.dry_friction(velocity, load);
                     }
                 )*
                 sum
@@ -345,10 +345,10 @@ macro_rules! effects {
             pub(crate) fn motor_torque(&self, angle: R, velocity: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.motor
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.motor
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.motor_torque(angle, velocity);
+                        sum = sum + effect.motor_torque(angle, velocity);
                     }
                 )*
                 sum
@@ -359,11 +359,11 @@ macro_rules! effects {
             pub(crate) fn error(&self, motor_angle: R) -> [R; 2] {
                 let mut sum = [R::splat(0.0); 2];
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        let [off, slope] = own.error(motor_angle);
-                        sum = [sum[0] + off, sum[1] + slope];
+                        let [error, slope] = effect.error(motor_angle);
+                        sum = [sum[0] + error, sum[1] + slope];
                     }
                 )*
                 sum
@@ -374,10 +374,10 @@ macro_rules! effects {
             pub(crate) fn strain(&self, torsion: R) -> R {
                 let mut strain = torsion;
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        strain = own.strain(strain);
+                        strain = effect.strain(strain);
                     }
                 )*
                 strain
@@ -387,8 +387,8 @@ macro_rules! effects {
             pub(crate) fn torsion(&self, strain: R) -> R {
                 let mut torsion = strain;
                 $(
-                    if let Some(own) = &self.$field {
-                        torsion = own.torsion(torsion);
+                    if let Some(effect) = &self.$field {
+                        torsion = effect.torsion(torsion);
                     }
                 )*
                 torsion
@@ -399,27 +399,27 @@ macro_rules! effects {
             pub(crate) fn gear_torque(&self, z: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.gear_torque(z);
+                        sum = sum + effect.gear_torque(z);
                     }
                 )*
                 sum
             }
 
-            /// [`Effect::after`].
+            /// [`Effect::hysteresis_after`].
             #[inline(always)]
-            pub(crate) fn after(&self, z: R, from: &Twist<R>, to: &Twist<R>, time: R) -> R {
-                let mut after = z;
+            pub(crate) fn hysteresis_after(&self, z: R, from: &Torsion<R>, to: &Torsion<R>, time: R) -> R {
+                let mut state = z;
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        after = own.after(after, from, to, time);
+                        state = effect.hysteresis_after(state, from, to, time);
                     }
                 )*
-                after
+                state
             }
 
             /// Sum of [`Effect::base_acceleration`].
@@ -427,24 +427,24 @@ macro_rules! effects {
             pub(crate) fn base_acceleration(&self, base: &BaseTorque<R>, gear: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.base_acceleration(base, gear);
+                        sum = sum + effect.base_acceleration(base, gear);
                     }
                 )*
                 sum
             }
 
-            /// Sum of [`Effect::base_turn`].
+            /// Sum of [`Effect::base_rotation`].
             #[inline(always)]
-            pub(crate) fn base_turn(&self, torque: R) -> R {
+            pub(crate) fn base_rotation(&self, torque: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.gear
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.base_turn(torque);
+                        sum = sum + effect.base_rotation(torque);
                     }
                 )*
                 sum
@@ -455,10 +455,10 @@ macro_rules! effects {
             pub(crate) fn load(&self, angle: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.link
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.link
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.load(angle);
+                        sum = sum + effect.load(angle);
                     }
                 )*
                 sum
@@ -469,10 +469,10 @@ macro_rules! effects {
             pub(crate) fn weight(&self, angle: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.weight(angle);
+                        sum = sum + effect.weight(angle);
                     }
                 )*
                 sum
@@ -480,13 +480,13 @@ macro_rules! effects {
 
             /// Sum of [`Effect::part_acceleration`].
             #[inline(always)]
-            pub(crate) fn part_acceleration(&self, lead: &Lead<R>) -> R {
+            pub(crate) fn part_acceleration(&self, deflection: &PartDeflection<R>) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.part_acceleration(lead);
+                        sum = sum + effect.part_acceleration(deflection);
                     }
                 )*
                 sum
@@ -497,10 +497,10 @@ macro_rules! effects {
             pub(crate) fn part_load(&self, acceleration: R) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.weight
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
+                        && let Some(effect) = &self.$field
                     {
-                        sum = sum + own.part_load(acceleration);
+                        sum = sum + effect.part_load(acceleration);
                     }
                 )*
                 sum
@@ -509,48 +509,48 @@ macro_rules! effects {
             /// Composition of [`Effect::drive`].
             #[inline(always)]
             pub(crate) fn drive(&self, voltage: R) -> R {
-                let mut driven = voltage;
+                let mut effective = voltage;
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.drive
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.drive
+                        && let Some(effect) = &self.$field
                     {
-                        driven = own.drive(driven);
+                        effective = effect.drive(effective);
                     }
                 )*
-                driven
+                effective
             }
 
-            /// [`Effect::held`].
+            /// [`Effect::hold_voltage`].
             #[inline(always)]
-            pub(crate) fn held(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
-                let mut held = [voltage, memory];
+            pub(crate) fn hold_voltage(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
+                let mut response = [voltage, memory];
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARED.enters.drive
-                        && let Some(own) = &self.$field
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.drive
+                        && let Some(effect) = &self.$field
                     {
-                        held = own.held(held[0], held[1], time);
+                        response = effect.hold_voltage(response[0], response[1], time);
                     }
                 )*
-                held
+                response
             }
 
             /// Sum of [`Effect::energy`].
-            pub(crate) fn energy(&self, at: &At<R>) -> R {
+            pub(crate) fn energy(&self, at: &JointState<R>) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if let Some(own) = &self.$field {
-                        sum = sum + own.energy(at);
+                    if let Some(effect) = &self.$field {
+                        sum = sum + effect.energy(at);
                     }
                 )*
                 sum
             }
 
             /// Sum of [`Effect::loss`].
-            pub(crate) fn loss(&self, at: &At<R>) -> R {
+            pub(crate) fn loss(&self, at: &JointState<R>) -> R {
                 let mut sum = R::splat(0.0);
                 $(
-                    if let Some(own) = &self.$field {
-                        sum = sum + own.loss(at);
+                    if let Some(effect) = &self.$field {
+                        sum = sum + effect.loss(at);
                     }
                 )*
                 sum
@@ -595,24 +595,24 @@ pub(crate) struct Size {
     /// Index among the sizes of all effects.
     pub(crate) index: usize,
     /// Terms that the effect changes.
-    pub(crate) enters: Enters,
+    pub(crate) affects: AffectedTerms,
 }
 
 /// Number of sizes of all effects.
-pub(crate) const SIZES: usize = {
+pub(crate) const EFFECT_SIZE_COUNT: usize = {
     let (mut sum, mut k) = (0, 0);
-    while k < DECLARED.len() {
-        sum += DECLARED[k].sizes;
+    while k < DECLARATIONS.len() {
+        sum += DECLARATIONS[k].sizes;
         k += 1;
     }
     sum
 };
 
 /// Number of parameters of all effects.
-pub(crate) const MOST_OF_EFFECTS: usize = {
+pub(crate) const EFFECT_PARAMETER_COUNT: usize = {
     let (mut sum, mut k) = (0, 0);
-    while k < DECLARED.len() {
-        sum += DECLARED[k].parameters.len();
+    while k < DECLARATIONS.len() {
+        sum += DECLARATIONS[k].parameters.len();
         k += 1;
     }
     sum
@@ -626,28 +626,30 @@ impl EffectKinds {
 
     /// Name of the first selected effect that requires an elastic gear.
     pub fn of_gear(self) -> Option<&'static str> {
-        let own = self.each().find(|(has, declared)| *has && declared.of_gear);
-        own.map(|(_, declared)| declared.name)
+        let effect = self
+            .each()
+            .find(|(has, declaration)| *has && declaration.of_gear);
+        effect.map(|(_, declaration)| declaration.name)
     }
 
     /// Parameters of the selected effects.
     pub(crate) fn parameters(self) -> Vec<EffectParameter> {
         let (mut all, mut index) = (Vec::new(), 0);
-        for (has, declared) in self.each() {
-            for (place, &parameter) in declared.parameters.iter().enumerate() {
-                let size = (place < declared.sizes).then_some(Size {
+        for (has, declaration) in self.each() {
+            for (place, &parameter) in declaration.parameters.iter().enumerate() {
+                let size = (place < declaration.sizes).then_some(Size {
                     index: index + place,
-                    enters: declared.enters,
+                    affects: declaration.affects,
                 });
                 if has {
                     all.push(EffectParameter {
                         parameter,
                         size,
-                        of_drive: declared.enters.drive,
+                        of_drive: declaration.affects.drive,
                     });
                 }
             }
-            index += declared.sizes;
+            index += declaration.sizes;
         }
         all
     }

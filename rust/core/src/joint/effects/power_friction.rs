@@ -1,6 +1,8 @@
 //! Friction that increases with a power of the velocity, such as that of grease.
 
-use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
+};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -15,22 +17,24 @@ pub struct PowerFriction<R> {
 }
 
 /// Velocity [rad/s] at which the friction is about f_P.
-const REFERENCE: f64 = 100.0;
+const REFERENCE_VELOCITY: f64 = 100.0;
 /// Offset of the relative velocity, which keeps the slope at rest finite.
-const SOFT: f64 = 0.01;
+const RELATIVE_VELOCITY_OFFSET: f64 = 0.01;
 
 impl<R: Real> PowerFriction<R> {
     /// The torque against a velocity [rad/s].
     #[inline(always)]
     fn at(&self, velocity: R) -> R {
-        let speed = velocity.abs() * R::splat(1.0 / REFERENCE) + R::splat(SOFT);
+        let speed = velocity.abs() * R::splat(1.0 / REFERENCE_VELOCITY)
+            + R::splat(RELATIVE_VELOCITY_OFFSET);
         let power = |base: R| (self.exponent * base.ln()).exp();
-        (self.friction * (power(speed) - power(R::splat(SOFT)))).copysign(velocity)
+        (self.friction * (power(speed) - power(R::splat(RELATIVE_VELOCITY_OFFSET))))
+            .copysign(velocity)
     }
 }
 
 impl<R: Real> Effect<R> for PowerFriction<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "power-friction",
         parameters: &[
             Parameter::new(
@@ -50,13 +54,13 @@ impl<R: Real> Effect<R> for PowerFriction<R> {
         ],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             motor: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             friction: values[0],
             exponent: values[1],
@@ -68,7 +72,7 @@ impl<R: Real> Effect<R> for PowerFriction<R> {
         -self.at(velocity)
     }
 
-    fn loss(&self, at: &At<R>) -> R {
+    fn loss(&self, at: &JointState<R>) -> R {
         self.at(at.motor_velocity) * at.motor_velocity
     }
 }

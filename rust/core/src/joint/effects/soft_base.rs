@@ -1,6 +1,9 @@
 //! Compliant base of a joint.
 
-use super::{At, BaseTorque, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, BaseTorque, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS,
+    NO_TERMS,
+};
 use crate::parameter::{COMPLIANCE, FREQUENCY, Parameter, Sign};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
@@ -19,7 +22,7 @@ pub struct SoftBase<R> {
 }
 
 impl<R: Real> Effect<R> for SoftBase<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "soft-base",
         parameters: &[
             Parameter::new(
@@ -46,13 +49,13 @@ impl<R: Real> Effect<R> for SoftBase<R> {
         ],
         sizes: 1,
         of_gear: true,
-        enters: Enters {
+        affects: AffectedTerms {
             gear: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             compliance: values[0],
             rate: R::splat(TAU) * values[1],
@@ -68,19 +71,19 @@ impl<R: Real> Effect<R> for SoftBase<R> {
     }
 
     #[inline(always)]
-    fn base_turn(&self, torque: R) -> R {
+    fn base_rotation(&self, torque: R) -> R {
         self.compliance * torque
     }
 
     /// c (s^2 + (ds / w)^2) / 2: the inertia is 1 / (c w^2).
-    fn energy(&self, at: &At<R>) -> R {
+    fn energy(&self, at: &JointState<R>) -> R {
         let moving = at.base.rate / self.rate;
         let both = at.base.torque * at.base.torque + moving * moving;
         R::splat(0.5) * self.compliance * both
     }
 
     /// 2 c zeta ds^2 / w.
-    fn loss(&self, at: &At<R>) -> R {
+    fn loss(&self, at: &JointState<R>) -> R {
         let damping = (self.compliance + self.compliance) * self.damping / self.rate;
         damping * at.base.rate * at.base.rate
     }

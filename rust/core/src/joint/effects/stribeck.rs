@@ -1,6 +1,6 @@
 //! Stribeck friction.
 
-use super::{Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
 use crate::parameter::{Parameter, Sign, TORQUE, VELOCITY};
 use crate::scalar::Real;
 
@@ -23,7 +23,7 @@ impl<R: Real> Stribeck<R> {
 }
 
 impl<R: Real> Effect<R> for Stribeck<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "stribeck",
         parameters: &[
             Parameter::new(
@@ -43,13 +43,13 @@ impl<R: Real> Effect<R> for Stribeck<R> {
         ],
         sizes: 1,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             friction: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             friction: values[0],
             velocity: values[1],
@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_is_all_there_at_rest_and_gone_at_speed() {
+    fn friction_decays_from_rest_to_high_velocity() {
         let law = Stribeck {
             friction: 0.02,
             velocity: 3.0,

@@ -1,6 +1,8 @@
 //! Gravity that the arm's model does not include.
 
-use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
+};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -15,7 +17,7 @@ pub struct Tilt<R> {
 }
 
 impl<R: Real> Effect<R> for Tilt<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "tilt",
         parameters: &[
             Parameter::new(
@@ -35,13 +37,13 @@ impl<R: Real> Effect<R> for Tilt<R> {
         ],
         sizes: 2,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             weight: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             sin: values[0],
             cos: values[1],
@@ -54,7 +56,7 @@ impl<R: Real> Effect<R> for Tilt<R> {
         self.sin.mul_add(sin, self.cos * cos)
     }
 
-    fn energy(&self, at: &At<R>) -> R {
+    fn energy(&self, at: &JointState<R>) -> R {
         let (sin, cos) = at.angle_in_space.sin_cos();
         self.cos * sin - self.sin * cos
     }

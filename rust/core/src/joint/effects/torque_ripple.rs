@@ -1,6 +1,8 @@
 //! Torque ripple of a motor.
 
-use super::{At, Declared, Effect, Enters, MOST_OF_AN_EFFECT, NOWHERE};
+use super::{
+    AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
+};
 use crate::parameter::{Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -16,7 +18,7 @@ pub struct TorqueRipple<R> {
 }
 
 impl<R: Real> Effect<R> for TorqueRipple<R> {
-    const DECLARED: Declared = Declared {
+    const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "torque-ripple",
         parameters: &[
             Parameter::new(
@@ -43,13 +45,13 @@ impl<R: Real> Effect<R> for TorqueRipple<R> {
         ],
         sizes: 2,
         of_gear: false,
-        enters: Enters {
+        affects: AffectedTerms {
             motor: true,
-            ..NOWHERE
+            ..NO_TERMS
         },
     };
 
-    fn of(values: &[R; MOST_OF_AN_EFFECT]) -> Self {
+    fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self {
         Self {
             cos: values[0],
             sin: values[1],
@@ -63,7 +65,7 @@ impl<R: Real> Effect<R> for TorqueRipple<R> {
         self.cos.mul_add(cos, self.sin * sin)
     }
 
-    fn energy(&self, at: &At<R>) -> R {
+    fn energy(&self, at: &JointState<R>) -> R {
         let (sin, cos) = (self.order * at.motor_angle).sin_cos();
         (self.sin * cos - self.cos * sin) / self.order
     }

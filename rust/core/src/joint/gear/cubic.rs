@@ -1,6 +1,6 @@
 //! A stiffness that increases with the square of the torsion: T = k_G delta + k_3 delta^3.
 
-use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use super::{GearLaw, Law, MAX_LAW_PARAMETERS, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign};
 use crate::scalar::Real;
 
@@ -40,7 +40,7 @@ impl GearLaw for Cubic {
     };
     type Spring<R: Real> = CubicSpring<R>;
 
-    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], _: f64) -> CubicSpring<R> {
+    fn spring<R: Real>(values: &[R; MAX_LAW_PARAMETERS], _: f64) -> CubicSpring<R> {
         CubicSpring {
             stiffness: values[0],
             cubic: values[1],
@@ -75,8 +75,8 @@ impl<R: Real> Spring<R> for CubicSpring<R> {
     fn shared(&self) {}
 
     #[inline(always)]
-    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
-        let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MAX_LAW_PARAMETERS] {
+        let mut by = [R::splat(0.0); MAX_LAW_PARAMETERS];
         by[0] = delta;
         by[1] = delta * delta * delta;
         by

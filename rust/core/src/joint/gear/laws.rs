@@ -2,7 +2,7 @@
 
 use super::three_slope::PerSlope;
 use super::{
-    Cubic, GearLaw, Gears, Law, Linear, MOST_OF_A_LAW, Spring, ThreeSlope, ThreeSlopeSpring,
+    Cubic, GearLaw, Gears, Law, Linear, MAX_LAW_PARAMETERS, Spring, ThreeSlope, ThreeSlopeSpring,
 };
 use crate::scalar::Real;
 
@@ -27,7 +27,11 @@ impl Gears for Slopes {
     }
 
     #[inline(always)]
-    fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> SlopesSpring<R> {
+    fn spring<R: Real>(
+        law: &Law,
+        values: &[R; MAX_LAW_PARAMETERS],
+        corner: f64,
+    ) -> SlopesSpring<R> {
         let linear = *law != ThreeSlope::LAW;
         let mut values = *values;
         if linear {
@@ -67,9 +71,9 @@ impl<R: Real> Spring<R> for SlopesSpring<R> {
     }
 
     #[inline(always)]
-    fn by_parameters(&self, delta: R, shared: &PerSlope<R>) -> [R; MOST_OF_A_LAW] {
+    fn by_parameters(&self, delta: R, shared: &PerSlope<R>) -> [R; MAX_LAW_PARAMETERS] {
         if self.linear {
-            let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+            let mut by = [R::splat(0.0); MAX_LAW_PARAMETERS];
             by[0] = delta;
             by
         } else {
@@ -91,7 +95,7 @@ impl<L: GearLaw> Gears for Only<L> {
     }
 
     #[inline(always)]
-    fn spring<R: Real>(_: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> L::Spring<R> {
+    fn spring<R: Real>(_: &Law, values: &[R; MAX_LAW_PARAMETERS], corner: f64) -> L::Spring<R> {
         L::spring(values, corner)
     }
 }
@@ -127,7 +131,7 @@ macro_rules! laws {
             #[inline(always)]
             fn spring<R: Real>(
                 law: &Law,
-                values: &[R; MOST_OF_A_LAW],
+                values: &[R; MAX_LAW_PARAMETERS],
                 corner: f64,
             ) -> AnySpring<R> {
                 $(
@@ -135,7 +139,7 @@ macro_rules! laws {
                         return AnySpring::$law($law::spring(values, corner));
                     }
                 )*
-                AnySpring::Linear(Linear::spring(&[R::splat(1.0); MOST_OF_A_LAW], corner))
+                AnySpring::Linear(Linear::spring(&[R::splat(1.0); MAX_LAW_PARAMETERS], corner))
             }
         }
 
@@ -176,7 +180,7 @@ impl<R: Real> Spring<R> for AnySpring<R> {
     fn shared(&self) {}
 
     #[inline(always)]
-    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MAX_LAW_PARAMETERS] {
         of_law!(self, spring => spring.by_parameters(delta, &spring.shared()))
     }
 }

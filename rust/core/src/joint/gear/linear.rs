@@ -1,6 +1,6 @@
 //! One stiffness: T = k_G delta.
 
-use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use super::{GearLaw, Law, MAX_LAW_PARAMETERS, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign};
 use crate::scalar::Real;
 
@@ -29,7 +29,7 @@ impl GearLaw for Linear {
     };
     type Spring<R: Real> = LinearSpring<R>;
 
-    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], _: f64) -> LinearSpring<R> {
+    fn spring<R: Real>(values: &[R; MAX_LAW_PARAMETERS], _: f64) -> LinearSpring<R> {
         LinearSpring {
             stiffness: values[0],
         }
@@ -61,8 +61,8 @@ impl<R: Real> Spring<R> for LinearSpring<R> {
     fn shared(&self) {}
 
     #[inline(always)]
-    fn by_parameters(&self, delta: R, (): &()) -> [R; MOST_OF_A_LAW] {
-        let mut by = [R::splat(0.0); MOST_OF_A_LAW];
+    fn by_parameters(&self, delta: R, (): &()) -> [R; MAX_LAW_PARAMETERS] {
+        let mut by = [R::splat(0.0); MAX_LAW_PARAMETERS];
         by[0] = delta;
         by
     }

@@ -17,7 +17,7 @@ use crate::parameter::Parameter;
 use crate::scalar::Real;
 
 /// Largest number of parameters of a law.
-pub const MOST_OF_A_LAW: usize = 7;
+pub const MAX_LAW_PARAMETERS: usize = 7;
 
 /// Declaration of a law.
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +66,7 @@ pub trait GearLaw: Copy + Send + Sync + 'static {
     type Spring<R: Real>: Spring<R>;
     /// A gear with values of the law's parameters; `corner` [rad] is the half width of rounded
     /// knees.
-    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], corner: f64) -> Self::Spring<R>;
+    fn spring<R: Real>(values: &[R; MAX_LAW_PARAMETERS], corner: f64) -> Self::Spring<R>;
 }
 
 /// Elastic torque T(delta) of a gear, odd in the torsion delta and increasing. All methods that a
@@ -86,7 +86,7 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
     /// See [`Spring::Shared`].
     fn shared(&self) -> Self::Shared;
     /// dT/dp for each of the law's parameters p in order, followed by zeros.
-    fn by_parameters(&self, delta: R, shared: &Self::Shared) -> [R; MOST_OF_A_LAW];
+    fn by_parameters(&self, delta: R, shared: &Self::Shared) -> [R; MAX_LAW_PARAMETERS];
 
     /// Torsion [rad] at a torque [N m]: the inverse of [`Spring::torque`].
     ///
@@ -95,10 +95,10 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
     /// flat slope.
     fn torsion(&self, torque: R) -> R {
         const { assert!(R::LANES == 1) };
-        let wanted = torque.abs();
-        let (mut low, mut high) = (R::splat(0.0), wanted / self.least_stiffness(wanted));
+        let target = torque.abs();
+        let (mut low, mut high) = (R::splat(0.0), target / self.least_stiffness(target));
         let mut torsion = high;
-        let mut excess = self.torque(torsion) - wanted;
+        let mut excess = self.torque(torsion) - target;
         for _ in 0..200 {
             if excess.any_negative() {
                 low = torsion;
@@ -109,15 +109,15 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
             if (next - torsion).lane(0).abs() <= 1e-15 * next.lane(0) {
                 break;
             }
-            let mut left = self.torque(next) - wanted;
+            let mut next_excess = self.torque(next) - target;
             let outside = (next - low).any_negative() || (high - next).any_negative();
-            if outside || left.lane(0).abs() > 0.5 * excess.lane(0).abs() {
+            if outside || next_excess.lane(0).abs() > 0.5 * excess.lane(0).abs() {
                 next = R::splat(0.5) * (low + high);
-                left = self.torque(next) - wanted;
+                next_excess = self.torque(next) - target;
             }
-            (torsion, excess) = (next, left);
+            (torsion, excess) = (next, next_excess);
         }
-        let torsion = R::root(torsion.lane(0), |torsion| self.torque(torsion) - wanted);
+        let torsion = R::root(torsion.lane(0), |torsion| self.torque(torsion) - target);
         torsion.copysign(torque)
     }
 }
@@ -134,5 +134,6 @@ pub trait Gears: Copy + Send + Sync + 'static {
     /// Whether the set includes a law.
     fn have(law: &Law) -> bool;
     /// A gear of a law with values of its parameters; any gear for a rigid one.
-    fn spring<R: Real>(law: &Law, values: &[R; MOST_OF_A_LAW], corner: f64) -> Self::Spring<R>;
+    fn spring<R: Real>(law: &Law, values: &[R; MAX_LAW_PARAMETERS], corner: f64)
+    -> Self::Spring<R>;
 }

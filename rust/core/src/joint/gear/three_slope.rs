@@ -1,6 +1,6 @@
 //! Three stiffnesses and two knees, as in catalogues of strain-wave gears.
 
-use super::{GearLaw, Law, MOST_OF_A_LAW, Spring};
+use super::{GearLaw, Law, MAX_LAW_PARAMETERS, Spring};
 use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -87,7 +87,7 @@ impl GearLaw for ThreeSlope {
     type Spring<R: Real> = ThreeSlopeSpring<R>;
 
     #[inline(always)]
-    fn spring<R: Real>(values: &[R; MOST_OF_A_LAW], corner: f64) -> ThreeSlopeSpring<R> {
+    fn spring<R: Real>(values: &[R; MAX_LAW_PARAMETERS], corner: f64) -> ThreeSlopeSpring<R> {
         let slopes = [values[0], values[1], values[2]];
         let knee_torques = [values[3], values[4]];
         let first = knee_torques[0] / slopes[0];
@@ -143,7 +143,7 @@ impl<R: Real> Spring<R> for ThreeSlopeSpring<R> {
     }
 
     #[inline(always)]
-    fn by_parameters(&self, delta: R, per: &PerSlope<R>) -> [R; MOST_OF_A_LAW] {
+    fn by_parameters(&self, delta: R, per: &PerSlope<R>) -> [R; MAX_LAW_PARAMETERS] {
         let zero = R::splat(0.0);
         let one = R::splat(1.0).copysign(delta);
         let torsion = delta.abs();
@@ -241,7 +241,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn follows_the_sharp_law_but_for_its_corners(
+        fn differs_from_sharp_law_only_at_corners(
             k1 in 1e3..3e4, ratio2 in 0.7..2.0, ratio3 in 0.7..2.0,
             t1 in 1.0..20.0, more in 1.0..30.0, delta in -5e-3..5e-3,
         ) {
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn the_torsion_is_found_where_the_bare_iteration_goes_round() {
+    fn torsion_converges_where_newton_cycles() {
         let spring = three_slope([1e3, 8.1e3, 0.81e3], [10.5, 32.9]);
         let torsion: f64 = spring.torsion(23.2);
         assert!((spring.torque(torsion) - 23.2).abs() < 1e-12);
