@@ -132,7 +132,7 @@ macro_rules! chains {
         ) -> Result<Box<dyn CompiledArm>, ArmError> {
             match joints.len() {
                 $($joints => {
-                    let joints = joints.try_into().expect("as many as were counted");
+                    let joints = joints.try_into().expect("the number of joints is checked");
                     let arm = SerialChain::<$joints>::new(joints, gravity);
                     with_drives(arm.map_err(ArmError::Axis)?, drives, width)
                 })*

@@ -264,7 +264,10 @@ pub fn compiled<A: Arm<N>, const N: usize>(
     programs: Programs<A, N>,
     width: Width,
 ) -> Box<dyn CompiledArm> {
-    assert!(width <= Width::detect(), "this processor has no {width:?}");
+    assert!(
+        width <= Width::detect(),
+        "this processor does not support {width:?}"
+    );
     Box::new(Compiled {
         config,
         programs,

@@ -72,7 +72,10 @@ impl Width {
     };
 
     fn require(self) {
-        assert!(self <= Self::detect(), "this processor has no {self:?}");
+        assert!(
+            self <= Self::detect(),
+            "this processor does not support {self:?}"
+        );
     }
 }
 

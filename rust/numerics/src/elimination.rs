@@ -355,10 +355,10 @@ impl RemainingRows<'_> {
                     middle.add(i - from, j - from, -taken);
                 }
             }
-            let own = &mut right[(i - from) * sides..][..sides];
+            let side = &mut right[(i - from) * sides..][..sides];
             for k in begin..low {
                 let solved = &before.solved[k * sides..][..sides];
-                add_scaled::<FUSED>(own, -before.factor.at(i, k), solved);
+                add_scaled::<FUSED>(side, -before.factor.at(i, k), solved);
             }
             // unknowns after the block are numbered from the end
             let reversed = n - 1 - i;
@@ -375,7 +375,7 @@ impl RemainingRows<'_> {
             }
             for k in begin..high {
                 let solved = &after.solved[k * sides..][..sides];
-                add_scaled::<FUSED>(own, -after.factor.at(reversed, k), solved);
+                add_scaled::<FUSED>(side, -after.factor.at(reversed, k), solved);
             }
         }
         decompose::<FUSED>(&mut middle, &first)?;
@@ -517,8 +517,8 @@ fn decompose<const FUSED: bool>(matrix: &mut Band, first: &[usize]) -> Option<()
             let entry = (matrix.at(i, j) - shared) / matrix.at(j, j);
             matrix.set(i, j, entry);
         }
-        let own = matrix.row(i, first[i], i);
-        let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(own, own);
+        let entries = matrix.row(i, first[i], i);
+        let pivot = 1.0 + matrix.at(i, i) - dot::<FUSED>(entries, entries);
         if !(pivot > 0.0 && pivot.is_finite()) {
             return None;
         }
@@ -600,8 +600,8 @@ fn inverse_within<const FUSED: bool>(factor: &Band, first: &[usize]) -> Band {
             }
             k += four.len();
         }
-        let own = 1.0 / (pivot * pivot) + dot::<FUSED>(&weights, &row);
-        inverse.set(i, i, own);
+        let diagonal = 1.0 / (pivot * pivot) + dot::<FUSED>(&weights, &row);
+        inverse.set(i, i, diagonal);
         inverse.row_mut(i, i + 1, stop).copy_from_slice(&row);
         for (k, &entry) in (i + 1..stop).zip(&row) {
             inverse.set(k, i, entry);

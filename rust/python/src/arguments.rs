@@ -104,7 +104,7 @@ pub fn check_clock(clock: &Clock) -> PyResult<()> {
 }
 
 fn gear_law(name: &str) -> PyResult<Law> {
-    gear::law(name).ok_or_else(|| PyValueError::new_err(format!("no gear spring {name:?}")))
+    gear::law(name).ok_or_else(|| PyValueError::new_err(format!("unknown gear spring {name:?}")))
 }
 
 fn effect_kinds(names: &[String], gear: Law) -> PyResult<EffectKinds> {

@@ -26,7 +26,7 @@ type ServoArguments = (Vec<f64>, Vec<f64>, f64, Vec<bool>, Option<Vec<f64>>);
 type Direction = (String, Option<usize>);
 /// Message for taps of a wrong shape.
 const TAPS: &str =
-    "expected taps for each quantity recorded, all as many, and a multiple of samples_per_row";
+    "expected taps for each quantity recorded, of equal length, a multiple of samples_per_row";
 
 /// An arm with its known constants; see _core.pyi.
 #[pyclass(frozen, module = "strainwave._core")]
@@ -96,7 +96,7 @@ impl Arm {
                 };
                 with_drives(arm, &drives, width)
             }
-            _ => return Err(PyValueError::new_err(format!("no arm of kind {kind:?}"))),
+            _ => return Err(PyValueError::new_err(format!("unknown arm kind {kind:?}"))),
         };
         Ok(Self(arm.map_err(value_error)?))
     }
@@ -434,7 +434,7 @@ impl Arm {
                     Ok(state(joint - 1))
                 }
                 _ => Err(PyValueError::new_err(format!(
-                    "this arm has no {name:?} of joint {joint:?} to differentiate by"
+                    "unknown direction {name:?} of joint {joint:?}"
                 ))),
             }
         };

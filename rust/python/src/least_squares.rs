@@ -66,7 +66,7 @@ fn leave_out<'py>(
     let (rows, sides) = checked_right(&first, &right)?;
     if !stops.is_sorted() || stops.last().is_some_and(|last| *last > rows) {
         return Err(PyValueError::new_err(format!(
-            "expected rising stops within {rows} rows, got {stops:?}"
+            "expected increasing stops within {rows} rows, got {stops:?}"
         )));
     }
     let right = right.as_slice().map_err(|_| not_contiguous("right"))?;

@@ -36,7 +36,8 @@ fn row((owner, parameter): OwnedParameter) -> Row {
 /// All parameters of the core, once per owner; see _core.pyi.
 #[pyfunction]
 fn parameter_table() -> Vec<Row> {
-    let of = |owner, own: &'static [Parameter]| own.iter().map(move |&one| (owner, one));
+    let of =
+        |owner, parameters: &'static [Parameter]| parameters.iter().map(move |&one| (owner, one));
     of("planar-two-link", TwoLink::<true>::PARAMETERS)
         .chain(of("single-joint", OneLink::PARAMETERS))
         .chain(of("serial", SerialChain::<1>::PARAMETERS))

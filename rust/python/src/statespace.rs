@@ -182,10 +182,10 @@ impl Innovations {
         match ended {
             Ok(fit) => Ok(InnovationsFit { fit }),
             Err(InvalidStart::Unstable) => Err(PyValueError::new_err(
-                "expected a stable predictor, got an unstable one",
+                "expected a starting model with a stable predictor",
             )),
             Err(InvalidStart::NotFinite) => Err(PyValueError::new_err(
-                "expected finite innovations at the start",
+                "expected finite innovations of the starting model",
             )),
         }
     }

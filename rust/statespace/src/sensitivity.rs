@@ -276,9 +276,9 @@ impl<'a> Filters<'a> {
             inputs: m,
             outputs: p,
         } = self.model.shape;
-        let own = n * (n + m + p);
+        let offset = n * (n + m + p);
         let rows = self.s.chunks_exact_mut(self.row.lanes);
-        for value in rows.flat_map(|row| &mut row[own..own + n]) {
+        for value in rows.flat_map(|row| &mut row[offset..offset + n]) {
             if value.abs() < MIN_RELATIVE_STATE {
                 *value = 0.0;
             }

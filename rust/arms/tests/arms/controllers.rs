@@ -104,14 +104,14 @@ fn at_rest<const N: usize>() -> Initial<N> {
 fn loops_reach_their_reference() {
     let samples = 4000;
     let reference = vec![[20.0]; samples];
-    let still = vec![[0.0]; samples];
+    let zeros = vec![[0.0]; samples];
     let parameters = [0.5, 0.0, 1e-4, 3e-4, 0.0, 0.0, 0.0];
     let mut lags = Vec::new();
     for servo in servos::<1>() {
         let task = experiment(servo, samples);
         let member = Member {
             parameters: &parameters,
-            feed_forward: &still,
+            feed_forward: &zeros,
             reference: &reference,
             initial: at_rest(),
         };
@@ -143,10 +143,10 @@ fn derivatives_match_differences_in_closed_loop() {
         let reference: Vec<[f64; 2]> = (0..samples)
             .map(|k| [0.02, 0.05].map(|w| 15.0 * (w * k as f64).sin()))
             .collect();
-        let still = vec![[0.0; 2]; samples];
+        let zeros = vec![[0.0; 2]; samples];
         let member = Member {
             parameters: &parameters,
-            feed_forward: &still,
+            feed_forward: &zeros,
             reference: &reference,
             initial: Initial {
                 voltage: [1.0, 0.5],
@@ -200,10 +200,10 @@ fn by_differences(task: &Task<TwoLink<true>, 2>, member: &Member<'_, 2>, tangent
         for (k, (up, down)) in zip(&up[quantity], &down[quantity]).enumerate() {
             for i in 0..2 {
                 let slope = (up[i] - down[i]) / (2.0 * size);
-                let own = tangents[quantity][(2 * k + i) * 6 + 2];
+                let derivative = tangents[quantity][(2 * k + i) * 6 + 2];
                 assert!(
-                    (slope - own).abs() <= 1e-3 * largest,
-                    "{k} {i}: {slope} {own}"
+                    (slope - derivative).abs() <= 1e-3 * largest,
+                    "{k} {i}: {slope} {derivative}"
                 );
             }
         }

@@ -390,8 +390,8 @@ fn effect_parameter_derivatives_match_differences() {
             initial: at_rest([3.0, -5.0]),
         };
         let names = config.parameter_names();
-        let own = effect.parameters.iter().map(|parameter| parameter.name);
-        for name in own {
+        let names_of_effect = effect.parameters.iter().map(|parameter| parameter.name);
+        for name in names_of_effect {
             let k = names.iter().position(|known| *known == (name, Some(1)));
             let k = k.expect("the joint has it");
             let width = Width::detect();
@@ -412,11 +412,11 @@ fn effect_parameter_derivatives_match_differences() {
                 .iter()
                 .fold(0.0f64, |largest, one| largest.max(one.abs()));
             assert!(largest * parameters[k].abs() > 1e-6, "{name} does nothing");
-            for (own, (up, down)) in actual.iter().zip(up.iter().zip(&down)) {
+            for (derivative, (up, down)) in actual.iter().zip(up.iter().zip(&down)) {
                 let slope = (up - down) / (2.0 * size);
                 assert!(
-                    (own - slope).abs() < 1e-3 * largest,
-                    "{name}: {own} {slope}"
+                    (derivative - slope).abs() < 1e-3 * largest,
+                    "{name}: {derivative} {slope}"
                 );
             }
         }
@@ -479,8 +479,8 @@ fn zero_size_derivatives_match_one_sided_differences() {
                 "{} does nothing",
                 size.name
             );
-            for (own, (with, without)) in actual.iter().zip(with.iter().zip(&without)) {
-                let error = (own - (with - without) / by).abs();
+            for (derivative, (with, without)) in actual.iter().zip(with.iter().zip(&without)) {
+                let error = (derivative - (with - without) / by).abs();
                 assert!(
                     error < 0.02 * largest,
                     "{}: {error} of {largest}",
@@ -561,9 +561,12 @@ fn tilt_by_a_right_angle_equals_gravity() {
         let actual = actual.record(&quantities);
         for (k, scale) in [1.0, 50.0].into_iter().enumerate() {
             let rows = actual[k].as_flattened().iter();
-            for (own, other) in rows.zip(expected[k].as_flattened()) {
+            for (actual, expected) in rows.zip(expected[k].as_flattened()) {
                 // rounding, amplified over 0.1 s
-                assert!((own - other).abs() < 1e-8 * scale, "{own} {other}");
+                assert!(
+                    (actual - expected).abs() < 1e-8 * scale,
+                    "{actual} {expected}"
+                );
             }
         }
     }
@@ -576,9 +579,20 @@ fn flexible_link_has_its_analytic_mode() {
         flexible_link: true,
         ..none()
     };
-    let (own, part, hz) = (1.5, 0.6, 25.0);
+    let (inertia, part, hz) = (1.5, 0.6, 25.0);
     let motor = 1e-4; // times the inverse gear ratio squared, 1e4: 1 kg m^2
-    let parameters = [own - 1.0, 0.0, motor, 0.0, 0.0, 0.0, 0.0, part, hz, 1e-12];
+    let parameters = [
+        inertia - 1.0,
+        0.0,
+        motor,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        part,
+        hz,
+        1e-12,
+    ];
     let run = Run {
         config: one_link(RIGID, flexible),
         parameters: &parameters,
@@ -592,8 +606,8 @@ fn flexible_link_has_its_analytic_mode() {
         steps: 4000,
     };
     let record = run.record(&[Quantity::LinkAngle]);
-    let omega = std::f64::consts::TAU * hz * (1.0 + part / own).sqrt();
-    let (acceleration, share) = (10.0 / own, part / (own + part));
+    let omega = std::f64::consts::TAU * hz * (1.0 + part / inertia).sqrt();
+    let (acceleration, share) = (10.0 / inertia, part / (inertia + part));
     for k in 0..=run.steps {
         let t = 1e-4 * k as f64;
         let oscillation = 0.5 * t * t - (1.0 - (omega * t).cos()) / (omega * omega);
@@ -745,10 +759,10 @@ fn light_base_adds_compliance_to_its_gear() {
 
 /// Motor torque [N m] at voltages commanded in succession, with one effect of the drive and a
 /// torque of 0.1 N m per volt.
-fn drive_torques<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> [f64; K] {
+fn drive_torques<const K: usize>(name: &str, values: &[f64], voltage: [f64; K]) -> [f64; K] {
     let mut effects = none();
     assert!(effects.add(name));
-    let parameters = [&[0.5, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0][..], own].concat();
+    let parameters = [&[0.5, 0.0, 1e-4, 0.0, 0.0, 0.0, 0.0][..], values].concat();
     let run = Run {
         config: one_link(RIGID, effects),
         parameters: &parameters,
@@ -768,7 +782,7 @@ fn drive_torques<const K: usize>(name: &str, own: &[f64], voltage: [f64; K]) -> 
 #[test]
 fn drive_effects_scale_the_voltage() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];
-    for (name, own, expected) in [
+    for (name, values, expected) in [
         ("dead-zone", &[0.5][..], [0.95, 0.0, 0.0, 0.0, -0.95]),
         ("drive-gain", &[-0.1], [0.9, 0.0, 0.018, -0.018, -0.9]),
         (
@@ -779,7 +793,7 @@ fn drive_effects_scale_the_voltage() {
         ("drive-limit", &[0.5, 6.0], [0.8, 0.0, 0.02, -0.02, -0.8]),
         ("drive-limit", &[1.0, 6.0], [0.6, 0.0, 0.02, -0.02, -0.6]),
     ] {
-        for (actual, expected) in drive_torques(name, own, voltage).iter().zip(expected) {
+        for (actual, expected) in drive_torques(name, values, voltage).iter().zip(expected) {
             assert!((actual - expected).abs() < 1e-15, "{name}: {actual}");
         }
     }

@@ -96,11 +96,11 @@ fn task() -> Task<OneLink, 1> {
 }
 
 /// Release from a twisted gear.
-fn member<'a>(parameters: &'a [f64], still: &'a [[f64; 1]]) -> Member<'a, 1> {
+fn member<'a>(parameters: &'a [f64], zeros: &'a [[f64; 1]]) -> Member<'a, 1> {
     Member {
         parameters,
-        feed_forward: still,
-        reference: still,
+        feed_forward: zeros,
+        reference: zeros,
         initial: Initial {
             motor_angle: [0.3],
             motor_velocity: [0.0],
@@ -113,8 +113,8 @@ fn member<'a>(parameters: &'a [f64], still: &'a [[f64; 1]]) -> Member<'a, 1> {
 
 #[test]
 fn external_law_conserves_energy() {
-    let (task, still) = (task(), vec![[0.0]; 4001]);
-    let member = member(&PARAMETERS, &still);
+    let (task, zeros) = (task(), vec![[0.0]; 4001]);
+    let member = member(&PARAMETERS, &zeros);
     let record = simulate::<_, Only<Quadratic>, 1, false>(&task, &member).expect("finite");
     let spring = Quadratic::spring(&[9e3, 400.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0);
     let energy = |k: usize| {
@@ -138,8 +138,8 @@ fn external_law_conserves_energy() {
 
 #[test]
 fn external_law_derivatives_match_differences() {
-    let (task, still) = (task(), vec![[0.0]; 4001]);
-    let member = member(&PARAMETERS, &still);
+    let (task, zeros) = (task(), vec![[0.0]; 4001]);
+    let member = member(&PARAMETERS, &zeros);
     let directions = [0, 2, 7, 8, 9].map(Source::Parameter);
     let request = Request {
         task: &task,

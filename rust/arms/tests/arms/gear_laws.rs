@@ -55,11 +55,11 @@ proptest! {
     fn torque_is_odd_and_derivative_of_energy(seed: u64, delta in -3e-3..3e-3f64) {
         for law in elastic() {
             let values = random_values(&law, &mut Draw::new(seed));
-            let (own, moved) = (spring(&law, &values), spring(&law, &values.map(Number::constant)));
-            let torque = own.torque(delta);
-            prop_assert_eq!(own.torque(-delta), -torque);
-            prop_assert_eq!(own.torque(0.0), 0.0);
-            close(torque, moved.energy(seeded(delta)).tangent, 100.0)?;
+            let (spring_of_law, dual) = (spring(&law, &values), spring(&law, &values.map(Number::constant)));
+            let torque = spring_of_law.torque(delta);
+            prop_assert_eq!(spring_of_law.torque(-delta), -torque);
+            prop_assert_eq!(spring_of_law.torque(0.0), 0.0);
+            close(torque, dual.energy(seeded(delta)).tangent, 100.0)?;
         }
     }
 
@@ -67,16 +67,16 @@ proptest! {
     fn derivatives_match_those_of_the_torque(seed: u64, delta in -3e-3..3e-3f64) {
         for law in elastic() {
             let values = random_values(&law, &mut Draw::new(seed));
-            let own = spring(&law, &values);
+            let spring_of_law = spring(&law, &values);
             let by_delta = spring(&law, &values.map(Number::constant)).torque(seeded(delta));
-            close(own.stiffness(delta), by_delta.tangent, 1e5)?;
-            let actual = own.by_parameters(delta, &own.shared());
+            close(spring_of_law.stiffness(delta), by_delta.tangent, 1e5)?;
+            let actual = spring_of_law.by_parameters(delta, &spring_of_law.shared());
             for k in 0..MAX_LAW_PARAMETERS {
-                let mut moved = values.map(Number::constant);
+                let mut dual = values.map(Number::constant);
                 if k < law.parameters.len() {
-                    moved[k] = seeded(values[k]);
+                    dual[k] = seeded(values[k]);
                 }
-                let by_one = spring(&law, &moved).torque(Number::constant(delta)).tangent;
+                let by_one = spring(&law, &dual).torque(Number::constant(delta)).tangent;
                 close(actual[k] * values[k], by_one * values[k], 100.0)?;
             }
         }
@@ -85,10 +85,10 @@ proptest! {
     #[test]
     fn torsion_inverts_torque(seed: u64, torque in -80.0..80.0f64) {
         for law in elastic() {
-            let own = spring(&law, &random_values(&law, &mut Draw::new(seed)));
-            let torsion = own.torsion(torque);
-            prop_assert!((own.torque(torsion) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
-            prop_assert!(own.least_stiffness(torque) * torsion.abs() <= torque.abs() * (1.0 + 1e-12));
+            let spring_of_law = spring(&law, &random_values(&law, &mut Draw::new(seed)));
+            let torsion = spring_of_law.torsion(torque);
+            prop_assert!((spring_of_law.torque(torsion) - torque).abs() < 1e-12 * (1.0 + torque.abs()));
+            prop_assert!(spring_of_law.least_stiffness(torque) * torsion.abs() <= torque.abs() * (1.0 + 1e-12));
         }
     }
 }

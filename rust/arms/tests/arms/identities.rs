@@ -364,11 +364,11 @@ proptest! {
         let torque = inverse_dynamics(&config.plant(&values), &q, &dq, &ddq);
         let columns = base_regressor(&config.arm, &q, &dq, &ddq);
         for i in 0..2 {
-            let own = &values[5 + 8 * i..];
+            let joint_values = &values[5 + 8 * i..];
             let body: f64 = columns.iter().zip(&values).map(|(column, v)| column[i] * v).sum();
             let speed = dq[i] / 0.01;
-            let friction = own[1] * speed + own[2] * dq[i].signum() + own[3];
-            let expected = 0.01 * (body + own[4] * dq[i]) + own[0] * ddq[i] / 0.01 + friction;
+            let friction = joint_values[1] * speed + joint_values[2] * dq[i].signum() + joint_values[3];
+            let expected = 0.01 * (body + joint_values[4] * dq[i]) + joint_values[0] * ddq[i] / 0.01 + friction;
             prop_assert!((torque[i] - expected).abs() < 1e-12 * (1.0 + expected.abs()));
         }
     }
@@ -413,8 +413,8 @@ proptest! {
         let gears = kinds.map(|kind| [LINEAR, RIGID][kind]);
         let mut chosen = values[..5].to_vec();
         for (i, gear) in gears.iter().enumerate() {
-            let own = &values[5 + 8 * i..13 + 8 * i];
-            chosen.extend(if *gear == RIGID { &own[..5] } else { own });
+            let joint_values = &values[5 + 8 * i..13 + 8 * i];
+            chosen.extend(if *gear == RIGID { &joint_values[..5] } else { joint_values });
         }
         let voltage = telegraph::<2>(seed, 60, volts);
         let run = Run {

@@ -319,8 +319,8 @@ fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64
     for k in 0..RECORDED.len() {
         let rounding = rounding(case, &directions, &differences, &plain, k);
         for (d, direction) in directions.iter().enumerate() {
-            let own = rows_of(&actual.tangents[k], directions.len(), d);
-            let error = distance(&own, &differences[d], &rounding, k);
+            let computed = rows_of(&actual.tangents[k], directions.len(), d);
+            let error = distance(&computed, &differences[d], &rounding, k);
             assert!(error < 1e-7, "{direction:?} {:?}: {error:e}", RECORDED[k]);
         }
     }
@@ -373,7 +373,7 @@ fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64
 /// between differences over successive step lengths, because near a knee even the shortest step may
 /// not have converged.
 fn distance<const N: usize>(
-    own: &[[f64; N]],
+    computed: &[[f64; N]],
     differences: &[Differences<N>],
     rounding: &[f64; N],
     k: usize,
@@ -383,10 +383,10 @@ fn distance<const N: usize>(
     }
     let mut worst = 0.0f64;
     for i in 0..N {
-        let scale = own.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
-        for row in 0..own.len() {
+        let scale = computed.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
+        for row in 0..computed.len() {
             let error = |each: &Differences<N>| {
-                let error = (own[row][i] - each.slopes[k][row][i]).abs();
+                let error = (computed[row][i] - each.slopes[k][row][i]).abs();
                 (error - rounding[i] / each.size).max(0.0)
             };
             let change = |pair: &[Differences<N>]| {
@@ -473,15 +473,15 @@ fn relative_difference<A: WithPrograms<N> + BuiltIn, const N: usize>(
     let mut worst = 0.0f64;
     for k in 0..RECORDED.len() {
         for (d, &direction) in directions.iter().enumerate() {
-            let own: Vec<[f64; N]> = rows_of(&one.tangents[k], width, d);
+            let computed: Vec<[f64; N]> = rows_of(&one.tangents[k], width, d);
             let others: Vec<[f64; N]> = rows_of(&other.tangents[k], width, d);
             for i in 0..N {
                 let largest =
                     |rows: &[[f64; N]]| rows.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
                 let smallest = 1e-4 * largest(&one.values[k]) / case.size(direction, 1.0);
-                let scale = largest(&own).max(smallest).max(f64::MIN_POSITIVE);
-                for (own, other) in own.iter().zip(&others) {
-                    worst = worst.max((own[i] - other[i]).abs() / scale);
+                let scale = largest(&computed).max(smallest).max(f64::MIN_POSITIVE);
+                for (computed, other) in computed.iter().zip(&others) {
+                    worst = worst.max((computed[i] - other[i]).abs() / scale);
                 }
             }
         }
@@ -516,8 +516,8 @@ fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>
     for (d, direction) in few.iter().enumerate() {
         let at = directions.iter().position(|all| all == direction).unwrap();
         for k in 0..RECORDED.len() {
-            let own: Vec<[f64; N]> = rows_of(&some.tangents[k], 3, d);
-            assert_eq!(own, rows_of(&fast.tangents[k], directions.len(), at));
+            let computed: Vec<[f64; N]> = rows_of(&some.tangents[k], 3, d);
+            assert_eq!(computed, rows_of(&fast.tangents[k], directions.len(), at));
         }
     }
 }
@@ -635,8 +635,8 @@ fn check_planar_chain(seed: u64, servo: bool) {
                     .collect(),
                 state => vec![(*state, 1.0)],
             };
-            let own: Vec<[f64; 2]> = rows_of(&other.tangents[k], of_chain.len(), d);
-            let mut sum = vec![[0.0; 2]; own.len()];
+            let computed: Vec<[f64; 2]> = rows_of(&other.tangents[k], of_chain.len(), d);
+            let mut sum = vec![[0.0; 2]; computed.len()];
             for (part, factor) in parts {
                 let at = of_planar.iter().position(|&one| one == part).unwrap();
                 let rows: Vec<[f64; 2]> = rows_of(&one.tangents[k], of_planar.len(), at);
@@ -646,10 +646,10 @@ fn check_planar_chain(seed: u64, servo: bool) {
             }
             let sums = sum.as_flattened().iter();
             let scale = sums.fold(1e-9 * largest, |a, x| a.max(x.abs()));
-            for (own, sum) in zip(own.as_flattened(), sum.as_flattened()) {
+            for (computed, sum) in zip(computed.as_flattened(), sum.as_flattened()) {
                 // same tolerance as between two methods, see `check_methods`
                 assert!(
-                    (own - sum).abs() <= 1e-6 * scale,
+                    (computed - sum).abs() <= 1e-6 * scale,
                     "{direction:?} {:?}",
                     RECORDED[k]
                 );

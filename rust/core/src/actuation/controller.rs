@@ -55,8 +55,8 @@ macro_rules! controllers {
 
             fn at_rest<R: Real>(&self, voltage: &[f64; N], encoder: &[R; N]) -> ServoMemory<R, N> {
                 match self {
-                    $(Self::$controller(own) => {
-                        ServoMemory::$controller(own.at_rest(voltage, encoder))
+                    $(Self::$controller(controller) => {
+                        ServoMemory::$controller(controller.at_rest(voltage, encoder))
                     })*
                 }
             }
@@ -69,16 +69,16 @@ macro_rules! controllers {
                 feed_forward: &[f64; N],
             ) -> [R; N] {
                 match (self, memory) {
-                    $((Self::$controller(own), ServoMemory::$controller(memory)) => {
-                        own.command(memory, reference, encoder, feed_forward)
+                    $((Self::$controller(controller), ServoMemory::$controller(memory)) => {
+                        controller.command(memory, reference, encoder, feed_forward)
                     })*
-                    _ => unreachable!("a controller's memory is its own"),
+                    _ => unreachable!("the memory belongs to another controller"),
                 }
             }
 
             fn drives(&self, joint: usize) -> bool {
                 match self {
-                    $(Self::$controller(own) => own.drives(joint),)*
+                    $(Self::$controller(controller) => controller.drives(joint),)*
                 }
             }
         }

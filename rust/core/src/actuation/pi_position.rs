@@ -44,14 +44,14 @@ impl<const N: usize> Controller<N> for PiPosition<N> {
         encoder: &[R; N],
         feed_forward: &[f64; N],
     ) -> [R; N] {
-        let mut wanted = reference.map(R::splat);
+        let mut corrected = reference.map(R::splat);
         for i in 0..N {
-            let off = memory.path[i] - encoder[i];
-            wanted[i] = wanted[i] + R::splat(self.position_gain[i]) * off;
+            let error = memory.path[i] - encoder[i];
+            corrected[i] = corrected[i] + R::splat(self.position_gain[i]) * error;
             memory.path[i] = memory.path[i] + R::splat(reference[i] * self.velocity.period);
         }
         self.velocity
-            .follow(&mut memory.velocity, &wanted, encoder, feed_forward)
+            .follow(&mut memory.velocity, &corrected, encoder, feed_forward)
     }
 
     fn drives(&self, joint: usize) -> bool {

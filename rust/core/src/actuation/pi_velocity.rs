@@ -46,12 +46,12 @@ impl<const N: usize> PiVelocity<N> {
             if self.active[i] {
                 let error = reference[i] - (encoder[i] - memory.last_angle[i]) / c(self.period);
                 let integral = memory.integral[i] + error * c(self.period);
-                let wanted = voltage[i] + c(self.kp[i]) * error + c(self.ki[i]) * integral;
-                if wanted.lane(0).abs() <= self.limit {
-                    voltage[i] = wanted;
+                let unlimited = voltage[i] + c(self.kp[i]) * error + c(self.ki[i]) * integral;
+                if unlimited.lane(0).abs() <= self.limit {
+                    voltage[i] = unlimited;
                     memory.integral[i] = integral;
                 } else {
-                    voltage[i] = c(self.limit).copysign(wanted);
+                    voltage[i] = c(self.limit).copysign(unlimited);
                 }
             }
             memory.last_angle[i] = encoder[i];

@@ -76,16 +76,16 @@ fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: us
     let mut all = [[[[zero; N]; N]; M]; K];
     for j in 0..N {
         for (kind, by) in all.iter_mut().enumerate() {
-            let mut moved = [[Jet::constant(zero); N]; 3];
+            let mut motion = [[Jet::constant(zero); N]; 3];
             for i in 0..N {
-                (moved[1][i].value, moved[2][i].value) = (dq[i], ddq[i]);
+                (motion[1][i].value, motion[2][i].value) = (dq[i], ddq[i]);
             }
-            moved[kind][j].tangent = one;
-            let [turned, dq, ddq] = moved;
-            let actual = functions(&arm.near(&at, &turned), &dq, &ddq);
+            motion[kind][j].tangent = one;
+            let [increment, dq, ddq] = motion;
+            let values = functions(&arm.near(&at, &increment), &dq, &ddq);
             for m in 0..M {
                 for i in 0..N {
-                    by[m][i][j] = actual[m][i].tangent;
+                    by[m][i][j] = values[m][i].tangent;
                 }
             }
         }
@@ -103,24 +103,28 @@ mod tests {
     fn check<A: Arm<N>, const N: usize>(arm: &A, values: &[f64], [q, dq, ddq]: &[[f64; N]; 3]) {
         let (base, at) = (arm.base(values), arm.posture(q));
         let motion = (&at, dq, ddq);
-        let near = |own: &[[f64; N]], other: &[[f64; N]]| {
-            for (own, other) in own.as_flattened().iter().zip(other.as_flattened()) {
-                assert!((own - other).abs() < 1e-12 * 10.0, "{own} {other}");
+        let near = |closed_form: &[[f64; N]], other: &[[f64; N]]| {
+            for (closed_form, other) in closed_form.as_flattened().iter().zip(other.as_flattened())
+            {
+                assert!(
+                    (closed_form - other).abs() < 1e-12 * 10.0,
+                    "{closed_form} {other}"
+                );
             }
         };
-        let (own, other) = (arm.slopes(&base, &at, dq, ddq), slopes(arm, &base, motion));
-        near(&own.angle, &other.angle);
-        near(&own.velocity, &other.velocity);
-        let (own, by) = arm.accelerometer_slopes(&at, dq, ddq);
+        let (closed_form, other) = (arm.slopes(&base, &at, dq, ddq), slopes(arm, &base, motion));
+        near(&closed_form.angle, &other.angle);
+        near(&closed_form.velocity, &other.velocity);
+        let (closed_form, by) = arm.accelerometer_slopes(&at, dq, ddq);
         let (other, other_by) = accelerometer_slopes(arm, motion);
-        near(&own.angle, &other.angle);
-        near(&own.velocity, &other.velocity);
+        near(&closed_form.angle, &other.angle);
+        near(&closed_form.velocity, &other.velocity);
         near(&by, &other_by);
         let signals = arm.link_signal_slopes(&at, dq, ddq);
-        for (own, other) in signals.iter().zip(&link_signal_slopes(arm, motion)) {
-            near(&own.angle, &other.angle);
-            near(&own.velocity, &other.velocity);
-            near(&own.acceleration, &other.acceleration);
+        for (closed_form, other) in signals.iter().zip(&link_signal_slopes(arm, motion)) {
+            near(&closed_form.angle, &other.angle);
+            near(&closed_form.velocity, &other.velocity);
+            near(&closed_form.acceleration, &other.acceleration);
         }
         let regressor = arm.regressor(&at, dq, ddq);
         let torques = arm.torques(&base, &at, dq, ddq);

@@ -81,28 +81,28 @@ pub(super) fn planar_slopes<R: Real, const N: usize>(
     let zero = R::splat(0.0);
     let (g, length) = (R::splat(gravity), R::splat(length));
     let rates = summed(dq);
-    let still = LinkSignalSlopes {
+    let zeros = LinkSignalSlopes {
         angle: [[zero; N]; LINK_SIGNALS],
         velocity: [[zero; N]; LINK_SIGNALS],
         acceleration: [[zero; N]; LINK_SIGNALS],
     };
-    let mut all = [still; N];
+    let mut all = [zeros; N];
     for i in 0..N {
         let (sin, cos) = space[i];
-        let own = &mut all[i];
+        let slopes = &mut all[i];
         for j in 0..=i {
-            (own.angle[0][j], own.angle[1][j]) = (g * cos, -(g * sin));
-            own.acceleration[2][j] = R::splat(1.0);
-            own.velocity[3][j] = rates[i] + rates[i];
+            (slopes.angle[0][j], slopes.angle[1][j]) = (g * cos, -(g * sin));
+            slopes.acceleration[2][j] = R::splat(1.0);
+            slopes.velocity[3][j] = rates[i] + rates[i];
         }
         if i > 0 {
             let (sin, cos) = joint[i];
             let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
             let twice = length * (dq[0] + dq[0]);
-            own.angle[0][i] = own.angle[0][i] + (across * cos + inward * sin);
-            own.angle[1][i] = own.angle[1][i] + (inward * cos - across * sin);
-            (own.velocity[0][0], own.velocity[1][0]) = (-(twice * cos), twice * sin);
-            (own.acceleration[0][0], own.acceleration[1][0]) = (length * sin, length * cos);
+            slopes.angle[0][i] = slopes.angle[0][i] + (across * cos + inward * sin);
+            slopes.angle[1][i] = slopes.angle[1][i] + (inward * cos - across * sin);
+            (slopes.velocity[0][0], slopes.velocity[1][0]) = (-(twice * cos), twice * sin);
+            (slopes.acceleration[0][0], slopes.acceleration[1][0]) = (length * sin, length * cos);
         }
     }
     all

@@ -50,8 +50,9 @@ impl Arm<1> for OneLink {
 
     fn names(&self) -> Vec<Name> {
         let of_joint = [Some(1), None];
-        let own = Self::PARAMETERS.iter().zip(of_joint);
-        own.map(|(parameter, joint)| (parameter.name, joint))
+        let named = Self::PARAMETERS.iter().zip(of_joint);
+        named
+            .map(|(parameter, joint)| (parameter.name, joint))
             .collect()
     }
 
@@ -185,9 +186,9 @@ impl Arm<1> for OneLink {
 /// Rotation of the link.
 #[inline(always)]
 fn turns<R: Real>(at: &Turn<R>) -> Turns<R, 1> {
-    let own = [(at.sin, at.cos)];
+    let rotation = [(at.sin, at.cos)];
     Turns {
-        space: own,
-        joint: own,
+        space: rotation,
+        joint: rotation,
     }
 }

@@ -85,8 +85,8 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     ];
 
     fn names(&self) -> Vec<Name> {
-        let own = Self::PARAMETERS.iter();
-        own.map(|parameter| (parameter.name, None)).collect()
+        let parameters = Self::PARAMETERS.iter();
+        parameters.map(|parameter| (parameter.name, None)).collect()
     }
 
     fn check(
@@ -95,8 +95,8 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         reflected: &[Option<f64>; 2],
     ) -> Result<(), (usize, &'static str)> {
         let [alpha, beta, gamma] = [values[0], values[1], values[2]];
-        if let Some(place) = [alpha, beta].iter().position(|&value| value <= 0.0) {
-            return Err((place, "positive"));
+        if let Some(index) = [alpha, beta].iter().position(|&value| value <= 0.0) {
+            return Err((index, "positive"));
         }
         // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2 is concave in c = cos
         // q2, so it is least at c = 1 or c = -1

@@ -140,9 +140,9 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             let encoder = simulation.encoder();
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
-        let senses = |quantity| task.record.contains(&quantity);
+        let is_recorded = |quantity| task.record.contains(&quantity);
         let imus = task.record.iter().any(|one| one.imu_signal().is_some());
-        if senses(Quantity::Accelerometer) || senses(Quantity::Gyro) || imus {
+        if is_recorded(Quantity::Accelerometer) || is_recorded(Quantity::Gyro) || imus {
             simulation.sensors = Some(simulation.sensors_at_rest());
         }
         simulation

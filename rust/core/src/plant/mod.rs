@@ -479,13 +479,16 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             (held, rotation)
         };
-        let second = complete_stage(x.drifted::<EFFECTS>(half, a1), half);
+        let second = complete_stage(x.second_stage::<EFFECTS>(half, a1), half);
         let a2 = self.accelerations_near(now, &second, &torque.middle, modes);
         watch.stage(1, &second.0, &a2);
-        let third = complete_stage(x.moved::<EFFECTS>(half, half * half, a1, half, &a2), half);
+        let third = complete_stage(
+            x.later_stage::<EFFECTS>(half, half * half, a1, half, &a2),
+            half,
+        );
         let a3 = self.accelerations_near(now, &third, &torque.middle, modes);
         watch.stage(2, &third.0, &a3);
-        let fourth = complete_stage(x.moved::<EFFECTS>(h, h * half, &a2, h, &a3), h);
+        let fourth = complete_stage(x.later_stage::<EFFECTS>(h, h * half, &a2, h, &a3), h);
         let a4 = self.accelerations_near(now, &fourth, &torque.end, modes);
         watch.stage(3, &fourth.0, &a4);
         let sixth = h * R::splat(1.0 / 6.0);
@@ -493,7 +496,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let for_angle = a1.plus::<EFFECTS>(&inner);
         let for_velocity = for_angle.plus::<EFFECTS>(&inner).plus::<EFFECTS>(&a4);
         complete_stage(
-            x.moved::<EFFECTS>(h, h * sixth, &for_angle, sixth, &for_velocity),
+            x.later_stage::<EFFECTS>(h, h * sixth, &for_angle, sixth, &for_velocity),
             h,
         )
         .0
@@ -653,7 +656,7 @@ type Stage<R, const N: usize> = (State<R, N>, [R; N]);
 impl<R: Real, const N: usize> State<R, N> {
     /// q + t q', q' + t a: the second stage.
     #[inline(always)]
-    fn drifted<const EFFECTS: bool>(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
+    fn second_stage<const EFFECTS: bool>(&self, t: R, a: &Acceleration<R, N>) -> Stage<R, N> {
         let mut next = *self;
         let mut rotation = self.link_velocity;
         for i in 0..N {
@@ -674,7 +677,7 @@ impl<R: Real, const N: usize> State<R, N> {
 
     /// q + t q' + s a, q' + r b: the later stages and the end.
     #[inline(always)]
-    fn moved<const EFFECTS: bool>(
+    fn later_stage<const EFFECTS: bool>(
         &self,
         t: R,
         s: R,
@@ -713,15 +716,15 @@ impl<R: Real, const N: usize> State<R, N> {
 impl<R: Real, const N: usize> Acceleration<R, N> {
     #[inline(always)]
     fn plus<const EFFECTS: bool>(&self, other: &Self) -> Self {
-        let mut sum = *self;
+        let mut total = *self;
         for i in 0..N {
-            sum.motor[i] = sum.motor[i] + other.motor[i];
-            sum.link[i] = sum.link[i] + other.link[i];
+            total.motor[i] = total.motor[i] + other.motor[i];
+            total.link[i] = total.link[i] + other.link[i];
             if EFFECTS {
-                sum.part[i] = sum.part[i] + other.part[i];
-                sum.base[i] = sum.base[i] + other.base[i];
+                total.part[i] = total.part[i] + other.part[i];
+                total.base[i] = total.base[i] + other.base[i];
             }
         }
-        sum
+        total
     }
 }

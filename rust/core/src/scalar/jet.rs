@@ -113,10 +113,10 @@ impl<R: Real> Real for Jet<R> {
     }
     #[inline(always)]
     fn mul_add(self, factor: Self, term: Self) -> Self {
-        let own = self.tangent.mul_add(factor.value, term.tangent);
+        let tangent = self.tangent.mul_add(factor.value, term.tangent);
         Self {
             value: self.value.mul_add(factor.value, term.value),
-            tangent: self.value.mul_add(factor.tangent, own),
+            tangent: self.value.mul_add(factor.tangent, tangent),
         }
     }
     #[inline(always)]
@@ -125,20 +125,20 @@ impl<R: Real> Real for Jet<R> {
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
-        self.choose(other, |own, other| own < other)
+        self.choose(other, |this, other| this < other)
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {
-        self.choose(other, |own, other| own > other)
+        self.choose(other, |this, other| this > other)
     }
     #[inline(always)]
     fn copysign(self, sign: Self) -> Self {
-        let turned = -self;
+        let negated = -self;
         let mut all = self;
         for lane in 0..R::LANES {
             let negative = [self, sign].map(|of| of.lane(lane).is_sign_negative());
             if negative[0] != negative[1] {
-                all.take_lane(lane, turned);
+                all.take_lane(lane, negated);
             }
         }
         all

@@ -196,7 +196,8 @@ impl<V: Lanes, const N: usize> Forcing<V, N> {
                 Some(of_link) => of * per_link + of_link,
                 None => quad,
             };
-            selections[next.expect("a lane takes one quad")] = Some((quad, V::selection(slots)));
+            selections[next.expect("at most one quad per lane")] =
+                Some((quad, V::selection(slots)));
         }
         Self { selections }
     }

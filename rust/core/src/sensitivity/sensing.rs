@@ -48,14 +48,14 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         task: &Task<A, N>,
         sensors: Option<&Sensors<S, N>>,
     ) -> Option<Self> {
-        let (sensors, reads) = (sensors?, |quantity| task.record.contains(&quantity));
+        let (sensors, is_recorded) = (sensors?, |quantity| task.record.contains(&quantity));
         let accelerometers = sensors.accelerometer.each_ref();
         let gyros = sensors.gyro.each_ref();
         Some(Self {
             rate: 2.0 / task.clock.step,
-            accelerometers: reads(Quantity::Accelerometer)
+            accelerometers: is_recorded(Quantity::Accelerometer)
                 .then(|| accelerometers.map(|one| Some(one.as_ref()?.feedthrough()))),
-            gyros: reads(Quantity::Gyro)
+            gyros: is_recorded(Quantity::Gyro)
                 .then(|| gyros.map(|one| Some(one.as_ref()?.feedthrough()))),
             imus: sensors.imus.as_ref().map(ImuSensing::new),
             slopes: ReadingSlopes {

@@ -75,7 +75,7 @@ impl<V: Real, const N: usize> Tangent<V, N> {
     /// A later stage, after a time `on` at the velocities of the stage `at` and the accelerations.
     /// Advances only link angles on which the equations depend.
     #[inline(always)]
-    pub(crate) fn moved<A: Arm<N>>(
+    pub(crate) fn next_stage<A: Arm<N>>(
         &self,
         advance: impl Fn(V, V) -> V,
         at: &Tangent<V, N>,

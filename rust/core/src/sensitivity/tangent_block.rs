@@ -141,12 +141,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let x = self.tangent;
         let middle = torque.map(|torque| &torque.middle);
         let end = torque.map(|torque| &torque.end);
-        let at = self.settle_held_motors(step, x.moved::<A>(advance, &x, first), &x, (part, 0));
+        let at =
+            self.settle_held_motors(step, x.next_stage::<A>(advance, &x, first), &x, (part, 0));
         let second = self.respond(step, 1, &at, middle);
-        let next = x.moved::<A>(advance, &at, &second);
+        let next = x.next_stage::<A>(advance, &at, &second);
         let at = self.settle_held_motors(step, next, &at, (part, 0));
         let third = self.respond(step, 2, &at, middle);
-        let next = x.moved::<A>(twice, &at, &third);
+        let next = x.next_stage::<A>(twice, &at, &third);
         let at = self.settle_held_motors(step, next, &at, (2.0 * part, 1));
         // before the fourth stage, because the sums need fewer registers than their terms
         let [positions, velocities] = first.sums(&second, &third);

@@ -20,7 +20,7 @@ impl Decimation {
     pub fn new(taps: Vec<Vec<f64>>, step: usize) -> Option<Self> {
         let length = taps.first()?.len();
         let whole = step > 0 && length > 0 && length.is_multiple_of(step);
-        let alike = taps.iter().all(|own| own.len() == length);
+        let alike = taps.iter().all(|list| list.len() == length);
         (whole && alike).then_some(Self { taps, step })
     }
 
@@ -45,11 +45,11 @@ impl Decimation {
         let rows = self.rows(samples.len() / width.max(1));
         let mut all = vec![0.0; rows * width];
         let mut column = Vec::with_capacity(samples.len() / width.max(1));
-        for place in 0..width {
+        for column_index in 0..width {
             column.clear();
-            column.extend(samples[place..].iter().step_by(width));
+            column.extend(samples[column_index..].iter().step_by(width));
             for row in 0..rows {
-                all[row * width + place] = product::<V>(taps, &column[row * self.step..]);
+                all[row * width + column_index] = product::<V>(taps, &column[row * self.step..]);
             }
         }
         all
@@ -89,7 +89,7 @@ pub(crate) struct Decimator {
     /// Number of whole blocks.
     blocks: usize,
     /// Incomplete rows, each at its number modulo their count, by quantity.
-    begun: Aligned,
+    partial_rows: Aligned,
 }
 
 impl Decimator {
@@ -101,7 +101,7 @@ impl Decimator {
             block: Aligned::zeros(numbers * decimation.step),
             filled: 0,
             blocks: 0,
-            begun: Aligned::zeros(numbers * (decimation.taps[0].len() / decimation.step)),
+            partial_rows: Aligned::zeros(numbers * (decimation.taps[0].len() / decimation.step)),
             decimation: decimation.clone(),
         }
     }
@@ -109,8 +109,8 @@ impl Decimator {
     /// Adds a sample, by quantity, and returns the row that it completes, if any.
     pub(crate) fn push<V: Real>(&mut self, sample: &[f64]) -> Option<&[f64]> {
         let (step, width) = (self.decimation.step, self.width);
-        for (k, own) in sample.chunks_exact(width).enumerate() {
-            self.block[(k * step + self.filled) * width..][..width].copy_from_slice(own);
+        for (k, values) in sample.chunks_exact(width).enumerate() {
+            self.block[(k * step + self.filled) * width..][..width].copy_from_slice(values);
         }
         self.filled += 1;
         if self.filled < step {
@@ -120,7 +120,7 @@ impl Decimator {
         self.filled = 0;
         self.blocks += 1;
         let row = self.blocks.checked_sub(self.parts())?;
-        (row < self.rows).then(|| &self.begun[self.place(row)])
+        (row < self.rows).then(|| &self.partial_rows[self.range(row)])
     }
 
     /// Number of blocks of a row.
@@ -129,7 +129,7 @@ impl Decimator {
     }
 
     /// Location of an incomplete row.
-    fn place(&self, row: usize) -> Range<usize> {
+    fn range(&self, row: usize) -> Range<usize> {
         let numbers = self.decimation.taps.len() * self.width;
         let first = row % self.parts() * numbers;
         first..first + numbers
@@ -139,8 +139,8 @@ impl Decimator {
     /// both.
     #[inline(always)]
     fn add<V: Real>(&mut self) {
-        let newest = self.place(self.blocks);
-        self.begun[newest].fill(0.0);
+        let newest = self.range(self.blocks);
+        self.partial_rows[newest].fill(0.0);
         let first = (self.blocks + 1).saturating_sub(self.parts());
         let mut rows = first..=self.blocks;
         while let Some(row) = rows.next() {
@@ -156,18 +156,18 @@ impl Decimator {
     fn add_to<V: Real, const R: usize>(&mut self, rows: [usize; R]) {
         let (step, width) = (self.decimation.step, self.width);
         let taps_from = rows.map(|row| (self.blocks - row) * step);
-        let places = rows.map(|row| self.place(row));
-        let Ok(mut sums) = self.begun.get_disjoint_mut(places) else {
-            unreachable!("rows have places of their own");
+        let ranges = rows.map(|row| self.range(row));
+        let Ok(mut sums) = self.partial_rows.get_disjoint_mut(ranges) else {
+            unreachable!("ranges of rows are disjoint");
         };
         let blocks = self.block.chunks_exact(step * width);
         for (k, (block, taps)) in blocks.zip(&self.decimation.taps).enumerate() {
-            let mut own = sums.each_mut().map(|sums| &mut sums[k * width..][..width]);
+            let mut targets = sums.each_mut().map(|sums| &mut sums[k * width..][..width]);
             let taps = taps_from.map(|from| &taps[from..][..step]);
             let mut first = 0;
-            add_products::<V, 4, R>(&mut own, block, &taps, &mut first);
-            add_products::<V, 2, R>(&mut own, block, &taps, &mut first);
-            add_products::<V, 1, R>(&mut own, block, &taps, &mut first);
+            add_products::<V, 4, R>(&mut targets, block, &taps, &mut first);
+            add_products::<V, 2, R>(&mut targets, block, &taps, &mut first);
+            add_products::<V, 1, R>(&mut targets, block, &taps, &mut first);
         }
     }
 }
@@ -252,17 +252,17 @@ mod tests {
         .expect("whole");
         let (samples, width) = (31, 3);
         let quantities = [random_samples(93), random_samples(186)[93..].to_vec()];
-        let wanted: Vec<Vec<f64>> = (0..2)
+        let expected: Vec<Vec<f64>> = (0..2)
             .map(|k| decimation.of::<f64>(k, &quantities[k], width))
             .collect();
         let mut decimated = Decimator::new(&decimation, width, samples);
         let mut row = 0;
         for s in 0..samples {
-            let own = |k: usize| &quantities[k][s * width..][..width];
-            if let Some(actual) = decimated.push::<f64>(&[own(0), own(1)].concat()) {
+            let sample = |k: usize| &quantities[k][s * width..][..width];
+            if let Some(actual) = decimated.push::<f64>(&[sample(0), sample(1)].concat()) {
                 for k in 0..2 {
                     for i in 0..width {
-                        let error = actual[k * width + i] - wanted[k][row * width + i];
+                        let error = actual[k * width + i] - expected[k][row * width + i];
                         assert!(error.abs() < 1e-13);
                     }
                 }

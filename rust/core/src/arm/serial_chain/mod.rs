@@ -120,14 +120,14 @@ impl<const N: usize> SerialChain<N> {
     /// The index of the first joint whose axis has length zero.
     pub fn new(joints: &[ChainJoint; N], gravity: [f64; 3]) -> Result<Self, usize> {
         let placed = joints.each_ref().map(Placement::new);
-        if let Some(place) = placed.iter().position(Option::is_none) {
-            return Err(place);
+        if let Some(index) = placed.iter().position(Option::is_none) {
+            return Err(index);
         }
         let Some(joints) = placed.into_iter().collect::<Option<Vec<_>>>() else {
             unreachable!("every axis has a direction");
         };
         let Ok(joints) = joints.try_into() else {
-            unreachable!("as many as before");
+            unreachable!("the number of joints is unchanged");
         };
         Ok(Self { joints, gravity })
     }
@@ -200,17 +200,17 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     /// The pseudo-inertia matrix of a body (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is
     /// positive definite. If those of all links are, the inertia matrix is too.
     fn check(&self, values: &[f64], _: &[Option<f64>; N]) -> Result<(), (usize, &'static str)> {
-        for (i, own) in values
+        for (i, body) in values
             .as_chunks::<LINK_PARAMETER_COUNT>()
             .0
             .iter()
             .enumerate()
         {
             let first = i * LINK_PARAMETER_COUNT;
-            if own[0] <= 0.0 {
+            if body[0] <= 0.0 {
                 return Err((first, "positive"));
             }
-            if !is_body(own) {
+            if !is_body(body) {
                 let must = "that of a body: the link's pseudo-inertia matrix positive definite";
                 return Err((first + 4, must));
             }
@@ -319,10 +319,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         // mass and first moment of all links from the i-th, about its origin
         let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
         for i in (0..N).rev() {
-            let [own, x, y, z, ..] = base[i];
-            mass = mass + own;
-            let turned = times(&at.rotation[i], &plus(&moment, &[x, y, z]));
-            moment = scaled(mass, &self.origin(at, i), &turned);
+            let [link_mass, x, y, z, ..] = base[i];
+            mass = mass + link_mass;
+            let rotated = times(&at.rotation[i], &plus(&moment, &[x, y, z]));
+            moment = scaled(mass, &self.origin(at, i), &rotated);
         }
         -dot(&splat(&self.gravity), &moment)
     }
@@ -338,12 +338,12 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
             reading[i] = if self.revolute(i) {
                 let zero = [R::splat(0.0); 3];
                 let distance = R::splat(placed.accelerometer_distance);
-                let place = scaled(distance, &splat(&placed.x), &zero);
-                let turned = cross(&motion.turning, &place);
-                let inward = cross(&motion.rate, &cross(&motion.rate, &place));
+                let position = scaled(distance, &splat(&placed.x), &zero);
+                let tangential = cross(&motion.turning, &position);
+                let inward = cross(&motion.rate, &cross(&motion.rate, &position));
                 dot(
                     &splat(&placed.y),
-                    &plus(&motion.force, &plus(&turned, &inward)),
+                    &plus(&motion.force, &plus(&tangential, &inward)),
                 )
             } else {
                 dot(&splat(&placed.axis), &motion.force)
@@ -472,7 +472,7 @@ mod tests {
 
     /// Different links of about 4 kg and 0.3 m.
     fn bodies<const N: usize>() -> Vec<f64> {
-        let own = |k: usize| {
+        let body = |k: usize| {
             let x = 0.01 * k as f64;
             [
                 4.0 + x,
@@ -487,7 +487,7 @@ mod tests {
                 0.4,
             ]
         };
-        (0..N).flat_map(own).collect()
+        (0..N).flat_map(body).collect()
     }
 
     /// Identities between the recursions; torques are of the order of 100 N m.
@@ -520,11 +520,11 @@ mod tests {
             );
         }
         // a nearby position, and the work of gravity, which depends on the position only
-        let moved = std::array::from_fn(|i| 1e-5 * (1.0 + dq[i]));
-        let ends = [1.0, -1.0].map(|side| arm.near(&at, &moved.map(|x| side * x)));
+        let increment = std::array::from_fn(|i| 1e-5 * (1.0 + dq[i]));
+        let ends = [1.0, -1.0].map(|side| arm.near(&at, &increment.map(|x| side * x)));
         let gained = arm.potential(&base, &ends[0]) - arm.potential(&base, &ends[1]);
         let gravity = arm.bias(&base, &at, &[0.0; N]);
-        let work: f64 = (0..N).map(|i| 2.0 * moved[i] * gravity[i]).sum();
+        let work: f64 = (0..N).map(|i| 2.0 * increment[i] * gravity[i]).sum();
         // the cube of steps of about 1e-4 rad in all, times energies of the order of 100 J
         assert!((gained - work).abs() < 1e-9, "{gained} {work}");
     }
@@ -541,31 +541,31 @@ mod tests {
         #[test]
         fn planar_two_link_chain_agrees_with_closed_form(motion in prop::array::uniform3(prop::array::uniform2(-2.0..2.0f64))) {
             let (l, g, distance) = (0.35, 9.81, [0.33, 0.27]);
-            let joint = |place: usize| ChainJoint {
+            let joint = |index: usize| ChainJoint {
                 joint_type: JointType::Revolute,
-                position: [l * place as f64, 0.0, 0.0],
+                position: [l * index as f64, 0.0, 0.0],
                 attitude: [0.0; 3],
                 axis: [0.0, 0.0, 1.0],
-                accelerometer_distance: distance[place],
+                accelerometer_distance: distance[index],
             };
             let chain = SerialChain::new(&[joint(0), joint(1)], [0.0, -g, 0.0]).expect("axes");
             let planar = TwoLink::<true> { link_length: l, gravity: g, accelerometer_distance: distance };
             let [[m, h, i], [m_2, h_2, i_2]] = [[6.0, 0.9, 0.5], [3.0, 0.4, 0.3]];
             let body = |m, h, i: f64| [m, h, 0.0, 0.0, 0.6 * i, 0.0, i, 0.0, 0.0, i];
-            let own = [body(m, h, i), body(m_2, h_2, i_2)];
+            let bodies_of_chain = [body(m, h, i), body(m_2, h_2, i_2)];
             let of_planar = planar.base(&[i + m_2 * l * l, i_2, l * h_2, g * (h + m_2 * l), g * h_2]);
             let [q, dq, ddq] = &motion;
             let (at, at_planar) = (chain.posture(q), planar.posture(q));
             let pairs = [
-                (chain.torques(&own, &at, dq, ddq), planar.torques(&of_planar, &at_planar, dq, ddq)),
+                (chain.torques(&bodies_of_chain, &at, dq, ddq), planar.torques(&of_planar, &at_planar, dq, ddq)),
                 (chain.accelerometers(&at, dq, ddq), planar.accelerometers(&at_planar, dq, ddq)),
                 (chain.absolute_rates(&at, dq), planar.absolute_rates(&at_planar, dq)),
             ];
             let signals = [chain.link_signals(&at, dq, ddq), planar.link_signals(&at_planar, dq, ddq)];
             let all = [pairs.map(|pair| pair.0).to_vec(), signals[0].to_vec()].concat();
             let others = [pairs.map(|pair| pair.1).to_vec(), signals[1].to_vec()].concat();
-            for (own, other) in all.as_flattened().iter().zip(others.as_flattened()) {
-                prop_assert!((own - other).abs() < 1e-12 * 100.0, "{} {}", own, other);
+            for (one, other) in all.as_flattened().iter().zip(others.as_flattened()) {
+                prop_assert!((one - other).abs() < 1e-12 * 100.0, "{} {}", one, other);
             }
         }
     }
@@ -573,10 +573,10 @@ mod tests {
     #[test]
     fn impossible_inertias_are_rejected() {
         let (arm, values) = (chain::<2>(), bodies::<2>());
-        let changed = |place: usize, value| {
+        let changed = |index: usize, value| {
             let mut values = values.clone();
-            values[place] = value;
-            arm.check(&values, &[None; 2]).map_err(|(place, _)| place)
+            values[index] = value;
+            arm.check(&values, &[None; 2]).map_err(|(index, _)| index)
         };
         assert_eq!(changed(10, 0.0), Err(10));
         assert_eq!(changed(11, 3.0), Err(14)); // center of mass farther out than the inertia about the origin allows

@@ -64,7 +64,7 @@ impl Placement {
             let (one, along): ([f64; 3], _) = (unit_vector(j), along(j));
             std::array::from_fn(|i| one[i] - along[i])
         };
-        let still = joint.joint_type == JointType::Prismatic;
+        let is_prismatic = joint.joint_type == JointType::Prismatic;
         let x = unit(&across(0)).filter(|_| axis[0].abs() < 0.999);
         let x = x.or_else(|| unit(&across(1)))?;
         Some(Self {
@@ -72,15 +72,21 @@ impl Placement {
             position: joint.position,
             axis,
             slide: times(&placed, &axis),
-            cos: columns(&|j| if still { [0.0; 3] } else { across(j) }),
+            cos: columns(&|j| if is_prismatic { [0.0; 3] } else { across(j) }),
             sin: columns(&|j| {
-                if still {
+                if is_prismatic {
                     [0.0; 3]
                 } else {
                     cross(&axis, &unit_vector(j))
                 }
             }),
-            fixed: columns(&|j| if still { unit_vector(j) } else { along(j) }),
+            fixed: columns(&|j| {
+                if is_prismatic {
+                    unit_vector(j)
+                } else {
+                    along(j)
+                }
+            }),
             x,
             y: cross(&axis, &x),
             accelerometer_distance: joint.accelerometer_distance,

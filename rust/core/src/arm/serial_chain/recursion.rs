@@ -185,10 +185,10 @@ impl<const N: usize> SerialChain<N> {
         let mut all = [[R::splat(0.0); N]; N];
         for k in 0..N {
             self.extend(at, k, &mut twists);
-            let own = Inertia::of(&base[k]);
+            let inertia = Inertia::of(&base[k]);
             for j in 0..=k {
                 let Twist { turning, moving } = &twists[j];
-                let [force, moment] = own.accelerated(turning, moving);
+                let [force, moment] = inertia.accelerated(turning, moving);
                 for i in 0..=j {
                     let by_moment = dot(&twists[i].turning, &moment);
                     all[i][j] = all[i][j] + (dot(&twists[i].moving, &force) + by_moment);

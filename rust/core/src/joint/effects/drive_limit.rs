@@ -21,14 +21,14 @@ impl<R: Real> Effect<R> for DriveLimit<R> {
             Parameter::new(
                 "drive_limit_loss",
                 "c_u",
-                "share that the drive loses of a voltage beyond its limit",
+                "share of the voltage above the limit that the drive loses",
                 ["1", "1"],
                 Sign::NonNegative,
             ),
             Parameter::new(
                 "drive_limit",
                 "u_L",
-                "voltage beyond which the drive gives less",
+                "voltage above which the drive output is reduced",
                 VOLTAGE,
                 Sign::Positive,
             ),

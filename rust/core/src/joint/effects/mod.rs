@@ -636,9 +636,9 @@ impl EffectKinds {
     pub(crate) fn parameters(self) -> Vec<EffectParameter> {
         let (mut all, mut index) = (Vec::new(), 0);
         for (has, declaration) in self.each() {
-            for (place, &parameter) in declaration.parameters.iter().enumerate() {
-                let size = (place < declaration.sizes).then_some(Size {
-                    index: index + place,
+            for (position, &parameter) in declaration.parameters.iter().enumerate() {
+                let size = (position < declaration.sizes).then_some(Size {
+                    index: index + position,
                     affects: declaration.affects,
                 });
                 if has {

@@ -36,7 +36,7 @@ impl<R: Real> Effect<R> for Stribeck<R> {
             Parameter::new(
                 "stribeck_velocity",
                 "w_s",
-                "motor velocity at which 1/e of the Stribeck friction is left",
+                "motor velocity at which the Stribeck friction has decayed to 1/e",
                 VELOCITY,
                 Sign::Positive,
             ),
