@@ -1,6 +1,6 @@
 //! Arms of every kind behind one interface, [`CompiledArm`].
 //!
-//! Each program takes seconds to compile. Programs are in crates of their own under
+//! Each program takes seconds to compile. Programs are in separate crates under
 //! `rust/programs`, which cargo compiles in parallel.
 
 use strainwave_baseline as baseline;

@@ -197,7 +197,7 @@ fn reach(first: &[usize]) -> usize {
 ///
 /// The unknowns of a block reach from the first of its rows to the last. Unknowns before the block
 /// are eliminated once from the beginning, unknowns after it once from the end; only the unknowns
-/// of the block are eliminated anew. All blocks together therefore cost little more than two
+/// of the block are eliminated again. All blocks together therefore cost little more than two
 /// eliminations of all rows.
 ///
 /// Returns `None` if an entry is not finite.

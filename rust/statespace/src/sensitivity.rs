@@ -8,7 +8,7 @@
 //! ```
 //!
 //! Each entry of A, B and K drives a filter by one signal at one state, and each entry of an
-//! initial state starts a filter. These filters run side by side in vector lanes. Entries of C and
+//! initial state starts a filter. These filters run in parallel in vector lanes. Entries of C and
 //! D act on the state through K with the signals of A and B, so their derivatives are sums over the
 //! same filters.
 
@@ -246,8 +246,8 @@ impl<'a> Filters<'a> {
         }
     }
 
-    /// Computes the rows of a record in blocks; `take` receives each block, with p rows per sample,
-    /// and its number of rows.
+    /// Computes the rows of a record in blocks; `receive` is called with each block, with p rows
+    /// per sample, and its number of rows.
     fn run(&mut self, record: &Record<'_>, mut receive: impl FnMut(&[f64], usize)) {
         let Shape {
             inputs: m,

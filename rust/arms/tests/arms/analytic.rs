@@ -66,9 +66,9 @@ fn rigid_joint_follows_lagged_torque() {
     }
 }
 
-/// Free swing of a motor on its gear with Coulomb friction; the link is so heavy that it stands
-/// still. Each half swing loses an amplitude of 2 f / k. The motion ends where the spring torque is
-/// below the friction limit.
+/// Free oscillation of a motor on its gear with Coulomb friction; the inertia of the link is very
+/// large. The amplitude decreases by 2 f / k in each half period. The motion ends where the spring
+/// torque is below the friction limit.
 #[test]
 fn dry_friction_stops_oscillation_in_the_dead_band() {
     let (motor, k, f) = (1.5e-4, 20e3, 0.06);

@@ -27,7 +27,7 @@ fn one_link(gear: Law, effects: EffectKinds) -> Config<OneLink, 1> {
     config
 }
 
-/// A link so heavy that it stands still, without damping: only the motor moves, on the spring of
+/// A link with a very large inertia and no damping: only the motor moves, on the spring of
 /// its gear.
 fn against_a_wall(effect: &[f64]) -> Vec<f64> {
     let (motor, k) = (1.5e-4, 20e3);
@@ -185,7 +185,7 @@ proptest! {
         let acceleration = loaded[1][1][0] / 1e-7;
         let expected = -(N + slope) * 20e3 * torsion / 1.5e-4;
         prop_assert!((acceleration - expected).abs() < 1e-6 * expected.abs());
-        // by default the link starts at zero torsion, and nothing moves
+        // by default the link starts at zero torsion, in equilibrium
         let unloaded = start(None);
         prop_assert!((unloaded[2][0][0] - N * theta - error).abs() < 1e-15);
         prop_assert!(unloaded[1][1][0].abs() < 1e-12);
@@ -825,8 +825,8 @@ fn drive_lag_is_independent_of_tick_length() {
     assert_eq!(run(16), run(4));
 }
 
-/// A lag of one tick leaves 1/e of each step of the voltage at the end of the tick, and 1 - 1/e of
-/// it on average.
+/// With a lag of one tick, 1/e remains of each step of the voltage at the end of the tick, and 1 -
+/// 1/e of it on average.
 #[test]
 fn drive_lag_has_its_analytic_mean() {
     let voltage = [10.0, 0.0, 0.2, -0.2, -10.0];

@@ -95,7 +95,7 @@ fn task() -> Task<OneLink, 1> {
     }
 }
 
-/// Release from a twisted gear.
+/// Release of a gear with initial torsion.
 fn member<'a>(parameters: &'a [f64], zeros: &'a [[f64; 1]]) -> Member<'a, 1> {
     Member {
         parameters,

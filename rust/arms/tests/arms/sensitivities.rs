@@ -522,7 +522,7 @@ fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>
     }
 }
 
-/// In this case the shortest steps that keep the pattern of sliding still reach a knee.
+/// In this case even the shortest steps with the same pattern of sliding reach a knee.
 #[test]
 fn derivatives_match_where_differences_have_not_converged() {
     let kinds = EffectKinds {

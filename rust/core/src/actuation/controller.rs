@@ -11,7 +11,7 @@ pub trait Controller<const N: usize> {
     /// State between two readings.
     type Memory<R: Real>: Clone;
 
-    /// State after the controller has held the arm for long under a voltage [V], with encoder
+    /// Steady state of the controller at a voltage [V], with encoder
     /// readings [rad].
     fn at_rest<R: Real>(&self, voltage: &[f64; N], encoder: &[R; N]) -> Self::Memory<R>;
 

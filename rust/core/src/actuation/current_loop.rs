@@ -7,7 +7,7 @@ use crate::scalar::Real;
 pub struct StepTorque<R, const N: usize> {
     /// At the beginning.
     pub begin: [R; N],
-    /// Half-way.
+    /// At the middle.
     pub middle: [R; N],
     /// At the end.
     pub end: [R; N],

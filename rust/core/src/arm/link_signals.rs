@@ -27,7 +27,7 @@ pub struct LinkSignalSlopes<R, const N: usize> {
 pub(super) struct Turns<R, const N: usize> {
     /// Relative to the base's x axis.
     pub(super) space: [(R, R); N],
-    /// Relative to the link before.
+    /// Relative to the preceding link.
     pub(super) joint: [(R, R); N],
 }
 

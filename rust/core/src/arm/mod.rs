@@ -40,7 +40,7 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// rates up to it, and the reading of its accelerometer does not depend on the velocity of its
     /// own joint.
     const PLANAR: bool;
-    /// Whether the equations of a stage are compiled as functions of their own, which keeps the
+    /// Whether the equations of a stage are compiled as separate functions, which keeps the
     /// programs of arms with long equations small.
     const HAS_OUTLINED_EQUATIONS: bool = false;
 

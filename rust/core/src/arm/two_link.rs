@@ -99,7 +99,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
             return Err((index, "positive"));
         }
         // det = (alpha + m1)(beta + m2) + (beta + 2 gamma c) m2 - gamma^2 c^2 is concave in c = cos
-        // q2, so it is least at c = 1 or c = -1
+        // q2, so its minimum is at c = 1 or c = -1
         let [m1, m2] = reflected.map(|inertia| inertia.unwrap_or(0.0));
         let least = [1.0, -1.0]
             .map(|c| (alpha + m1) * (beta + m2) + (beta + 2.0 * gamma * c) * m2 - gamma * gamma)

@@ -6,10 +6,10 @@
 //!
 //! - where the velocity of a sliding motor reaches zero: the motor sticks if the torque that holds
 //!   it is within `f_M`, otherwise it slides in the other direction;
-//! - where the torque that holds a sticking motor leaves `[-f_M, f_M]`: the motor starts to slide.
+//! - where the torque that holds a sticking motor is outside `[-f_M, f_M]`: the motor starts to slide.
 //!
 //! With a settling time tau, friction does not stop a motor instantly but as fast as `ddtheta_M =
-//! -dtheta_M / tau`, for as long as this takes no more than `f_M`. The torque is `clamp(H + m_M
+//! -dtheta_M / tau`, as long as this requires at most `f_M`. The torque is `clamp(H + m_M
 //! dtheta_M / tau, -f_M, f_M)`, with the torque H that keeps the motor at rest: one backward Euler
 //! step of length tau of the set-valued law (its Yosida regularisation). In contrast to a steep
 //! function of the velocity there is no creep: under any load below `f_M` the motor comes to rest.
@@ -360,8 +360,8 @@ fn root(f: impl Fn(f64) -> f64, [begin, end]: [f64; 2], slope: f64) -> f64 {
     let (mut kept, mut f_kept) = (0.0, begin);
     let (mut last, mut f_last) = (1.0, end);
     if begin <= tiny {
-        // The function begins at zero, or below where a torque jumps. If it increases from there,
-        // the root is beyond the maximum, which may be before half of the parabola's span.
+        // The function begins at zero, or below where a torque jumps. If it increases from that
+        // point, the root is beyond the maximum, which may be before half of the parabola's span.
         if slope <= 0.0 || begin < -1e3 * tiny || bend >= 0.0 {
             return 0.0;
         }

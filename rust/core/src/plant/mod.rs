@@ -184,7 +184,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// -tau.
     ///
     /// Newton's method with an upper bound of the stiffness of the gear, which makes it slower but
-    /// never overshoot. After convergence the iteration continues for as long again, for the
+    /// prevents overshoot. After convergence the number of iterations is doubled, for the
     /// derivatives.
     pub(crate) fn load_bases(&self, x: &mut State<R, N>) {
         for i in (0..N).filter(|&i| !self.is_rigid(i)) {
@@ -209,7 +209,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Lead of the flexible part of the `i`-th link.
+    /// Deflection of the flexible part of the `i`-th link.
     #[inline(always)]
     fn deflection(x: &State<R, N>, i: usize) -> PartDeflection<R> {
         PartDeflection {
@@ -294,7 +294,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
-    /// Accelerations; with effects in a function of their own.
+    /// Accelerations; with effects in a separate function.
     #[inline(always)]
     fn accelerations_at(
         &self,
@@ -314,7 +314,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Accelerations from (1) and (2).
     ///
-    /// A rigid gear has no row of its own: the inertia and friction of its motor enter the link's
+    /// A rigid gear has no separate row: the inertia and friction of its motor enter the link's
     /// row as m_M/n^2 and d_M/n^2, (5). A sticking motor behind a rigid gear holds its link: the
     /// row and column of that link are removed from the equations.
     #[inline(always)]

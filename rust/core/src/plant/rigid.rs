@@ -27,7 +27,7 @@ pub fn base_regressor<A: Arm<N>, const N: usize>(
 
 /// Motor torques [N m] of a motion of the links with rigid gears, (5).
 ///
-/// The Coulomb torque of a resting joint is taken as zero; any value within +-f_M is possible.
+/// The Coulomb torque of a resting joint is set to zero; any value within +-f_M is possible.
 pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
     plant: &Plant<A, f64, AllLaws, N, true>,
     q: &[f64; N],

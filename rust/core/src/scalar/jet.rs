@@ -5,7 +5,7 @@ use std::ops::{Add, Div, Mul, Neg, Sub};
 use super::{Real, Work};
 
 /// A number and its derivative in one direction. In contrast to [`super::Dual`], each lane has a
-/// derivative of its own.
+/// separate derivative.
 ///
 /// `min`, `max`, `abs` and `copysign` take the branch of the value.
 #[derive(Clone, Copy, Debug)]

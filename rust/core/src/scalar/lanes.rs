@@ -202,7 +202,7 @@ vector!(
 );
 
 impl Lanes for F64x4 {
-    /// A negative number in each lane that takes one, and the indices of the two halves of each
+    /// A negative number in each selected lane, and the indices of the two halves of each
     /// number.
     type Selection = ([f64; 4], [i32; 8]);
 
@@ -246,7 +246,7 @@ impl Lanes for F64x4 {
 }
 
 impl Lanes for F64x8 {
-    /// A bit for each lane that takes a number, and the indices of the numbers.
+    /// A bit for each selected lane, and the indices of the numbers.
     type Selection = (u8, [i64; 8]);
 
     fn selection(from: [Option<usize>; MAX_LANES]) -> Self::Selection {

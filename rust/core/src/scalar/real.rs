@@ -34,7 +34,7 @@ pub trait Real:
     /// Runs work compiled for the processor features that the operations of this scalar need.
     ///
     /// Outside such a scope each operation would be a call, so every hot function that is not
-    /// inlined into a scope opens its own. Only [`crate::program`] chooses scalars, after it has
+    /// inlined into a scope opens one. Only [`crate::program`] chooses scalars, after it has
     /// checked the processor.
     fn scope<W: Work>(work: W) -> W::Output;
     /// The same value in every lane.
@@ -167,7 +167,7 @@ fn series<R: Real>(x: R, coefficients: &[f64]) -> R {
 pub trait Lanes: Real {
     /// Selection of one of four numbers for each lane.
     type Selection: Copy + Send + Sync;
-    /// Lane `l` takes number `from[l]`; `None` keeps the lane.
+    /// Lane `l` receives number `from[l]`; with `None` it does not change.
     fn selection(from: [Option<usize>; MAX_LANES]) -> Self::Selection;
     /// Replaces the selected lanes by numbers of `four`.
     fn replace_selected(self, selection: &Self::Selection, four: &[f64; 4]) -> Self;
@@ -180,7 +180,7 @@ pub trait Lanes: Real {
     }
 }
 
-/// Runs work in a function of its own, so that long code that every stage of every step calls is
+/// Runs work in a separate function, so that long code that every stage of every step calls is
 /// compiled once.
 #[inline(never)]
 pub(crate) fn run_out_of_line<R: Real, W: Work>(work: W) -> W::Output {

@@ -3,8 +3,8 @@
 //! With sizes of zero the arm moves as without the effects, and a size enters the variational
 //! equations like any other parameter, through its derivatives of the gear's, the motor's and the
 //! link's row at zero. They are computed over [`Jet`]s. Other parameters of the effects, such as
-//! velocities, have no influence then. Score tests therefore cost little more than the fit's own
-//! derivatives.
+//! velocities, have no influence then. Score tests therefore cost little more than the
+//! derivatives of the fit.
 
 use crate::arm::Arm;
 use crate::joint::effects::{

@@ -1,7 +1,7 @@
 //! Derivatives of the equations with respect to parameters.
 //!
 //! They are computed once for all blocks, four parameters of a row at a time ([`Quad`]); each block
-//! selects its own.
+//! selects the quads of its directions.
 
 use std::collections::BTreeMap;
 
@@ -139,15 +139,15 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
     config.roles().into_iter().map(location).collect()
 }
 
-/// Quads and slots of the size of an effect in the rows of its own joint.
+/// Quads and slots of the size of an effect in the rows of its joint.
 fn effect_locations(size: Size, bases: usize) -> impl Iterator<Item = (usize, usize)> {
     let AffectedTerms {
         friction,
         motor,
         gear,
         link,
-        weight: _, // it enters other joints' rows as well
-        drive: _,  // the motor's torque has derivatives of its own
+        weight: _, // it affects the rows of other joints as well
+        drive: _,  // the motor's torque has separate derivatives
     } = size.affects;
     let rows = [
         (friction || motor, MOTOR_EFFECTS),

@@ -290,7 +290,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     }
 }
 
-/// [`Chain::repeat_step`] in a scope of its own, because it is rare and long.
+/// [`Chain::repeat_step`] in a separate scope, because it is rare and long.
 struct RepeatWork<
     'c,
     'a,
@@ -313,7 +313,7 @@ impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EF
     }
 }
 
-/// [`BlockTrajectory::record`] in a scope of its own, so that steps without a sample stay short.
+/// [`BlockTrajectory::record`] in a separate scope, so that steps without a sample stay short.
 struct RecordWork<
     'c,
     'a,

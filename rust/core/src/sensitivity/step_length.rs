@@ -1,6 +1,6 @@
 //! Derivatives of the end of a step with respect to its length.
 //!
-//! The stages of a longer step are further ahead, by rates that the trace of the step determines.
+//! The stages of a step move with its length at rates that the trace of the step determines.
 //! The rest follows from the variational equations.
 
 use crate::arm::Arm;

@@ -41,7 +41,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         }
     }
 
-    /// The equations of stage `k`; for some arms in a function of their own.
+    /// The equations of stage `k`; for some arms in a separate function.
     #[inline(always)]
     pub(crate) fn respond<A: Arm<N>, L: Lanes, G: Gears>(
         &self,

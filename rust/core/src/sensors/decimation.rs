@@ -1,7 +1,7 @@
 //! Decimation of recorded samples through a low-pass.
 //!
 //! A comparison with a measurement needs far fewer numbers than the derivatives of all samples, so
-//! those never leave the caches of the processor.
+//! the derivatives remain in the caches of the processor.
 
 use std::ops::Range;
 
@@ -151,7 +151,7 @@ impl Decimator {
         }
     }
 
-    /// Adds the block to some rows.
+    /// Adds the block to `R` rows.
     #[inline(always)]
     fn add_to<V: Real, const R: usize>(&mut self, rows: [usize; R]) {
         let (step, width) = (self.decimation.step, self.width);
@@ -222,7 +222,7 @@ impl<V: Real> Work for AddWork<'_, V> {
 mod tests {
     use super::*;
 
-    /// Numbers without a pattern.
+    /// Pseudo-random samples.
     fn random_samples(count: usize) -> Vec<f64> {
         (0..count).map(|k| ((k * k) as f64).sin()).collect()
     }

@@ -99,9 +99,9 @@ const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 /// link, all of which are parameters of the arm, identifiable or not. The inertia matrix is the sum
 /// over the links (composite rigid bodies).
 ///
-/// The accelerometer of a link sits at `accelerometer_distance` across the joint's axis, along the
+/// The accelerometer of a link is at `accelerometer_distance` across the joint's axis, along the
 /// projection of the frame's x axis (of its y axis if the joint's axis is x), and reads
-/// perpendicular to both. On a prismatic joint it sits at the link's origin and reads along the
+/// perpendicular to both. On a prismatic joint it is at the link's origin and reads along the
 /// axis. A gyro reads the rate about the axis. The link signals are those in the plane across the
 /// axis: all that an IMU reads if the axes are parallel, and a part of it otherwise.
 ///
@@ -168,7 +168,7 @@ pub struct Posture<R, const N: usize> {
     turn: [Turn<R>; N],
     /// Displacements [m] of prismatic joints.
     shift: [R; N],
-    /// Rotation of each link's frame relative to the link before.
+    /// Rotation of each link's frame relative to the preceding link.
     rotation: [Matrix<R>; N],
 }
 
@@ -414,7 +414,7 @@ fn is_body(&[mass, x, y, z, xx, xy, yy, xz, yz, zz]: &[f64; LINK_PARAMETER_COUNT
     true
 }
 
-/// Recursions compiled as functions of their own, because every stage of every step calls them:
+/// Recursions compiled as separate functions, because every stage of every step calls them:
 /// inlined, those of six links would be most of the program.
 macro_rules! out_of_line {
     ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $work:expr;)*) => {$(

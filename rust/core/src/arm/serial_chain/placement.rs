@@ -19,7 +19,7 @@ pub enum JointType {
 pub struct ChainJoint {
     /// Kind of motion.
     pub joint_type: JointType,
-    /// The joint's origin [m] in the frame of the link before, or of the base.
+    /// The joint's origin [m] in the frame of the preceding link, or of the base.
     pub position: [f64; 3],
     /// Roll, pitch and yaw [rad] of the joint's frame at zero angle in that frame.
     pub attitude: [f64; 3],
@@ -31,14 +31,14 @@ pub struct ChainJoint {
 
 /// Constants of a joint.
 ///
-/// The rotation of the link's frame relative to the link before is cos(q) `cos` + sin(q) `sin` +
+/// The rotation of the link's frame relative to the preceding link is cos(q) `cos` + sin(q) `sin` +
 /// `fixed`, Rodrigues' formula after the placement; that of a prismatic joint is `fixed`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub(super) joint_type: JointType,
     pub(super) position: Vector<f64>,
     pub(super) axis: Vector<f64>,
-    /// The axis in the frame of the link before.
+    /// The axis in the frame of the preceding link.
     pub(super) slide: Vector<f64>,
     pub(super) cos: Matrix<f64>,
     pub(super) sin: Matrix<f64>,

@@ -68,7 +68,7 @@ impl<R: Real> Inertia<R> {
 }
 
 impl<const N: usize> SerialChain<N> {
-    /// The origin of link `i` in the frame of the link before.
+    /// The origin of link `i` in the frame of the preceding link.
     #[inline(always)]
     pub(super) fn origin<R: Real>(&self, at: &Posture<R, N>, i: usize) -> Vector<R> {
         let placed = &self.joints[i];

@@ -8,7 +8,7 @@ use crate::scalar::Real;
 /// of zero, whose sign would otherwise determine the derivative of a backlash of zero.
 const MIN_SMOOTHING_WIDTH: f64 = 1e-8;
 
-/// A dead band of the gear's spring at torsions within +-b. Its damping acts there too.
+/// A dead band of the gear's spring at torsions within +-b. The damping acts within the band too.
 ///
 /// The strain is delta - b delta / max(|delta|, b, r), with r = [`MIN_SMOOTHING_WIDTH`]: sharp for
 /// bands wider than r.

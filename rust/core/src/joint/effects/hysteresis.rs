@@ -21,8 +21,8 @@ pub struct Hysteresis<R> {
 }
 
 impl<R: Real> Hysteresis<R> {
-    /// z after a torsion change `change` [rad] without reversal: s + (z - s) exp(-|way| / delta_h),
-    /// with the sign s of the change.
+    /// z after a torsion change `change` [rad] without reversal: s + (z - s) exp(-|change| /
+    /// delta_h), with the sign s of the change.
     #[inline(always)]
     pub fn relax(&self, z: R, change: R) -> R {
         let limit = R::splat(1.0).copysign(change);

@@ -55,9 +55,9 @@ pub struct AffectedTerms {
     pub motor: bool,
     /// Torque of the gear.
     pub gear: bool,
-    /// Load on the link. An effect enters by this or by `weight`.
+    /// Load on the link. An effect affects this term or `weight`, not both.
     pub link: bool,
-    /// Load on the link and on those before it.
+    /// Load on the link and on all preceding links.
     pub weight: bool,
     /// Effective voltage.
     pub drive: bool,
@@ -97,7 +97,7 @@ pub struct Torsion<R> {
     pub rate: R,
 }
 
-/// Lead [rad] of the flexible part over its link, and its rate [rad/s].
+/// Deflection [rad] of the flexible part relative to its link, and its rate [rad/s].
 #[derive(Clone, Copy, Debug)]
 pub struct PartDeflection<R> {
     /// x.
@@ -138,7 +138,7 @@ pub struct JointState<R> {
     pub base: BaseTorque<R>,
 }
 
-/// An effect with its values. The defaults change nothing. All methods that a step of the
+/// An effect with its values. The default methods have no effect. All methods that a step of the
 /// integrator calls are `#[inline(always)]`.
 pub trait Effect<R: Real>: Copy + Send + Sync {
     /// Declaration.
@@ -148,26 +148,26 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     fn of(values: &[R; MAX_EFFECT_PARAMETERS]) -> Self;
 
     /// Friction limit beyond Coulomb's [N m] at a motor velocity [rad/s] and a gear torque at the
-    /// motor [N m]; enters by `friction`.
+    /// motor [N m]; affects `friction`.
     #[inline(always)]
     fn dry_friction(&self, _velocity: R, _load: R) -> R {
         R::splat(0.0)
     }
 
-    /// Torque added to the motor's [N m]; enters by `motor`.
+    /// Torque added to the motor's [N m]; affects `motor`.
     #[inline(always)]
     fn motor_torque(&self, _angle: R, _velocity: R) -> R {
         R::splat(0.0)
     }
 
     /// Error of the link's angle [rad], and its derivative with respect to the motor's angle;
-    /// enters by `gear` and `motor`.
+    /// affects `gear` and `motor`.
     #[inline(always)]
     fn error(&self, _motor_angle: R) -> [R; 2] {
         [R::splat(0.0); 2]
     }
 
-    /// Torsion [rad] that strains the gear's spring; enters by `gear`.
+    /// Torsion [rad] that strains the gear's spring; affects `gear`.
     #[inline(always)]
     fn strain(&self, torsion: R) -> R {
         torsion
@@ -178,7 +178,7 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
         strain
     }
 
-    /// Torque added to the gear's [N m] in a hysteresis state; enters by `gear`.
+    /// Torque added to the gear's [N m] in a hysteresis state; affects `gear`.
     #[inline(always)]
     fn gear_torque(&self, _z: R) -> R {
         R::splat(0.0)
@@ -191,54 +191,54 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     }
 
     /// Second derivative [N m/s^2] of the torque of the spring under the base, at a gear torque [N
-    /// m]; enters by `gear`.
+    /// m]; affects `gear`.
     #[inline(always)]
     fn base_acceleration(&self, _base: &BaseTorque<R>, _gear: R) -> R {
         R::splat(0.0)
     }
 
-    /// Rotation of the base [rad] at a torque of its spring [N m], or the rates of both; linear,
-    /// enters by `gear`.
+    /// Rotation of the base [rad] at a torque of its spring [N m], or the rates of both; linear;
+    /// affects `gear`.
     #[inline(always)]
     fn base_rotation(&self, _torque: R) -> R {
         R::splat(0.0)
     }
 
-    /// Load torque on the link [N m] at its joint angle [rad]; enters by `link`.
+    /// Load torque on the link [N m] at its joint angle [rad]; affects `link`.
     #[inline(always)]
     fn load(&self, _angle: R) -> R {
         R::splat(0.0)
     }
 
-    /// Load torque on the link [N m] and on those before it, at its angle in space [rad]; enters by
-    /// `weight`. If axes are not parallel, the joint's own angle replaces the angle in space, and
-    /// only the link itself bears the load.
+    /// Load torque on the link [N m] and on all preceding links, at its angle in space [rad];
+    /// affects `weight`. If axes are not parallel, the joint's own angle replaces the angle in
+    /// space, and the load acts only on the link itself.
     #[inline(always)]
     fn weight(&self, _angle: R) -> R {
         R::splat(0.0)
     }
 
-    /// Acceleration in space [rad/s^2] of the flexible part; enters by `weight`.
+    /// Acceleration in space [rad/s^2] of the flexible part; affects `weight`.
     #[inline(always)]
     fn part_acceleration(&self, _deflection: &PartDeflection<R>) -> R {
         R::splat(0.0)
     }
 
-    /// Load torque of the flexible part [N m] on the link and on those before it, at an
-    /// acceleration [rad/s^2]; enters by `weight`.
+    /// Load torque of the flexible part [N m] on the link and on all preceding links, at an
+    /// acceleration [rad/s^2]; affects `weight`.
     #[inline(always)]
     fn part_load(&self, _acceleration: R) -> R {
         R::splat(0.0)
     }
 
-    /// Effective voltage [V] for a commanded one; enters by `drive`.
+    /// Effective voltage [V] for a commanded one; affects `drive`.
     #[inline(always)]
     fn drive(&self, voltage: R) -> R {
         voltage
     }
 
     /// Mean effective voltage [V] over a step of the integrator [s], and the state of the drive at
-    /// its end [V], for a voltage [V] and a state at the beginning; enters by `drive`.
+    /// its end [V], for a voltage [V] and a state at the beginning; affects `drive`.
     #[inline(always)]
     fn hold_voltage(&self, voltage: R, memory: R, _time: f64) -> [R; 2] {
         [voltage, memory]
@@ -310,7 +310,7 @@ macro_rules! effects {
             /// No effect.
             pub const NONE: Self = Self { $($field: None),* };
 
-            /// Effects of a selection; `take` gives their parameters in order.
+            /// Effects of a selection; `next_value` returns their parameters in order.
             pub(crate) fn of(kinds: EffectKinds, mut next_value: impl FnMut() -> R) -> Self {
                 let mut all = Self::NONE;
                 $(

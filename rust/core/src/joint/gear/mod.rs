@@ -90,7 +90,7 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
 
     /// Torsion [rad] at a torque [N m]: the inverse of [`Spring::torque`].
     ///
-    /// Newton's method within a bracket. A step that leaves the bracket or does not halve the
+    /// Newton's method within a bracket. A step that is outside the bracket or does not halve the
     /// residual is replaced by bisection, because Newton's method can cycle between a steep and a
     /// flat slope.
     fn torsion(&self, torque: R) -> R {
