@@ -22,7 +22,7 @@ impl Sign {
     }
 
     /// Description of the admissible values.
-    pub fn words(self) -> &'static str {
+    pub fn requirement(self) -> &'static str {
         match self {
             Self::Any => "finite",
             Self::NonNegative => "zero or positive",

@@ -50,7 +50,7 @@ fn parameter_table() -> Vec<Row> {
 #[pyfunction]
 fn gear_laws() -> Vec<(&'static str, Vec<&'static str>, bool)> {
     let names = |law: &gear::Law| law.parameters.iter().map(|one| one.name).collect();
-    gear::known()
+    gear::all_laws()
         .iter()
         .map(|law| (law.name, names(law), law.elastic))
         .collect()

@@ -6,7 +6,7 @@ use std::iter::zip;
 use crate::common::config;
 use strainwave_core::arm::OneLink;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
-use strainwave_core::joint::gear::{GearLaw, Law, MAX_LAW_PARAMETERS, Only, Spring};
+use strainwave_core::joint::gear::{GearLaw, Law, MAX_LAW_PARAMETERS, SingleLaw, Spring};
 use strainwave_core::parameter::{Parameter, STIFFNESS, Sign};
 use strainwave_core::plant::config::Config;
 use strainwave_core::program::{Request, dual_numbers, forward, simulate};
@@ -115,7 +115,7 @@ fn member<'a>(parameters: &'a [f64], zeros: &'a [[f64; 1]]) -> Member<'a, 1> {
 fn external_law_conserves_energy() {
     let (task, zeros) = (task(), vec![[0.0]; 4001]);
     let member = member(&PARAMETERS, &zeros);
-    let record = simulate::<_, Only<Quadratic>, 1, false>(&task, &member).expect("finite");
+    let record = simulate::<_, SingleLaw<Quadratic>, 1, false>(&task, &member).expect("finite");
     let spring = Quadratic::spring(&[9e3, 400.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0);
     let energy = |k: usize| {
         let [motor, speed, link, rate] = [0, 1, 2, 3].map(|quantity| record[quantity][k][0]);
@@ -147,8 +147,8 @@ fn external_law_derivatives_match_differences() {
         directions: &directions,
         decimation: None,
     };
-    let fast = forward::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
-    let slow = dual_numbers::<_, Only<Quadratic>, 1, false>(&request).expect("finite");
+    let fast = forward::<_, SingleLaw<Quadratic>, 1, false>(&request).expect("finite");
+    let slow = dual_numbers::<_, SingleLaw<Quadratic>, 1, false>(&request).expect("finite");
     for (fast, slow) in zip(&fast.tangents, &slow.tangents) {
         for d in 0..directions.len() {
             let most = slow.iter().skip(d).step_by(directions.len());

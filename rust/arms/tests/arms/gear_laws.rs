@@ -15,7 +15,7 @@ use strainwave_core::scalar::{Dual, Real};
 type Number = Dual<f64, f64>;
 
 fn elastic() -> impl Iterator<Item = Law> {
-    gear::known().into_iter().filter(|law| law.elastic)
+    gear::all_laws().into_iter().filter(|law| law.elastic)
 }
 
 /// Typical values of a size 20 gear, varied by some tens of percent.
@@ -97,8 +97,8 @@ proptest! {
 /// equations, where available, against dual numbers.
 #[test]
 fn derivatives_match_differences_for_every_pair_of_laws() {
-    for first in gear::known() {
-        for second in gear::known() {
+    for first in gear::all_laws() {
+        for second in gear::all_laws() {
             let config = config::<TwoLink<true>, 2>([first, second]);
             let mut draw = Draw::new(7);
             let laws = [first, second].map(|law| (law, random_values(&law, &mut draw)));

@@ -49,7 +49,7 @@ fn distance<A: WithPrograms<2>>(
             step: 2e-3 / steps_per_tick as f64,
             steps: 40 * steps_per_tick,
         };
-        run.record(&STATE).map_last()
+        run.record(&STATE).last_row()
     };
     let (a, b) = (last(coarse), last(fine));
     a.iter()
@@ -58,12 +58,12 @@ fn distance<A: WithPrograms<2>>(
         .fold(0.0, f64::max)
 }
 
-trait Last {
-    fn map_last(&self) -> Vec<f64>;
+trait LastRow {
+    fn last_row(&self) -> Vec<f64>;
 }
 
-impl<const N: usize> Last for Vec<Vec<[f64; N]>> {
-    fn map_last(&self) -> Vec<f64> {
+impl<const N: usize> LastRow for Vec<Vec<[f64; N]>> {
+    fn last_row(&self) -> Vec<f64> {
         self.iter()
             .flat_map(|column| *column.last().unwrap())
             .collect()
@@ -389,7 +389,7 @@ proptest! {
             parameters: &values, feed_forward: &voltage, reference: &reference, initial: at_rest([0.0; 2]),
         };
         let [portable, fused] = [Width::Portable, Width::detect()]
-            .map(|width| simulate(&task, &member, width).expect("finite").map_last());
+            .map(|width| simulate(&task, &member, width).expect("finite").last_row());
         for (a, b) in portable.iter().zip(&fused) {
             // Rounding differs (fused or not) and is amplified little over 0.1 s.
             prop_assert!((a - b).abs() < 1e-9 * (1.0 + a.abs()));

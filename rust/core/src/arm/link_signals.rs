@@ -24,7 +24,7 @@ pub struct LinkSignalSlopes<R, const N: usize> {
 /// Sines and cosines of each link's angle in space, needed with gravity only, and of each joint's
 /// angle, needed from the second joint on.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Turns<R, const N: usize> {
+pub(super) struct LinkRotations<R, const N: usize> {
     /// Relative to the base's x axis.
     pub(super) space: [(R, R); N],
     /// Relative to the preceding link.
@@ -45,7 +45,7 @@ pub(crate) fn summed<R: Real, const N: usize>(rates: &[R; N]) -> [R; N] {
 /// `gravity` [m/s^2] is its part in the plane of motion, `length` [m] the distance of the axes.
 #[inline(always)]
 pub(super) fn planar<R: Real, const N: usize>(
-    Turns { space, joint }: &Turns<R, N>,
+    LinkRotations { space, joint }: &LinkRotations<R, N>,
     gravity: f64,
     length: f64,
     dq: &[R; N],
@@ -72,7 +72,7 @@ pub(super) fn planar<R: Real, const N: usize>(
 /// Derivatives of the [`planar`] signals with respect to angles, velocities and accelerations.
 #[inline(always)]
 pub(super) fn planar_slopes<R: Real, const N: usize>(
-    Turns { space, joint }: &Turns<R, N>,
+    LinkRotations { space, joint }: &LinkRotations<R, N>,
     gravity: f64,
     length: f64,
     dq: &[R; N],

@@ -10,7 +10,7 @@ mod differentiation;
 pub mod link_signals;
 mod one_link;
 mod serial_chain;
-mod turn;
+mod sine_cosine;
 mod two_link;
 
 pub use one_link::OneLink;

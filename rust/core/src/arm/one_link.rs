@@ -1,7 +1,7 @@
 //! A single link on one joint.
 
-use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
-use super::turn::Turn;
+use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
+use super::sine_cosine::SineCosine;
 use super::{Arm, Name, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
@@ -24,7 +24,7 @@ pub struct OneLinkBase<R> {
 
 impl Arm<1> for OneLink {
     type Base<R: Real> = OneLinkBase<R>;
-    type Posture<R: Real> = Turn<R>;
+    type Posture<R: Real> = SineCosine<R>;
 
     type Regressor<R: Real> = [[R; 1]; 2];
 
@@ -89,27 +89,27 @@ impl Arm<1> for OneLink {
     }
 
     #[inline(always)]
-    fn posture<R: Real>(&self, q: &[R; 1]) -> Turn<R> {
-        Turn::of(q[0])
+    fn posture<R: Real>(&self, q: &[R; 1]) -> SineCosine<R> {
+        SineCosine::of(q[0])
     }
 
     #[inline(always)]
-    fn near<R: Real>(&self, from: &Turn<R>, increment: &[R; 1]) -> Turn<R> {
-        from.further(increment[0])
+    fn near<R: Real>(&self, from: &SineCosine<R>, increment: &[R; 1]) -> SineCosine<R> {
+        from.plus_small_angle(increment[0])
     }
 
     #[inline(always)]
-    fn map_posture<R: Real, L: Real>(at: &Turn<R>, to: impl Fn(R) -> L) -> Turn<L> {
+    fn map_posture<R: Real, L: Real>(at: &SineCosine<R>, to: impl Fn(R) -> L) -> SineCosine<L> {
         at.map(&to)
     }
 
     #[inline(always)]
-    fn inertia<R: Real>(&self, base: &OneLinkBase<R>, _: &Turn<R>) -> [[R; 1]; 1] {
+    fn inertia<R: Real>(&self, base: &OneLinkBase<R>, _: &SineCosine<R>) -> [[R; 1]; 1] {
         [[base.inertia]]
     }
 
     #[inline(always)]
-    fn bias<R: Real>(&self, base: &OneLinkBase<R>, at: &Turn<R>, _: &[R; 1]) -> [R; 1] {
+    fn bias<R: Real>(&self, base: &OneLinkBase<R>, at: &SineCosine<R>, _: &[R; 1]) -> [R; 1] {
         [base.g1 * at.cos]
     }
 
@@ -117,7 +117,7 @@ impl Arm<1> for OneLink {
     fn slopes<R: Real>(
         &self,
         base: &OneLinkBase<R>,
-        at: &Turn<R>,
+        at: &SineCosine<R>,
         _: &[R; 1],
         _: &[R; 1],
     ) -> Slopes<R, 1> {
@@ -128,17 +128,17 @@ impl Arm<1> for OneLink {
     }
 
     #[inline(always)]
-    fn regressor<R: Real>(&self, at: &Turn<R>, _: &[R; 1], ddq: &[R; 1]) -> [[R; 1]; 2] {
+    fn regressor<R: Real>(&self, at: &SineCosine<R>, _: &[R; 1], ddq: &[R; 1]) -> [[R; 1]; 2] {
         [[ddq[0]], [R::splat(has_gravity(self.gravity)) * at.cos]]
     }
 
     #[inline(always)]
-    fn potential<R: Real>(&self, base: &OneLinkBase<R>, at: &Turn<R>) -> R {
+    fn potential<R: Real>(&self, base: &OneLinkBase<R>, at: &SineCosine<R>) -> R {
         base.g1 * at.sin
     }
 
     #[inline(always)]
-    fn accelerometers<R: Real>(&self, at: &Turn<R>, _: &[R; 1], ddq: &[R; 1]) -> [R; 1] {
+    fn accelerometers<R: Real>(&self, at: &SineCosine<R>, _: &[R; 1], ddq: &[R; 1]) -> [R; 1] {
         let reading = R::splat(self.accelerometer_distance) * ddq[0];
         [R::splat(self.gravity).mul_add(at.cos, reading)]
     }
@@ -146,7 +146,7 @@ impl Arm<1> for OneLink {
     #[inline(always)]
     fn accelerometer_slopes<R: Real>(
         &self,
-        at: &Turn<R>,
+        at: &SineCosine<R>,
         _: &[R; 1],
         _: &[R; 1],
     ) -> (Slopes<R, 1>, [[R; 1]; 1]) {
@@ -158,36 +158,36 @@ impl Arm<1> for OneLink {
     }
 
     #[inline(always)]
-    fn absolute_rates<R: Real>(&self, _: &Turn<R>, dq: &[R; 1]) -> [R; 1] {
+    fn absolute_rates<R: Real>(&self, _: &SineCosine<R>, dq: &[R; 1]) -> [R; 1] {
         *dq
     }
 
     #[inline(always)]
     fn link_signals<R: Real>(
         &self,
-        at: &Turn<R>,
+        at: &SineCosine<R>,
         dq: &[R; 1],
         ddq: &[R; 1],
     ) -> [[R; 1]; LINK_SIGNALS] {
-        planar(&turns(at), self.gravity, 0.0, dq, ddq)
+        planar(&link_rotations(at), self.gravity, 0.0, dq, ddq)
     }
 
     #[inline(always)]
     fn link_signal_slopes<R: Real>(
         &self,
-        at: &Turn<R>,
+        at: &SineCosine<R>,
         dq: &[R; 1],
         ddq: &[R; 1],
     ) -> [LinkSignalSlopes<R, 1>; 1] {
-        planar_slopes(&turns(at), self.gravity, 0.0, dq, ddq)
+        planar_slopes(&link_rotations(at), self.gravity, 0.0, dq, ddq)
     }
 }
 
 /// Rotation of the link.
 #[inline(always)]
-fn turns<R: Real>(at: &Turn<R>) -> Turns<R, 1> {
+fn link_rotations<R: Real>(at: &SineCosine<R>) -> LinkRotations<R, 1> {
     let rotation = [(at.sin, at.cos)];
-    Turns {
+    LinkRotations {
         space: rotation,
         joint: rotation,
     }

@@ -1,7 +1,7 @@
 //! The planar arm of two links, (3) and (4).
 
-use super::link_signals::{LINK_SIGNALS, LinkSignalSlopes, Turns, planar, planar_slopes};
-use super::turn::Turn;
+use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
+use super::sine_cosine::SineCosine;
 use super::{Arm, Name, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
@@ -33,8 +33,8 @@ pub struct TwoLinkBase<R> {
 /// Rotations by q1 and q2; a horizontal arm does not need the first.
 #[derive(Clone, Copy, Debug)]
 pub struct TwoLinkPosture<R> {
-    first: Turn<R>,
-    second: Turn<R>,
+    first: SineCosine<R>,
+    second: SineCosine<R>,
 }
 
 impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
@@ -139,16 +139,20 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; 2]) -> TwoLinkPosture<R> {
-        let second = Turn::of(q[1]);
-        let first = if VERTICAL { Turn::of(q[0]) } else { second };
+        let second = SineCosine::of(q[1]);
+        let first = if VERTICAL {
+            SineCosine::of(q[0])
+        } else {
+            second
+        };
         TwoLinkPosture { first, second }
     }
 
     #[inline(always)]
     fn near<R: Real>(&self, from: &TwoLinkPosture<R>, increment: &[R; 2]) -> TwoLinkPosture<R> {
-        let second = from.second.further(increment[1]);
+        let second = from.second.plus_small_angle(increment[1]);
         let first = if VERTICAL {
-            from.first.further(increment[0])
+            from.first.plus_small_angle(increment[0])
         } else {
             second
         };
@@ -303,7 +307,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ddq: &[R; 2],
     ) -> [[R; 2]; LINK_SIGNALS] {
         planar(
-            &self.turns(at),
+            &self.link_rotations(at),
             self.plane_gravity(),
             self.link_length,
             dq,
@@ -319,7 +323,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
         ddq: &[R; 2],
     ) -> [LinkSignalSlopes<R, 2>; 2] {
         planar_slopes(
-            &self.turns(at),
+            &self.link_rotations(at),
             self.plane_gravity(),
             self.link_length,
             dq,
@@ -348,9 +352,9 @@ impl<const VERTICAL: bool> TwoLink<VERTICAL> {
 
     /// Rotations of the links.
     #[inline(always)]
-    fn turns<R: Real>(&self, at: &TwoLinkPosture<R>) -> Turns<R, 2> {
+    fn link_rotations<R: Real>(&self, at: &TwoLinkPosture<R>) -> LinkRotations<R, 2> {
         let both = at.first.plus(at.second);
-        Turns {
+        LinkRotations {
             space: [(at.first.sin, at.first.cos), (both.sin, both.cos)],
             joint: [(at.first.sin, at.first.cos), (at.second.sin, at.second.cos)],
         }

@@ -74,7 +74,7 @@ fn solve_equilibrium<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS
     let unloaded_link_angle: [S; N] =
         std::array::from_fn(|i| plant.unloaded_link_angle(motor_angle[i], i));
     let mut angle = unloaded_link_angle;
-    let mut settled = None;
+    let mut converged_at = None;
     for round in 0..400 {
         let at = plant.arm.posture(&angle);
         let mut gravity = plant.arm.bias(&plant.base, &at, &[S::splat(0.0); N]);
@@ -94,10 +94,10 @@ fn solve_equilibrium<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS
                 angle[i] = next;
             }
         }
-        if change < 1e-15 && settled.is_none() {
-            settled = Some(round);
+        if change < 1e-15 && converged_at.is_none() {
+            converged_at = Some(round);
         }
-        if settled.is_some_and(|at| round > 2 * at) {
+        if converged_at.is_some_and(|at| round > 2 * at) {
             break;
         }
     }

@@ -99,7 +99,7 @@ pub fn joint_parameters() -> Vec<OwnedParameter> {
             .collect::<Vec<_>>()
     };
     let mut all = of("drive", &DRIVE);
-    for law in gear::known() {
+    for law in gear::all_laws() {
         all.extend(of(law.name, law.parameters));
     }
     all.extend(of("gear", &[GEAR_DAMPING, SETTLING]));
@@ -112,9 +112,9 @@ pub fn joint_parameters() -> Vec<OwnedParameter> {
 impl JointConfig {
     /// The joint's parameters, in the order of a flat list of values.
     pub(crate) fn parameters(&self) -> Vec<(Role, Parameter)> {
-        let mut all = numbered(&DRIVE, Role::Drive);
+        let mut all = number_parameters(&DRIVE, Role::Drive);
         if self.gear.elastic {
-            all.extend(numbered(self.gear.parameters, Role::Gear));
+            all.extend(number_parameters(self.gear.parameters, Role::Gear));
             all.extend([(Role::Damping, GEAR_DAMPING), (Role::Settling, SETTLING)]);
         }
         let of_effects: Vec<_> = self
@@ -123,12 +123,12 @@ impl JointConfig {
             .iter()
             .map(|one| one.parameter)
             .collect();
-        all.extend(numbered(&of_effects, Role::Effect));
+        all.extend(number_parameters(&of_effects, Role::Effect));
         all
     }
 }
 
-fn numbered(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(Role, Parameter)> {
+fn number_parameters(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(Role, Parameter)> {
     let each = |(index, &parameter)| (role(index), parameter);
     parameters.iter().enumerate().map(each).collect()
 }
@@ -174,7 +174,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         let parameters = self.joints.iter().flat_map(JointConfig::parameters);
         for (k, (_, parameter)) in (bases..).zip(parameters) {
             if !values[k].is_finite() || !parameter.sign.allows(values[k]) {
-                return Err(invalid(k, parameter.sign.words()));
+                return Err(invalid(k, parameter.sign.requirement()));
             }
         }
         let is_not_rising = |k: &usize| values[*k] <= values[k - 1];
@@ -275,7 +275,8 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
 
     /// Whether all gears are in the set `G`.
     pub fn has_gears<G: Gears>(&self) -> bool {
-        let has = |joint: &JointConfig| G::have(&joint.gear) && (G::RIGID || joint.gear.elastic);
+        let has =
+            |joint: &JointConfig| G::includes(&joint.gear) && (G::RIGID || joint.gear.elastic);
         self.joints.iter().all(has)
     }
 

@@ -190,7 +190,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         for i in (0..N).filter(|&i| !self.is_rigid(i)) {
             let joint = &self.joints[i];
             let compliance = joint.effects.base_rotation(R::splat(1.0));
-            let mut settled = None;
+            let mut converged_at = None;
             for round in 0..400 {
                 let torsion = self.gear(x, i).torsion;
                 let torque = self.transmitted(x, i, &torsion);
@@ -199,10 +199,10 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 let change = (torque + x.base_torque[i]) / slope;
                 x.base_torque[i] = x.base_torque[i] - change;
                 let size = 1e-14 * (1.0 + torque.lane(0).abs());
-                if change.lane(0).abs() < size && settled.is_none() {
-                    settled = Some(round);
+                if change.lane(0).abs() < size && converged_at.is_none() {
+                    converged_at = Some(round);
                 }
-                if settled.is_some_and(|at| round > 2 * at) {
+                if converged_at.is_some_and(|at| round > 2 * at) {
                     break;
                 }
             }

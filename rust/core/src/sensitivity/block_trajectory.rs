@@ -11,7 +11,7 @@ use crate::plant::config::{Config, Role};
 use crate::plant::friction::Motion;
 use crate::plant::{Modes, State};
 use crate::scalar::{Dual, Lanes, Real};
-use crate::sensitivity::dual_simulation::seeded;
+use crate::sensitivity::dual_simulation::seed_dual;
 use crate::sensitivity::event::EventSensitivity;
 use crate::sensitivity::imu::ImuReadings;
 use crate::sensitivity::sample_buffer::SampleBuffer;
@@ -80,7 +80,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         directions: &[Source],
         sensing: Option<&Sensing<V, N>>,
     ) -> Self {
-        let lift = |source, value| seeded(source, value, directions);
+        let lift = |source, value| seed_dual(source, value, directions);
         let dual: Simulation<'a, A, Dual<S, V>, G, N, EFFECTS> =
             Simulation::new(task, member, &lift);
         let zero = [V::splat(0.0); N];

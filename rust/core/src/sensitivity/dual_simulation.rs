@@ -33,7 +33,7 @@ pub(crate) fn differentiate_over_dual_numbers<
         tangents: vec![vec![0.0; task.clock.samples * N * directions.len()]; task.record.len()],
     };
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
-        let lift = |source, value| seeded(source, value, &directions[first..]);
+        let lift = |source, value| seed_dual(source, value, &directions[first..]);
         let chain = Simulate::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, member, lift);
         all.store_directions(&Dual::<S, V>::scope(chain)?, first, directions.len());
     }
@@ -41,7 +41,7 @@ pub(crate) fn differentiate_over_dual_numbers<
 }
 
 /// A value with derivative one in the directions of its source, and zero in the others.
-pub(crate) fn seeded<S: Real, V: Real>(
+pub(crate) fn seed_dual<S: Real, V: Real>(
     source: Source,
     value: f64,
     directions: &[Source],

@@ -49,13 +49,13 @@ impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EF
 
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut chain = Chain::<'_, A, S, V, L, G, N, EFFECTS>::new(&self);
+        let mut simulation = VariationalSimulation::<'_, A, S, V, L, G, N, EFFECTS>::new(&self);
         for (step, event) in self.task.clock.instants() {
-            chain.step(step, &event);
+            simulation.step(step, &event);
         }
-        let Chain {
+        let VariationalSimulation {
             nominal, buffer, ..
-        } = chain;
+        } = simulation;
         Ok(Sensitivities {
             values: decimated::<V, N>(values(&nominal.result()?), self.decimation),
             tangents: buffer.tangents,
@@ -63,7 +63,7 @@ impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EF
     }
 }
 
-struct Chain<
+struct VariationalSimulation<
     'a,
     A: Arm<N>,
     S: Lanes,
@@ -93,7 +93,7 @@ struct Chain<
 }
 
 impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
-    Chain<'a, A, S, V, L, G, N, EFFECTS>
+    VariationalSimulation<'a, A, S, V, L, G, N, EFFECTS>
 {
     fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
@@ -290,7 +290,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
     }
 }
 
-/// [`Chain::repeat_step`] in a separate scope, because it is rare and long.
+/// [`VariationalSimulation::repeat_step`] in a separate scope, because it is rare and long.
 struct RepeatWork<
     'c,
     'a,
@@ -301,7 +301,7 @@ struct RepeatWork<
     G: Gears,
     const N: usize,
     const EFFECTS: bool,
->(&'c mut Chain<'a, A, S, V, L, G, N, EFFECTS>);
+>(&'c mut VariationalSimulation<'a, A, S, V, L, G, N, EFFECTS>);
 
 impl<A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool> Work
     for RepeatWork<'_, '_, A, S, V, L, G, N, EFFECTS>

@@ -7,7 +7,7 @@ mod vector;
 pub use placement::{ChainJoint, JointType};
 
 use super::link_signals::LINK_SIGNALS;
-use super::turn::Turn;
+use super::sine_cosine::SineCosine;
 use super::{Arm, Name};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::{Real, Work, run_out_of_line};
@@ -134,7 +134,7 @@ impl<const N: usize> SerialChain<N> {
 
     /// Rotates the frames by the joint angles.
     #[inline(always)]
-    fn rotated<R: Real>(&self, turn: [Turn<R>; N], shift: [R; N]) -> Posture<R, N> {
+    fn rotated<R: Real>(&self, turn: [SineCosine<R>; N], shift: [R; N]) -> Posture<R, N> {
         let zero = R::splat(0.0);
         let mut rotation = [[[zero; 3]; 3]; N];
         for i in 0..N {
@@ -165,7 +165,7 @@ impl<const N: usize> SerialChain<N> {
 #[derive(Clone, Copy)]
 pub struct Posture<R, const N: usize> {
     /// Sines and cosines of revolute joints.
-    turn: [Turn<R>; N],
+    turn: [SineCosine<R>; N],
     /// Displacements [m] of prismatic joints.
     shift: [R; N],
     /// Rotation of each link's frame relative to the preceding link.
@@ -240,10 +240,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
         let zero = R::splat(0.0);
-        let mut turn = [Turn::of(zero); N];
+        let mut turn = [SineCosine::of(zero); N];
         for i in 0..N {
             if self.revolute(i) {
-                turn[i] = Turn::of(q[i]);
+                turn[i] = SineCosine::of(q[i]);
             }
         }
         self.rotated(turn, *q)
@@ -254,7 +254,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         let (mut turn, mut shift) = (from.turn, from.shift);
         for i in 0..N {
             if self.revolute(i) {
-                turn[i] = turn[i].further(increment[i]);
+                turn[i] = turn[i].plus_small_angle(increment[i]);
             }
             shift[i] = shift[i] + increment[i];
         }

@@ -22,7 +22,7 @@ impl Gears for Slopes {
     type Spring<R: Real> = SlopesSpring<R>;
     const RIGID: bool = false;
 
-    fn have(law: &Law) -> bool {
+    fn includes(law: &Law) -> bool {
         [Linear::LAW, ThreeSlope::LAW].contains(law)
     }
 
@@ -84,13 +84,13 @@ impl<R: Real> Spring<R> for SlopesSpring<R> {
 
 /// Gears of one law, which may be defined outside of this crate.
 #[derive(Clone, Copy, Debug)]
-pub struct Only<L>(std::marker::PhantomData<L>);
+pub struct SingleLaw<L>(std::marker::PhantomData<L>);
 
-impl<L: GearLaw> Gears for Only<L> {
+impl<L: GearLaw> Gears for SingleLaw<L> {
     type Spring<R: Real> = L::Spring<R>;
     const RIGID: bool = false;
 
-    fn have(law: &Law) -> bool {
+    fn includes(law: &Law) -> bool {
         *law == L::LAW
     }
 
@@ -124,7 +124,7 @@ macro_rules! laws {
             type Spring<R: Real> = AnySpring<R>;
             const RIGID: bool = true;
 
-            fn have(_: &Law) -> bool {
+            fn includes(_: &Law) -> bool {
                 true
             }
 

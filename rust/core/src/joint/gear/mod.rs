@@ -9,7 +9,7 @@ mod linear;
 mod three_slope;
 
 pub use cubic::{Cubic, CubicSpring};
-pub use laws::{AllLaws, AnySpring, Only, Slopes, SlopesSpring};
+pub use laws::{AllLaws, AnySpring, SingleLaw, Slopes, SlopesSpring};
 pub use linear::{Linear, LinearSpring};
 pub use three_slope::{CORNER, ThreeSlope, ThreeSlopeSpring};
 
@@ -47,7 +47,7 @@ pub const RIGID: Law = Law {
 };
 
 /// Laws of the core.
-pub fn known() -> Vec<Law> {
+pub fn all_laws() -> Vec<Law> {
     let mut all = laws::ELASTIC.to_vec();
     all.push(RIGID);
     all
@@ -55,7 +55,7 @@ pub fn known() -> Vec<Law> {
 
 /// The law with a name.
 pub fn law(name: &str) -> Option<Law> {
-    known().into_iter().find(|law| law.name == name)
+    all_laws().into_iter().find(|law| law.name == name)
 }
 
 /// An elastic law of a gear.
@@ -125,14 +125,14 @@ pub trait Spring<R: Real>: Copy + Send + Sync {
 /// A set of laws for the gears of an arm, known at compile time.
 ///
 /// Fewer laws need fewer branches in the innermost loop: [`Slopes`] has none, [`AllLaws`] one per
-/// gear, and [`Only`] is a law from outside of this crate.
+/// gear, and [`SingleLaw`] is a law from outside of this crate.
 pub trait Gears: Copy + Send + Sync + 'static {
     /// A gear of any law of the set.
     type Spring<R: Real>: Spring<R>;
     /// Whether the set includes rigid gears.
     const RIGID: bool;
     /// Whether the set includes a law.
-    fn have(law: &Law) -> bool;
+    fn includes(law: &Law) -> bool;
     /// A gear of a law with values of its parameters; any gear for a rigid one.
     fn spring<R: Real>(law: &Law, values: &[R; MAX_LAW_PARAMETERS], corner: f64)
     -> Self::Spring<R>;

@@ -4,12 +4,12 @@ use crate::scalar::Real;
 
 /// Sine and cosine of one angle.
 #[derive(Clone, Copy, Debug)]
-pub struct Turn<R> {
+pub struct SineCosine<R> {
     pub(super) sin: R,
     pub(super) cos: R,
 }
 
-impl<R: Real> Turn<R> {
+impl<R: Real> SineCosine<R> {
     #[inline(always)]
     pub(super) fn of(angle: R) -> Self {
         let (sin, cos) = angle.sin_cos();
@@ -18,8 +18,8 @@ impl<R: Real> Turn<R> {
 
     /// Sine and cosine converted by a function.
     #[inline(always)]
-    pub(super) fn map<L>(self, to: &impl Fn(R) -> L) -> Turn<L> {
-        Turn {
+    pub(super) fn map<L>(self, to: &impl Fn(R) -> L) -> SineCosine<L> {
+        SineCosine {
             sin: to(self.sin),
             cos: to(self.cos),
         }
@@ -36,7 +36,7 @@ impl<R: Real> Turn<R> {
 
     /// Sum with a small angle: Taylor series; the first neglected term is x^8/8!.
     #[inline(always)]
-    pub(super) fn further(self, x: R) -> Self {
+    pub(super) fn plus_small_angle(self, x: R) -> Self {
         let c = R::splat;
         let square = x * x;
         let sin = square.mul_add(c(-1.0 / 5040.0), c(1.0 / 120.0));
