@@ -136,7 +136,7 @@ def _fit(folder: Path) -> None:
     study = read_study(folder / "study.toml")
     (log,) = logs.read_logs(study)
     read = time.perf_counter()
-    motion = signals.motor_side(log, Arm.of(study.arm))
+    motion = signals.prepare_motor_signals(log, Arm.of(study.arm))
     del log
     model = rigid.fit([motion], Arm.of(study.arm))
     end = time.perf_counter()

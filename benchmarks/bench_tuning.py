@@ -40,7 +40,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
 from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import space_of, with_curves
+from strainwave.identification.whole_arm.parametrisation import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.preparation import dataset_of
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
@@ -227,7 +227,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
         floor=1.0,
     )
     if study.arm.joints[0].spring == "three-slope":
-        space = with_curves(space, Arm.of(study.arm), [60.0, 15.0])
+        space = add_stiffness_curves(space, Arm.of(study.arm), [60.0, 15.0])
     objective = Objective.of(space, records).update_weights(space.coordinates(values))
     repeats = [np.sqrt(weights.rows_per_error) for weights in objective.weights]
 

@@ -28,12 +28,18 @@ def main(study_path: Path) -> None:
     all_logs = {e.name: logs.read_log(study, e) for e in study.experiments}
     motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
     # a single joint does not need a rigid model
-    model = rigid.fit([signals.motor_side(log, arm) for log in motion], arm) if motion else None
+    model = (
+        rigid.fit([signals.prepare_motor_signals(log, arm) for log in motion], arm)
+        if motion
+        else None
+    )
 
     for log in all_logs.values():
         if log.experiment.use != "frequency":
             continue
-        link_signals = links.link_side(log, arm)  # link motion from accelerometers, (8)-(10)
+        link_signals = links.prepare_link_signals(
+            log, arm
+        )  # link motion from accelerometers, (8)-(10)
         for joint in decoupling.decouple(link_signals, model, arm):  # (13), (14)
             if joint.joint != log.experiment.joint:
                 continue

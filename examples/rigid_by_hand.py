@@ -24,7 +24,7 @@ def main(study_path: Path) -> None:
     study = read_study(study_path)
     arm = Arm.of(study.arm)
     signals_by_name = {
-        experiment.name: signals.motor_side(logs.read_log(study, experiment), arm)
+        experiment.name: signals.prepare_motor_signals(logs.read_log(study, experiment), arm)
         for experiment in study.experiments
         if experiment.use in ("motion", "check")
     }

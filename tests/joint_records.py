@@ -46,7 +46,7 @@ def case(seed: int, joint: int = 1) -> Case:
             values[name, number] = value * float(np.exp(rng.uniform(-0.26, 0.26)))
     run = prbs_run(study, joint, both=True, values=values)
     model = erring(true_model(study, values), rng)
-    signals = links.link_side(log_of(run, joint, seed=seed), Arm.of(study.arm))
+    signals = links.prepare_link_signals(log_of(run, joint, seed=seed), Arm.of(study.arm))
     decoupled = decoupling.decouple(signals, model, Arm.of(study.arm))[joint - 1]
     return Case(study, values, model, signals, decoupled, truth_of(values, joint))
 

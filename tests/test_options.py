@@ -85,7 +85,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @cache
 def motion() -> tuple[Study, Any]:
     study = rigid_two_link()
-    return study, signals.motor_side(
+    return study, signals.prepare_motor_signals(
         motion_log(study, values_of(study, 1), 1, 5.0), Arm.of(study.arm)
     )
 
@@ -97,7 +97,7 @@ def rigid_with(options: RigidOptions) -> Any:
 
 def links_with(options: LinkOptions) -> Any:
     study = rig()
-    return links.link_side(_log(), Arm.of(study.arm), options).link_velocity
+    return links.prepare_link_signals(_log(), Arm.of(study.arm), options).link_velocity
 
 
 @cache
@@ -293,7 +293,7 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
         monkeypatch.setattr(module, name, called)
 
     spy(rigid, "fit", RigidOptions)
-    spy(links, "link_side", LinkOptions)
+    spy(links, "prepare_link_signals", LinkOptions)
     spy(frequency, "respond", FrequencyOptions)
     spy(physical, "fit_joint", PhysicalOptions)
     spy(physical, "fit_record", physical.RecordOptions)
@@ -308,7 +308,7 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
     )
     identification = pipeline.identify(small, options=run_options)
     assert received["fit"] == run_options.rigid
-    assert received["link_side"] == run_options.links
+    assert received["prepare_link_signals"] == run_options.links
     assert received["respond"] == run_options.responses
     assert received["fit_joint"] == run_options.physical
     assert received["fit_record"].linear == run_options.statespace

@@ -273,8 +273,8 @@ def linear_record(
         measured=measured,
         noise=np.full(n_channels, noise),
         counts=(0.0,) * n_channels,
-        moving=False,
+        begins_in_motion=False,
         max_time_step=1e-3,
-        lacking=np.zeros(measured.shape),
+        step_error_correction=np.zeros(measured.shape),
         table=table,
     )

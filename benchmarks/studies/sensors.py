@@ -62,7 +62,7 @@ MIN_WRONG_ERROR = 0.02  # relative error of a silently wrong value
 SAME_OPTIMUM = 0.5  # [standard deviations] between two ends of a fit that count as the same
 
 
-def with_sensors(rig: Rig, sensors: Sequence[str]) -> Rig:
+def restrict_sensors(rig: Rig, sensors: Sequence[str]) -> Rig:
     """Replace sensors and experiments of an arm, by names of `LINKS` and `OTHERS`.
 
     `remove_channels` removes the link channels from the logs later.
@@ -294,7 +294,7 @@ def main() -> None:
 
 
 def _draw(seed: int, *, sensors: Sequence[str], series: int, catalogue: bool) -> Rig:
-    return with_sensors(draw_rig(seed, series, catalogue=catalogue), sensors)
+    return restrict_sensors(draw_rig(seed, series, catalogue=catalogue), sensors)
 
 
 if __name__ == "__main__":

@@ -101,9 +101,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """Import a public name; see `__all__`."""
     if name not in _MODULE_OF:
-        from strainwave.errors import nearest
+        from strainwave.errors import suggest_name
 
-        hint = nearest(name, __all__)
+        hint = suggest_name(name, __all__)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
     from importlib import import_module
 

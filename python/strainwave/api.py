@@ -28,7 +28,7 @@ from strainwave.domain import (
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
-from strainwave.errors import Cancelled, InvalidInput, nearest, require
+from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
 from strainwave.io import results
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
@@ -215,7 +215,7 @@ class Parameters(Sequence[Parameter]):
 
     def to_frame(self) -> DataFrame:
         """The table as a pandas frame, one row per parameter."""
-        pandas = require("pandas", "a data frame", "pandas")
+        pandas = import_optional("pandas", "a data frame", "pandas")
         rows = []
         for p in self._parameters:
             low, high = p.ci95 or (None, None)
@@ -322,7 +322,7 @@ class Residuals:
 
     def to_frame(self) -> DataFrame:
         """The residuals as a pandas frame over time."""
-        pandas = require("pandas", "a data frame", "pandas")
+        pandas = import_optional("pandas", "a data frame", "pandas")
         index = pandas.Index(self.time, name="time")
         frame: DataFrame = pandas.DataFrame(self.values, index=index, columns=self.channels)
         return frame
@@ -455,7 +455,7 @@ class Result:
         """
         from strainwave.export.state_space import INPUTS, OUTPUTS, STATES, state_space
 
-        control = require("control", "a state-space object", "control")
+        control = import_optional("control", "a state-space object", "control")
         system: StateSpace = control.ss(
             *state_space(self._arm(), joint),
             name=f"joint_{joint}",
@@ -497,7 +497,7 @@ class Result:
             names = list(dict.fromkeys(prediction.experiment for prediction in predictions))
             raise InvalidInput(
                 f"no prediction of the experiment {experiment!r}",
-                remedy=f"choose from: {', '.join(names)}{nearest(experiment, names)}",
+                remedy=f"choose from: {', '.join(names)}{suggest_name(experiment, names)}",
             )
         time = np.unique(np.concatenate([prediction.time for prediction in selected]))
         columns: dict[str, FloatArray] = {}
@@ -553,7 +553,7 @@ class Result:
                 return draw(figure)
         raise InvalidInput(
             f"there is no figure {prefix!r}",
-            remedy=f"choose from: {', '.join(figures)}{nearest(prefix, figures)}",
+            remedy=f"choose from: {', '.join(figures)}{suggest_name(prefix, figures)}",
         )
 
     def report(self, path: Path | str) -> Path:

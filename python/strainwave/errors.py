@@ -57,14 +57,14 @@ class Cancelled(StrainwaveError):  # noqa: N818
         super().__init__("the run was cancelled; nothing was written")
 
 
-def nearest(name: str, known: Iterable[str]) -> str:
+def suggest_name(name: str, known: Iterable[str]) -> str:
     """Suggest the known name closest to a misspelled name: `; did you mean '...'?`, or ""."""
     spellings = {spelling.casefold(): spelling for spelling in known}
     matches = difflib.get_close_matches(name.casefold(), list(spellings), n=1, cutoff=0.6)
     return f"; did you mean '{spellings[matches[0]]}'?" if matches else ""
 
 
-def require(module: str, purpose: str, requirement: str) -> Any:
+def import_optional(module: str, purpose: str, requirement: str) -> Any:
     """Import an optional package; raise `InvalidInput` with the pip command if it is missing."""
     try:
         return import_module(module)

@@ -10,13 +10,13 @@ from strainwave.domain.parameters import SENSOR_PARAMETERS, Values
 from strainwave.dynamics.link_sensors import (
     apply_sensor_model,
     bandwidth_of,
-    constants_of,
     delay_of,
     differentiate_rows,
     drift_of,
     is_drift,
     is_optional,
     is_sensor_constant,
+    list_sensor_constants,
     mount_of,
     nominal,
     scale_of,
@@ -65,7 +65,7 @@ def test_delay_and_scale_change_the_reading() -> None:
 def test_names_of_sensor_constants() -> None:
     every = [(name, 1) for name in ("accelerometer", "gyro", "link_angle")]
     every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
-    names = {name for name, _ in constants_of(every)} | {ACCELEROMETER_TILT}
+    names = {name for name, _ in list_sensor_constants(every)} | {ACCELEROMETER_TILT}
     names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
     names |= {key[0] for each in every for key in mount_of(*each) or ()}
     of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
@@ -78,7 +78,9 @@ def test_names_of_sensor_constants() -> None:
     assert all(is_optional((name, 1)) and is_sensor_constant((name, 1)) for name in names)
     assert not is_optional((ACCELEROMETER_DISTANCE, 1))
     assert is_sensor_constant((ACCELEROMETER_DISTANCE, 1))
-    keys = list(constants_of([("motor_angle", 1), ("accelerometer", 1), ("link_angle", 2)]))
+    keys = list(
+        list_sensor_constants([("motor_angle", 1), ("accelerometer", 1), ("link_angle", 2)])
+    )
     assert keys == [
         ("accelerometer_delay", 1),
         ("accelerometer_scale", 1),

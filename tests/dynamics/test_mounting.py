@@ -21,8 +21,8 @@ from strainwave.dynamics.mounting import (
 )
 from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
-from strainwave.signals.imu_attitude import imu_starts
-from strainwave.signals.mounting_start import kinematics, mounting_starts
+from strainwave.signals.imu_attitude import estimate_imu_starts
+from strainwave.signals.mounting_start import estimate_mounting_starts, kinematics
 from strainwave.virtual import scara
 from tuning_runs import shaken
 
@@ -155,14 +155,14 @@ def test_slopes_match_differences_of_the_factors(gravity: float | None, joint: i
 def test_distances_from_short_records_have_the_right_size() -> None:
     study, _, logs = shaken(order=10)
     joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
-    starts = mounting_starts(
+    starts = estimate_mounting_starts(
         logs, Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
     )
     assert starts == {
         ("accelerometer_distance", 1): pytest.approx(0.33, rel=0.4),
         ("accelerometer_distance", 2): pytest.approx(0.27, rel=0.4),
     }
-    assert mounting_starts(logs, Arm.of(study.arm)) == {}
+    assert estimate_mounting_starts(logs, Arm.of(study.arm)) == {}
 
 
 def test_unknowns_of_an_imu() -> None:
@@ -223,7 +223,7 @@ def test_the_search_recovers_a_random_mounting(
         parts = rate if axis.kind == "gyro" else basis
         rows = np.column_stack([parts, parts @ factors(axis, Arm.of(true.arm), {})])
         tables.append(rows - rows.mean(axis=0))
-    starts = imu_starts(imu_axes, tables, Arm.of(unknown.arm))
+    starts = estimate_imu_starts(imu_axes, tables, Arm.of(unknown.arm))
     for axis in imu_axes:
         counts, expected = (
             factors(axis, Arm.of(unknown.arm), starts),

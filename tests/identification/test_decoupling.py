@@ -85,7 +85,7 @@ def test_the_closed_form_of_a_two_link_arm() -> None:
 @cache
 def decoupled(gravity: float | None = None, both: bool = False) -> tuple[Decoupled, ...]:
     study, run = run_of(gravity, both)
-    link_signals = links.link_side(log_of(run, seed=2), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(log_of(run, seed=2), Arm.of(study.arm))
     return decoupling.decouple(
         link_signals, true_model(study, rig_values(study)), Arm.of(study.arm)
     )
@@ -166,7 +166,7 @@ def test_two_sequences_show_more_than_one() -> None:
 
 def test_a_band_may_be_set() -> None:
     study, run = run_of(None)
-    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(log_of(run), Arm.of(study.arm))
     model = true_model(study, rig_values(study))
     joints = decoupling.decouple(
         link_signals, model, Arm.of(study.arm), decoupling.DecouplingOptions((8.0, 25.0))
@@ -177,7 +177,7 @@ def test_a_band_may_be_set() -> None:
 
 def test_much_swing_is_reported() -> None:
     study, run = run_of(None)
-    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(log_of(run), Arm.of(study.arm))
     swing = link_signals.link_angle.copy()
     swing[:, 1] += np.linspace(0.0, 2.0, len(swing))
     model = true_model(study, rig_values(study))
@@ -194,7 +194,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
     two_link = rig()
     study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
     run = prbs_run(two_link)
-    sensor_signals = links.link_side(log_of(run), Arm.of(two_link.arm))
+    sensor_signals = links.prepare_link_signals(log_of(run), Arm.of(two_link.arm))
     columns = {
         name: getattr(sensor_signals, name)[:, :1]
         for name in (
@@ -236,14 +236,16 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
 
 def test_only_a_single_joint_without_gravity_needs_no_rigid_model() -> None:
     study, run = run_of(None)
-    link_signals = links.link_side(log_of(run), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(log_of(run), Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match="rigid model"):
         decoupling.decouple(link_signals, None, Arm.of(study.arm))
 
 
 def test_a_bare_joint_keeps_its_friction(shared_data: Path) -> None:
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    link_signals = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(
+        read_log(study, study.experiments[0]), Arm.of(study.arm)
+    )
     (decoupled_joint,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
     assert decoupled_joint.inputs == pytest.approx(link_signals.motor_torque)
     assert decoupled_joint.total_inertia is None
@@ -256,7 +258,7 @@ def test_an_unknown_parameter_is_refused_by_name() -> None:
     missing = tuple(replace(p, value=None) if p.name == "gamma" else p for p in model.parameters)
     with pytest.raises(NotIdentifiable, match="gamma"):
         decoupling.decouple(
-            links.link_side(log_of(run), Arm.of(study.arm)),
+            links.prepare_link_signals(log_of(run), Arm.of(study.arm)),
             replace(model, parameters=missing),
             Arm.of(study.arm),
         )
@@ -266,10 +268,11 @@ def test_lab_records_pass_their_checks(shared_data: Path) -> None:
     study = read_study(shared_data / "lab" / "scara-linear-5kg" / "study.toml")
     named = {e.name: e for e in study.experiments}
     model = rigid.fit(
-        [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
+        [signals.prepare_motor_signals(read_log(study, named["motion"]), Arm.of(study.arm))],
+        Arm.of(study.arm),
     )
     joints = decoupling.decouple(
-        links.link_side(read_log(study, named["prbs-j1"]), Arm.of(study.arm)),
+        links.prepare_link_signals(read_log(study, named["prbs-j1"]), Arm.of(study.arm)),
         model,
         Arm.of(study.arm),
     )

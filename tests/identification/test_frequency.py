@@ -164,7 +164,9 @@ def joint_records(joint: int) -> tuple[Decoupled, ...]:
     records = []
     for excited in (1, 2):
         run = prbs_run(study, excited)
-        link_signals = links.link_side(log_of(run, excited, seed=excited), Arm.of(study.arm))
+        link_signals = links.prepare_link_signals(
+            log_of(run, excited, seed=excited), Arm.of(study.arm)
+        )
         records.append(decoupling.decouple(link_signals, model, Arm.of(study.arm))[joint - 1])
     return tuple(records)
 
@@ -226,7 +228,9 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
     records = []
     for experiment in study.experiments:
         if experiment.use == "frequency":
-            link_signals = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            link_signals = links.prepare_link_signals(
+                read_log(study, experiment), Arm.of(study.arm)
+            )
             records.append(decoupling.decouple(link_signals, model, Arm.of(study.arm)))
     # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) from truth.json, divided by 2 pi
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):

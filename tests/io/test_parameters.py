@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave.domain import Joint
-from strainwave.domain.parameters import completed, unit_of
+from strainwave.domain.parameters import complete_values, unit_of
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.virtual import experiments as virtual
@@ -122,19 +122,21 @@ def test_an_identification_of_an_elastic_arm_can_be_simulated() -> None:
         if key[0] not in ("alpha", "rigid_inertia")
         and key not in {("motor_viscous_friction", 1), ("link_viscous_friction", 2)}
     }
-    made = completed(reported, study.arm)
+    made = complete_values(reported, study.arm)
     assert made["alpha", None] == pytest.approx(whole["alpha", None])
     d_motor = whole["motor_viscous_friction", 1]
     assert made["motor_viscous_friction", 1] == pytest.approx(d_motor)
     assert made["motor_viscous_friction", 2] == whole["motor_viscous_friction", 2]
     assert made["link_viscous_friction", 2] == 0.0
     without_link = {k: v for k, v in derived.items() if k[0] not in ("alpha", "link_inertia")}
-    assert completed(without_link, study.arm)["alpha", None] == pytest.approx(whole["alpha", None])
+    assert complete_values(without_link, study.arm)["alpha", None] == pytest.approx(
+        whole["alpha", None]
+    )
 
 
 def test_one_stiffness_replaces_three_slopes() -> None:
     study = scara.study(Path("x"), "three-slope")
-    made = completed(scara.parameters(5, "linear"), study.arm)
+    made = complete_values(scara.parameters(5, "linear"), study.arm)
     slopes = {made[f"gear_stiffness_{k}", 1] for k in ("k1", "k2", "k3")}
     assert slopes == {scara.parameters(5, "linear")["gear_stiffness", 1]}
     assert made["gear_knee_t1", 1] < made["gear_knee_t2", 1]

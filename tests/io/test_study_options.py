@@ -162,14 +162,14 @@ def test_options_can_be_records_or_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_options_accept_all_parameters_of_the_fit(spring: str) -> None:
-    from strainwave.identification.whole_arm.parametrisation import space_of, with_curves
+    from strainwave.identification.whole_arm.parametrisation import add_stiffness_curves, space_of
 
     study, known = truth(spring)
     joints = joint_models(study, known, 0.01, np.zeros((2, 6)))
     rigid = rigid_model(study, known, 0.01)
     search = space_of(rigid, joints, Arm.of(study.arm), largest_voltage=[10.0, 10.0], floor=0.01)
     if spring == "three-slope":
-        search = with_curves(search, Arm.of(study.arm), [60.0, 20.0])
+        search = add_stiffness_curves(search, Arm.of(study.arm), [60.0, 20.0])
     fitted = {name if joint is None else f"{name} {joint}" for name, joint in search.keys}
     known_to_options = set(whole_arm_parameter_names(study.arm))
     assert fitted <= known_to_options

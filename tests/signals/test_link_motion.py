@@ -187,7 +187,7 @@ def test_a_vibration_does_not_change_the_bias_estimate() -> None:
 def test_ideal_sensors_give_the_true_link_motion(gravity: float | None) -> None:
     """Without noise and quantization, the link motion equals the filtered simulation."""
     study, run = run_of(gravity, None)
-    motion = links.link_side(log_of(run), Arm.of(study.arm))
+    motion = links.prepare_link_signals(log_of(run), Arm.of(study.arm))
     assert motion.shared == SHARED
     assert motion.sources == ("accelerometer", "accelerometer")
     assert not any(motion.held)
@@ -208,10 +208,10 @@ def test_biases_are_subtracted_and_reported() -> None:
     log = log_of(run)
     a1 = log.channels["a1"] + 0.12
     a2 = log.channels["a2"] - 0.20
-    motion = links.link_side(
+    motion = links.prepare_link_signals(
         replace(log, channels={**log.channels, "a1": a1, "a2": a2}), Arm.of(study.arm)
     )
-    plain = links.link_side(log, Arm.of(study.arm))
+    plain = links.prepare_link_signals(log, Arm.of(study.arm))
     assert motion.bias - plain.bias == pytest.approx([0.12 / 0.33, -0.20 / 0.27 - 0.0], abs=2e-3)
     assert motion.link_velocity == pytest.approx(plain.link_velocity, abs=5e-3)
 
@@ -223,7 +223,7 @@ def test_the_estimated_fusion_error_agrees_with_the_true_error() -> None:
     errors = []
     for order, time_constant in ((1, 0.05), (1, 0.2), (2, 0.2)):
         options = links.LinkOptions(time_constant, 1 if order == 1 else 2)
-        motion = links.link_side(log_of(run), Arm.of(study.arm), options)
+        motion = links.prepare_link_signals(log_of(run), Arm.of(study.arm), options)
         error = (motion.link_velocity - truth)[INNER].std(axis=0)
         assert motion.fusion == (Fusion(time_constant, options.order),) * 2
         # The error estimate uses the fused velocity in place of the true one.
@@ -238,7 +238,7 @@ def test_two_accelerometer_bandwidths_are_both_applied() -> None:
     slower = replace(study.arm.joints[1], accelerometer_hz=150.0)
     study = replace(study, arm=replace(study.arm, joints=(study.arm.joints[0], slower)))
     run = prbs_run(study)
-    motion = links.link_side(log_of(run), Arm.of(study.arm))
+    motion = links.prepare_link_signals(log_of(run), Arm.of(study.arm))
     assert motion.shared == (Lag(2, 300.0), Lag(2, 150.0))
     truth = apply_lags(run["link_acceleration"], motion.shared, SAMPLE)[INNER]
     error = (motion.link_acceleration[INNER] - truth).std(axis=0) / truth.std(axis=0)
@@ -259,7 +259,7 @@ def test_every_kind_of_link_sensor_gives_the_link_motion(channel: str) -> None:
     channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
     channels |= {f"{channel}{i + 1}": reading[:, i] for i in range(2)}
     options = links.LinkOptions(bandwidth_hz=200.0)
-    motion = links.link_side(
+    motion = links.prepare_link_signals(
         replace(log, channels=channels),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
         options,
@@ -275,7 +275,7 @@ def test_without_a_link_sensor_the_motor_is_used_with_a_warning() -> None:
     study, run = run_of()
     log = log_of(run)
     channels = {k: v for k, v in log.channels.items() if not k.startswith("a")}
-    motion = links.link_side(replace(log, channels=channels), Arm.of(study.arm))
+    motion = links.prepare_link_signals(replace(log, channels=channels), Arm.of(study.arm))
     assert motion.sources == ("motor", "motor")
     assert [w.code for w in motion.warnings] == ["no-link-sensor"] * 2
     assert motion.link_velocity == pytest.approx(0.01 * motion.motor_velocity)
@@ -287,7 +287,7 @@ def test_without_a_link_sensor_the_motor_is_used_with_a_warning() -> None:
 @pytest.mark.parametrize("joint", [1, 2])
 def test_aligned_channels_give_no_warning(joint: int) -> None:
     study, run = run_of(joint=joint)
-    motion = links.link_side(log_of(run, joint, seed=3), Arm.of(study.arm))
+    motion = links.prepare_link_signals(log_of(run, joint, seed=3), Arm.of(study.arm))
     assert not motion.warnings
     for delay in (*motion.sensor_delay, motion.drive_delay[joint - 1]):
         assert delay is not None
@@ -301,8 +301,8 @@ def test_a_delay_is_estimated_and_reported(joint: int, samples: int) -> None:
     """A shift of one channel is estimated as a delay and reported, without correction."""
     study, run = run_of(joint=joint)
     log = log_of(run, joint, seed=3)
-    reference = links.link_side(log, Arm.of(study.arm))
-    late = links.link_side(shifted(log, f"a{joint}", samples), Arm.of(study.arm))
+    reference = links.prepare_link_signals(log, Arm.of(study.arm))
+    late = links.prepare_link_signals(shifted(log, f"a{joint}", samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in late.warnings}
     delay, reference_delay = late.sensor_delay[joint - 1], reference.sensor_delay[joint - 1]
     assert delay is not None
@@ -311,7 +311,7 @@ def test_a_delay_is_estimated_and_reported(joint: int, samples: int) -> None:
     # one linearized step of a nonlinear estimate
     assert delay.value / SAMPLE - reference_samples == pytest.approx(samples, rel=0.45)
     assert late.motor_velocity == pytest.approx(reference.motor_velocity)
-    drive = links.link_side(shifted(log, "u", -samples), Arm.of(study.arm))
+    drive = links.prepare_link_signals(shifted(log, "u", -samples), Arm.of(study.arm))
     assert "misaligned" in {w.code for w in drive.warnings}
     drive_delay = drive.drive_delay[joint - 1]
     assert drive_delay is not None
@@ -330,7 +330,7 @@ def test_delays_of_link_sensors_are_removed_in_all_records() -> None:
     for delay, samples in zip(delays, (8, -4), strict=True):
         assert delay.value == pytest.approx(samples * SAMPLE, abs=4.0 * delay.std)
         assert delay.std < 0.1e-3
-    constants = links.constants_of(corrected, delays)
+    constants = links.list_removed_delays(corrected, delays)
     assert constants == {("accelerometer_delay", j): d.value for j, d in enumerate(delays, 1)}
     warnings = list(links.build_delay_warnings(delays))
     assert [(c.code, c.where) for c in warnings] == [("sensor-delay", f"joint {j}") for j in (1, 2)]
@@ -359,7 +359,7 @@ def test_a_nonlinear_spring_gives_a_delay_only_for_the_excited_joint(joint: int)
     joints = tuple(
         replace(joint_parameters, spring="three-slope") for joint_parameters in study.arm.joints
     )
-    motion = links.link_side(
+    motion = links.prepare_link_signals(
         log_of(run, joint, seed=3),
         Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm),
     )
@@ -372,7 +372,7 @@ def test_a_nonlinear_spring_gives_a_delay_only_for_the_excited_joint(joint: int)
 def test_a_bandwidth_missing_from_the_study_is_reported_as_a_delay() -> None:
     study, run = run_of()
     joints = tuple(replace(joint, accelerometer_hz=None) for joint in study.arm.joints)
-    motion = links.link_side(
+    motion = links.prepare_link_signals(
         log_of(run, seed=1), Arm.of(replace(study, arm=replace(study.arm, joints=joints)).arm)
     )
     delay = motion.sensor_delay[0]
@@ -385,7 +385,7 @@ def test_a_voltage_logged_below_its_clock_is_reported() -> None:
     study, run = run_of()
     log = log_of(run)
     coarse = {k: v[::8] for k, v in log.channels.items()}
-    motion = links.link_side(
+    motion = links.prepare_link_signals(
         replace(log, time=log.time[::8], sample_time=8 * SAMPLE, channels=coarse), Arm.of(study.arm)
     )
     assert "sub-sampled" in {w.code for w in motion.warnings}
@@ -405,9 +405,12 @@ def test_lab_channels_are_aligned_unless_one_is_shifted(
     study = read_study(shared_data / "lab" / arm / "study.toml")
     (experiment,) = [e for e in study.experiments if e.name == record]
     log = read_log(study, experiment)
-    assert not links.link_side(log, Arm.of(study.arm)).warnings
+    assert not links.prepare_link_signals(log, Arm.of(study.arm)).warnings
     for name in ("a", "u"):
-        codes = {w.code for w in links.link_side(shifted(log, name, 2), Arm.of(study.arm)).warnings}
+        codes = {
+            w.code
+            for w in links.prepare_link_signals(shifted(log, name, 2), Arm.of(study.arm)).warnings
+        }
         assert codes == {"misaligned"}
 
 
@@ -422,16 +425,18 @@ def test_missing_parameters_and_short_records_are_refused() -> None:
         replace(joint, accelerometer_distance=None) for joint in study.arm.joints
     )
     with pytest.raises(InvalidInput, match="accelerometer_distance"):
-        links.link_side(
+        links.prepare_link_signals(
             log, Arm.of(replace(study, arm=replace(study.arm, joints=without_distance)).arm)
         )
     without_torque_constant = tuple(
         replace(joint, torque_per_volt=None) for joint in study.arm.joints
     )
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        links.link_side(
+        links.prepare_link_signals(
             log, Arm.of(replace(study, arm=replace(study.arm, joints=without_torque_constant)).arm)
         )
     short: dict[str, FloatArray] = {k: v[:60] for k, v in log.channels.items()}
     with pytest.raises(InvalidInput, match="too few"):
-        links.link_side(replace(log, time=log.time[:60], channels=short), Arm.of(study.arm))
+        links.prepare_link_signals(
+            replace(log, time=log.time[:60], channels=short), Arm.of(study.arm)
+        )

@@ -98,7 +98,7 @@ def test_a_voltage_needs_its_torque_constant() -> None:
 def test_signals_follow_a_known_motion() -> None:
     w = 2.0 * np.pi * 1.0
     angle = np.round(30.0 * np.sin(w * TIME) / 1e-3) * 1e-3
-    motion = signals.motor_side(
+    motion = signals.prepare_motor_signals(
         log_of({"theta_m1": angle, "torque1": np.cos(w * TIME)}), Arm.of(rigid_drive().arm)
     )
     assert motion.motor_velocity[INNER, 0] == pytest.approx(
@@ -116,7 +116,7 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.cos(9.0 * TIME)})
     study = rigid_drive()
     results = [
-        signals.motor_side(log, Arm.of(study.arm), signals.SignalOptions(bandwidth_hz=f))
+        signals.prepare_motor_signals(log, Arm.of(study.arm), signals.SignalOptions(bandwidth_hz=f))
         for f in (2.0, 20.0)
     ]
     assert [s.bandwidth_hz for s in results] == [2.0, 20.0]
@@ -128,13 +128,13 @@ def test_the_error_states_the_missing_channel(missing: str) -> None:
     channels = {"theta_m1": np.sin(TIME), "torque1": np.cos(TIME)}
     del channels[missing]
     with pytest.raises(InvalidInput, match=missing):
-        signals.motor_side(log_of(channels), Arm.of(rigid_drive().arm))
+        signals.prepare_motor_signals(log_of(channels), Arm.of(rigid_drive().arm))
 
 
 def test_a_record_shorter_than_its_filter_is_refused() -> None:
     short = {"theta_m1": np.sin(TIME[:60]), "torque1": np.cos(TIME[:60])}
     with pytest.raises(InvalidInput, match="too few"):
-        signals.motor_side(
+        signals.prepare_motor_signals(
             log_of(short), Arm.of(rigid_drive().arm), signals.SignalOptions(bandwidth_hz=1.0)
         )
 
@@ -216,7 +216,7 @@ def test_friction_shapes_sum_to_one_at_uncertain_directions(
 def test_certain_directions_agree_with_the_simulated_velocity() -> None:
     """Certain directions agree with the sign of the velocity of a simulated arm."""
     study = scara.study(Path("nowhere"), "linear")
-    motion = signals.motor_side(
+    motion = signals.prepare_motor_signals(
         motion_log(study, scara.parameters(5, "linear"), 0), Arm.of(study.arm)
     )
     certain = motion.direction != 0.0
@@ -235,7 +235,7 @@ def test_samples_at_the_servo_limit_are_excluded_with_a_warning() -> None:
     voltage = log.channels["u1"].copy()
     voltage[2000:2300] = 10.0
     limited = replace(log, channels={**log.channels, "u1": voltage})
-    motion = signals.motor_side(limited, Arm.of(study.arm))
+    motion = signals.prepare_motor_signals(limited, Arm.of(study.arm))
     assert not motion.valid[2000:2300, 0].any()
     assert motion.valid[2000:2300, 1].all()
     assert [w.code for w in motion.warnings] == ["saturated"]
@@ -243,18 +243,18 @@ def test_samples_at_the_servo_limit_are_excluded_with_a_warning() -> None:
 
 def test_flat_tops_are_saturation_only_under_servo_control() -> None:
     torque = np.clip(2.0 * np.sin(9.0 * TIME), -1.5, 1.5)
-    motion = signals.motor_side(
+    motion = signals.prepare_motor_signals(
         log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": torque}), Arm.of(rigid_drive().arm)
     )
     assert [w.code for w in motion.warnings] == ["saturated"]
     idle = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": np.zeros_like(TIME)})
-    assert not signals.motor_side(idle, Arm.of(rigid_drive().arm)).warnings
+    assert not signals.prepare_motor_signals(idle, Arm.of(rigid_drive().arm)).warnings
 
 
 def test_an_open_loop_voltage_at_its_extremes_is_not_saturation() -> None:
     experiment = replace(DRIVE, control=("open",))
     square = np.sign(np.sin(9.0 * TIME + 0.1))
     log = log_of({"theta_m1": np.sin(9.0 * TIME), "torque1": square})
-    assert not signals.motor_side(
+    assert not signals.prepare_motor_signals(
         replace(log, experiment=experiment), Arm.of(rigid_drive().arm)
     ).warnings

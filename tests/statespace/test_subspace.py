@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from strainwave.domain import InputOutput, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.statespace import frequency_response, subspace, without_means
+from strainwave.statespace import frequency_response, remove_means, subspace
 from two_inertia import SAMPLE_TIME, TwoInertia, excitation, simulate, state_space
 
 ARM = TwoInertia()
@@ -118,10 +118,10 @@ def test_the_mean_of_each_record_is_subtracted() -> None:
     rng = np.random.default_rng(0)
     data = simulate(ARM.sampled(), excitation(rng, 200))
     lifted = replace(data, outputs=data.outputs + np.array([100.0, -3.0]))
-    for record in without_means([data, lifted]):
+    for record in remove_means([data, lifted]):
         np.testing.assert_allclose(record.outputs.mean(axis=0), 0.0, atol=1e-12)
         np.testing.assert_allclose(record.inputs.mean(axis=0), 0.0, atol=1e-12)
-    one, other = without_means([data, lifted])
+    one, other = remove_means([data, lifted])
     np.testing.assert_allclose(one.outputs, other.outputs, atol=1e-11)
 
 

@@ -26,7 +26,7 @@ from strainwave.campaign.rows import now
 from strainwave.campaign.runner import Runner, failed
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
-from strainwave.errors import InvalidInput, StrainwaveError, require
+from strainwave.errors import InvalidInput, StrainwaveError, import_optional
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.toml_files import check_keys, parse_toml
 
@@ -81,7 +81,7 @@ def connected(scheduler: str | None, description: Path | None) -> Iterator[Any]:
     `arguments` and `workers`. Raises `InvalidInput` if Dask is not installed, the scheduler does
     not answer, or the cluster cannot be created.
     """
-    Client = require("distributed", "a cluster", '"strainwave[cluster]"').Client
+    Client = import_optional("distributed", "a cluster", '"strainwave[cluster]"').Client
     _silence()
     cluster = None if description is None else _started(description)
     try:

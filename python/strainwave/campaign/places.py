@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
-from strainwave.errors import InvalidInput, require
+from strainwave.errors import InvalidInput, import_optional
 
 _MAX_WRITE_S = 3600.0  # [s]; the process that wrote an older temporary file has died
 
@@ -185,7 +185,7 @@ def file_system(url: str) -> tuple[Any, str]:
 
     Raises `InvalidInput` if fsspec or its package for this kind of URL is not installed.
     """
-    core = require("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
+    core = import_optional("fsspec.core", f"the URL {url}", '"strainwave[cluster]"')
     try:
         system, path = core.url_to_fs(url)
     except (ImportError, ValueError) as error:

@@ -14,7 +14,7 @@ from strainwave.campaign.cases import Case
 from strainwave.campaign.drawn_arms import arms_of
 from strainwave.campaign.places import file_system, is_url
 from strainwave.campaign.study_files import StudyFile
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.toml_files import check_keys, parse_toml
 from strainwave.virtual.families import family_of
@@ -139,7 +139,7 @@ class _Local:
 
     def hint(self) -> str:
         path = Path(self.text)
-        return f"check the name{nearest(path.name, [p.name for p in path.parent.glob('*')])}"
+        return f"check the name{suggest_name(path.name, [p.name for p in path.parent.glob('*')])}"
 
 
 @dataclass(frozen=True)

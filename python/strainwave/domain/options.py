@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Ge, Gt, Le
 
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 
 Positive = Annotated[float, Gt(0.0)]
 Band = tuple[Positive, Positive]  # lowest and highest frequency [Hz]
@@ -34,7 +34,7 @@ class _Checked:
                 raise InvalidInput(
                     f"there is no option {name!r}",
                     where=cls.__name__,
-                    remedy=f"use {', '.join(known)}{nearest(name, known)}",
+                    remedy=f"use {', '.join(known)}{suggest_name(name, known)}",
                 )
         return super().__new__(cls)
 

@@ -10,7 +10,7 @@ from strainwave.domain.parameter_table import base_name, parameter_table
 __all__ = [
     "SENSOR_PARAMETERS",
     "Values",
-    "completed",
+    "complete_values",
     "unit_of",
     "whole_arm_parameter_names",
 ]
@@ -73,7 +73,7 @@ def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
     return tuple(names)
 
 
-def completed(values: Values, arm: ArmDescription) -> Values:
+def complete_values(values: Values, arm: ArmDescription) -> Values:
     """Identified values and those that follow from them, as a simulation of the arm needs them.
 
     A sum replaces its parts if the parts have little separate effect: `total_viscous_friction` for

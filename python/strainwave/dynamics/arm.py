@@ -20,7 +20,7 @@ from strainwave.domain.combinations import (
 )
 from strainwave.domain.effects import RecordEffect, effect_named
 from strainwave.domain.kinds import Key, RigidColumn, Row, Values, kind_of
-from strainwave.domain.parameters import completed
+from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
 
 MAX_TIME_STEP = 1.25e-4
@@ -128,7 +128,7 @@ class Arm(ArmDescription):
 
         Raises InvalidInput if a required parameter is missing.
         """
-        known = self._effects_by_default | completed(values, self)
+        known = self._effects_by_default | complete_values(values, self)
         missing = [
             key for key in self.parameter_names if key not in known and not _is_zero_by_default(key)
         ]
@@ -298,7 +298,7 @@ class Arm(ArmDescription):
         M contains the links, folded or stretched, and the motors, J/n^2. Zero if the values do not
         determine the frequency.
         """
-        known, n = completed(values, self), self.n_joints
+        known, n = complete_values(values, self), self.n_joints
         numbers = range(1, n + 1)
         if not all(joint.elastic for joint in self.joints):
             return 0.0

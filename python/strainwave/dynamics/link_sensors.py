@@ -133,7 +133,7 @@ def nominal(key: Key) -> float:
     return np.inf if is_frequency else 0.0
 
 
-def constants_of(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
+def list_sensor_constants(channels: Iterable[tuple[str, int]]) -> Iterator[Key]:
     """Delays and scales of the sensors of some channels, without duplicates."""
     keys: dict[Key, None] = {}
     for quantity, joint in channels:

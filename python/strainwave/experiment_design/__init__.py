@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Diagnostic, Study
-from strainwave.domain.parameters import Values, completed
+from strainwave.domain.parameters import Values, complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band, band_of
@@ -144,7 +144,7 @@ def design(
     warnings += tuple(
         _omission(error.where or "", f"{error.problem}; {error.remedy}") for error in failures
     )
-    known = completed(values, arm)
+    known = complete_values(values, arm)
     warnings += tuple(c for record in records for c in _record_warnings(arm, known, record))
     warnings += _warn_slow_clocks(bands, records)
     warnings += _warn_unlimited_torques(arm, limits, records)

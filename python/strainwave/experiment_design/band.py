@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain.combinations import value_of
-from strainwave.domain.parameters import Values, completed
+from strainwave.domain.parameters import Values, complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 
@@ -47,7 +47,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
     stretched arm; the poles give omega_r. The margin covers the motion of the other joint and the
     posture.
     """
-    known = completed(values, arm)
+    known = complete_values(values, arm)
     drive = arm.joints[joint - 1]
     if not drive.elastic:
         return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.export.flat import to_c_header, to_json
 from strainwave.export.matlab import to_mat, to_script
 from strainwave.export.mjcf import to_mjcf
@@ -92,6 +92,6 @@ def _checked_format(form: str | None, out: Path) -> str:
         raise InvalidInput(
             f"there is no format {selected_format!r}",
             where="--format",
-            remedy=f"use one of {format_list}{nearest(selected_format, FORMATS)}",
+            remedy=f"use one of {format_list}{suggest_name(selected_format, FORMATS)}",
         )
     return selected_format

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
-from strainwave.domain.parameters import Values, completed
+from strainwave.domain.parameters import Values, complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.results import (
@@ -51,7 +51,7 @@ class IdentifiedArm:
         identified = self._identified()
         for number in self._joints_with_total_friction():
             identified.pop(("motor_viscous_friction", number), None)
-        return completed(identified, self.study.arm)
+        return complete_values(identified, self.study.arm)
 
     def need(self, name: str, joint: int | None = None) -> float:
         """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""

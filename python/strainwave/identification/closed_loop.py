@@ -34,7 +34,7 @@ from strainwave.signals.recorded_input import check_recorded_input, recorded_dri
 _MIN_SIGNAL_TO_NOISE = 10.0
 
 
-def with_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
+def keep_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
     """The arm with only the effects whose parameters are all known."""
     known = {(base_name(name), joint) for name, joint in known}
     joints = tuple(
@@ -60,7 +60,7 @@ def restrict_to_values(arm: Arm, values: Mapping[tuple[str, int | None], float])
         replace(joint, spring=determined_law(joint.law, joint.law.of_joint(values, number)).name)
         for number, joint in enumerate(arm.joints, start=1)
     )
-    return with_known_effects(arm.with_joints(joints), values.keys())
+    return keep_known_effects(arm.with_joints(joints), values.keys())
 
 
 def velocity_band(log: Log, arm: Arm) -> float:

@@ -108,8 +108,8 @@ def predict_rigid(
     the record. During stiction the model predicts an interval of torques, and the value nearest to
     the measured torque is returned.
 
-    `signals` is from `signals.motor_side`. With predictions of the fitted records in `fitted`,
-    `unexplained` lists the channels that the model does not predict.
+    `signals` is from `signals.prepare_motor_signals`. With predictions of the fitted records in
+    `fitted`, `unexplained` lists the channels that the model does not predict.
 
     Raises `NotIdentifiable` if the model has no identified parameter or the record is shorter than
     the filter.

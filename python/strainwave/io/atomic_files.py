@@ -8,7 +8,7 @@ import threading
 from collections.abc import Mapping
 from pathlib import Path
 
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 
 writing = threading.Lock()
 """Held while files are written; a thread that ends the process acquires it first."""
@@ -65,7 +65,7 @@ def read_bytes(path: Path, description: str) -> bytes:
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
-        hint = nearest(path.name, [p.name for p in path.parent.glob("*")])
+        hint = suggest_name(path.name, [p.name for p in path.parent.glob("*")])
         raise InvalidInput(
             f"{description} does not exist", where=str(path), remedy=f"check the name{hint}"
         ) from error

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter
-from strainwave.errors import InvalidInput, require
+from strainwave.errors import InvalidInput, import_optional
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -33,7 +33,7 @@ class JointCovariance:
 
     def to_frame(self) -> DataFrame:
         """The matrix as a pandas frame with the names as index and columns."""
-        pandas = require("pandas", "a data frame", "pandas")
+        pandas = import_optional("pandas", "a data frame", "pandas")
         frame: DataFrame = pandas.DataFrame(self.matrix, index=self.names, columns=self.names)
         return frame
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 
 
 def parse_toml(text: str, path: Path) -> dict[str, Any]:
@@ -27,5 +27,5 @@ def check_keys(document: dict[str, Any], known: Sequence[str], path: Path) -> No
             raise InvalidInput(
                 f"unknown key '{key}'",
                 where=str(path),
-                remedy=f"use {', '.join(known)}{nearest(key, known)}",
+                remedy=f"use {', '.join(known)}{suggest_name(key, known)}",
             )

@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
 from strainwave.domain.estimates import CI95_STDS
-from strainwave.errors import InvalidInput, NotIdentifiable, require
+from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
 from strainwave.monitoring.estimates import Estimates, degrees_of_freedom
 from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test
 
@@ -113,7 +113,7 @@ class ResultComparison:
 
     def to_frame(self) -> DataFrame:
         """The comparison as a pandas frame, one row per parameter and pair."""
-        pandas = require("pandas", "a data frame", "pandas")
+        pandas = import_optional("pandas", "a data frame", "pandas")
         rows = [
             {
                 "first": pair.first,

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.monitoring.estimates import is_record_parameter
 from strainwave.monitoring.shapes import Series
@@ -202,7 +202,7 @@ def _arm_namer(
     if not expression.groups:
         raise InvalidInput(
             f"--arm {arm!r} is neither a column of the runs nor a regular expression with a group"
-            f"{nearest(arm, columns)}",
+            f"{suggest_name(arm, columns)}",
             remedy="put the name of the arm in parentheses: 'fleet/([^/]+)/'",
         )
 

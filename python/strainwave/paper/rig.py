@@ -43,7 +43,7 @@ from strainwave.paper.estimates import Estimate, estimate, evidence_of, growth_o
 from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
-from strainwave.signals.link_motion import link_side
+from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.virtual import scara
 from strainwave.virtual.plans import STEP_HOLD, smooth_reference
 
@@ -149,7 +149,7 @@ class Rig:
         )
         experiment = Experiment("motion", "motion.csv", "motion", both)
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        return rigid.fit([signals.motor_side(log, self.arm)], self.arm)
+        return rigid.fit([signals.prepare_motor_signals(log, self.arm)], self.arm)
 
     def _prbs(
         self,
@@ -189,7 +189,7 @@ class Rig:
             1, joint, disks, round(1e3 * amplitude), count, int(other == "servo"), start
         )
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        links = link_side(log, self.arm, self.settings.links)
+        links = prepare_link_signals(log, self.arm, self.settings.links)
         return Run(
             name=name,
             arm=self.arm,

@@ -12,7 +12,7 @@ from strainwave.paper.claims import comparison_of
 from strainwave.paper.rig import TUNING_STEPS, Rig, Tuned, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair
-from strainwave.signals.link_motion import link_side
+from strainwave.signals.link_motion import prepare_link_signals
 
 _VALIDATION_STEPS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # [rad/s] of the motor
 _MAX_SIGNAL_HZ = 100.0  # above, the velocity is noise
@@ -87,7 +87,7 @@ def _link_velocities(
     model = run_steps(restrict_to_values(rig.arm, values), values, levels, joint)
     velocities = []
     for record in (log, ideal_log(model, joint)):
-        velocity = link_side(record, rig.arm).link_velocity[:, joint - 1]
+        velocity = prepare_link_signals(record, rig.arm).link_velocity[:, joint - 1]
         velocities.append(low_pass(velocity, _MAX_SIGNAL_HZ, record.sample_time))
     return velocities[0], velocities[1], log.time
 

@@ -40,7 +40,7 @@ from strainwave.domain.diagnostics import published_warnings
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import with_sensor_positions
-from strainwave.errors import InvalidInput, NotIdentifiable, nearest
+from strainwave.errors import InvalidInput, NotIdentifiable, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
 from strainwave.identification import rigid, validation
 from strainwave.identification import whole_arm as tuning
@@ -73,7 +73,7 @@ def check_stages(names: str | Sequence[str]) -> tuple[str, ...]:
     stages = tuple(name.strip() for name in listed)
     if not stages or stages != STAGES[: len(stages)]:
         unknown = [name for name in stages if name not in STAGES]
-        hint = nearest(unknown[0], STAGES) if unknown else ""
+        hint = suggest_name(unknown[0], STAGES) if unknown else ""
         raise InvalidInput(
             f"cannot run the stages {', '.join(stages) or '(none)'}",
             where="--stages",
@@ -274,7 +274,9 @@ def _fit_rigid(
 def _motor_signals(run: Run, all_logs: Sequence[Log], use: str) -> list[Signals]:
     """Motor-side signals of the records of one use."""
     used = _logs_of_use(all_logs, use)
-    motor_sides = run_parallel([partial(signals.motor_side, log, run.arm) for log in used])
+    motor_sides = run_parallel(
+        [partial(signals.prepare_motor_signals, log, run.arm) for log in used]
+    )
     run.warnings.extend(warning for each in motor_sides for warning in each.warnings)
     return motor_sides
 

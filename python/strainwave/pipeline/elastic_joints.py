@@ -71,7 +71,7 @@ def decoupled(
         placed_logs, placed_arm = substitute_equivalent_sensors(excited, run.arm, all_logs)
         sides, delays = links.compute_link_signals(placed_logs, placed_arm, the_study.options.links)
         run.warnings.extend(links.build_delay_warnings(delays))
-        run.sensors = links.constants_of(sides, delays)
+        run.sensors = links.list_removed_delays(sides, delays)
         if any("motor" in side.sources for side in sides):
             return JointStage(_from_motors(run, the_study, model, sides))
         try:

@@ -29,7 +29,7 @@ _SENSOR_PHASE_ERROR, _DRIVE_PHASE_ERROR = 0.015, 0.05
 _HANN_STD_FACTOR = 1.5  # factor on standard deviations: a Hann window correlates adjacent lines
 
 
-def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
+def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     """Estimate the delay of a link acceleration relative to the motor encoder of joint i (from 0).
 
     The spring gives
@@ -87,7 +87,7 @@ def sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | None:
     )
 
 
-def drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay | None:
+def estimate_drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay | None:
     """Estimate the delay of the response of motor i (from 0) to the torque in the log.
 
     The regression of the motor acceleration is

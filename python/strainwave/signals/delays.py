@@ -56,7 +56,7 @@ def build_misalignment_warnings(
     yield Diagnostic.at("misaligned", place, text)
 
 
-def constants_of(
+def list_removed_delays(
     records: Sequence[LinkSignals], delays: Sequence[Delay]
 ) -> dict[tuple[str, int | None], float]:
     """Delays that were removed, keyed as in the whole-arm fit: (name, joint) -> delay [s]."""

@@ -43,7 +43,9 @@ _MIN_COLUMN_NORM = 1e-9  # minimum column norm relative to the largest one
 _MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
-def imu_starts(axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm) -> dict[Key, float]:
+def estimate_imu_starts(
+    axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm
+) -> dict[Key, float]:
     """Estimate the unknowns of an IMU mounting by least squares over its readings.
 
     `axes` belong to one link. Each table is (n_rows, n_quantities + 1): the quantities of an axis
@@ -58,7 +60,8 @@ def imu_candidates(
 ) -> list[dict[Key, float]]:
     """Distinct local minima of the mounting of an IMU, the smallest objective first.
 
-    The arguments are as for `imu_starts`. With `flat`, the x and y axes of the IMU lie in the plane
+    The arguments are as for `estimate_imu_starts`. With `flat`, the x and y axes of the IMU lie in
+    the plane
     of motion.
     """
     problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]

@@ -34,7 +34,7 @@ from strainwave.numerics.filters import (
     signal_band,
 )
 from strainwave.numerics.parallel import run_parallel
-from strainwave.signals.alignment import drive_delay, sensor_delay
+from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
 from strainwave.signals.channels import (
     channel_of,
     directions,
@@ -45,8 +45,8 @@ from strainwave.signals.channels import (
 from strainwave.signals.delays import (
     build_delay_warnings,
     build_misalignment_warnings,
-    constants_of,
     estimate_sensor_delays,
+    list_removed_delays,
 )
 from strainwave.signals.fusion import bias_of, complement, fuse
 
@@ -54,8 +54,8 @@ __all__ = [
     "LinkOptions",
     "build_delay_warnings",
     "compute_link_signals",
-    "constants_of",
-    "link_side",
+    "list_removed_delays",
+    "prepare_link_signals",
 ]
 
 _EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-pass (its transient)
@@ -83,12 +83,14 @@ def compute_link_signals(
     standard deviations and if no delay exceeds `MAX_SENSOR_DELAY`.
 
     Also returns the removed delay of each joint; its value is zero if nothing was removed. Raises
-    InvalidInput under the same conditions as `link_side`.
+    InvalidInput under the same conditions as `prepare_link_signals`.
     """
     total = (Delay(0.0, 0.0),) * arm.n_joints
     for _ in range(_MAX_ITERATIONS):
         delays = tuple(late.value for late in total)
-        records = run_parallel([partial(link_side, log, arm, options, delays) for log in logs])
+        records = run_parallel(
+            [partial(prepare_link_signals, log, arm, options, delays) for log in logs]
+        )
         remaining = estimate_sensor_delays(records, arm.n_joints)
         total = tuple(
             Delay(removed.value + remainder.value, remainder.std)
@@ -97,7 +99,9 @@ def compute_link_signals(
         if not any(late.value for late in remaining) or _exceeds_longest_delay(total):
             break
     if _exceeds_longest_delay(total):
-        return [link_side(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(total)
+        return [prepare_link_signals(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(
+            total
+        )
     return [replace(record, removed_delay=total) for record in records], total
 
 
@@ -106,7 +110,7 @@ def _exceeds_longest_delay(delays: Sequence[Delay]) -> bool:
     return any(abs(delay.value) > MAX_SENSOR_DELAY for delay in delays)
 
 
-def link_side(
+def prepare_link_signals(
     log: Log,
     arm: Arm,
     options: LinkOptions | None = None,
@@ -434,8 +438,10 @@ def _with_delays(
     they are estimated from all records.
     """
     joints, place = range(arm.n_joints), Place.in_records(signals.experiment.name)
-    sensor = tuple(_discard_uncertain(sensor_delay(signals, arm, i)) for i in joints)
-    drive = tuple(_discard_uncertain(drive_delay(signals, arm, i, view.band)) for i in joints)
+    sensor = tuple(_discard_uncertain(estimate_sensor_delay(signals, arm, i)) for i in joints)
+    drive = tuple(
+        _discard_uncertain(estimate_drive_delay(signals, arm, i, view.band)) for i in joints
+    )
     for i in joints:
         if is_single_record:
             warnings.extend(

@@ -32,7 +32,7 @@ class SignalOptions:
     bandwidth_hz: float | None = None  # of the filter; None: determined from the encoder noise
 
 
-def motor_side(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
+def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
     """Compute motor torque, angle, velocity and acceleration of one record.
 
     The default bandwidth is the smallest signal band of all joints, above which encoder noise

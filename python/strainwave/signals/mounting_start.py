@@ -17,7 +17,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import unmeasured
-from strainwave.signals.imu_attitude import imu_starts
+from strainwave.signals.imu_attitude import estimate_imu_starts
 
 Key = tuple[str, int | None]  # parameter name, joint
 
@@ -54,7 +54,7 @@ def kinematics(
     return quantities
 
 
-def mounting_starts(
+def estimate_mounting_starts(
     logs: Sequence[Log], arm: Arm, used: Sequence[Log] | None = None
 ) -> dict[Key, float]:
     """Estimate the unknowns of all sensor mountings by least squares at low frequencies.
@@ -71,7 +71,7 @@ def mounting_starts(
             if axes[0].kind == "tangential":
                 starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(tables[0])
             else:
-                starting_values |= imu_starts(axes, tables, arm)
+                starting_values |= estimate_imu_starts(axes, tables, arm)
     return starting_values
 
 

@@ -1,12 +1,12 @@
 """State-space estimation from input-output data, with covariances.
 
 `subspace` estimates a model without a starting value; `pem` refines it by prediction-error
-minimisation. Both expect channels without means, see `without_means`. `check_model` tests the
+minimisation. Both expect channels without means, see `remove_means`. `check_model` tests the
 residuals and `select_order` compares orders. `to_continuous`, `frequency_response` and `modes`
 derive quantities from a model with their uncertainty; `propagate` does so for any function.
 """
 
-from strainwave.statespace._stack import without_means
+from strainwave.statespace._stack import remove_means
 from strainwave.statespace.continuous import to_continuous
 from strainwave.statespace.modes import modes, nearest, poles_and_zeros
 from strainwave.statespace.order import select_order
@@ -25,9 +25,9 @@ __all__ = [
     "pem",
     "poles_and_zeros",
     "propagate",
+    "remove_means",
     "select_order",
     "subspace",
     "subspace_orders",
     "to_continuous",
-    "without_means",
 ]

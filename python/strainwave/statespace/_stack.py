@@ -79,7 +79,7 @@ def stack(data: Data) -> Stack:
     )
 
 
-def without_means(data: Data) -> tuple[InputOutput, ...]:
+def remove_means(data: Data) -> tuple[InputOutput, ...]:
     """Records with the mean of every channel removed.
 
     A linear model describes deviations from an operating point, which the means represent.

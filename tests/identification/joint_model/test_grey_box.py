@@ -155,7 +155,7 @@ def test_slow_sampling_does_not_bias_the_estimates() -> None:
     run = prbs_run(study, both=True)
     log = log_of(run)
     slow = {name: channel[::4] for name, channel in log.channels.items()}
-    signals = links.link_side(
+    signals = links.prepare_link_signals(
         replace(log, time=log.time[::4], sample_time=4.0 * SAMPLE, channels=slow), Arm.of(study.arm)
     )
     model = true_model(study, values)

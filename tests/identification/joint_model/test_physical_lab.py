@@ -28,13 +28,16 @@ def records_of(folder: Path) -> dict[str, RecordModel]:
     study = read_study(folder / "study.toml")
     named = {e.name: e for e in study.experiments}
     model = rigid.fit(
-        [signals.motor_side(read_log(study, named["motion"]), Arm.of(study.arm))], Arm.of(study.arm)
+        [signals.prepare_motor_signals(read_log(study, named["motion"]), Arm.of(study.arm))],
+        Arm.of(study.arm),
     )
     models = {}
     for experiment in study.experiments:
         if experiment.use == "frequency":
             assert experiment.joint is not None
-            link_signals = links.link_side(read_log(study, experiment), Arm.of(study.arm))
+            link_signals = links.prepare_link_signals(
+                read_log(study, experiment), Arm.of(study.arm)
+            )
             joint = decoupling.decouple(link_signals, model, Arm.of(study.arm))[
                 experiment.joint - 1
             ]
@@ -121,7 +124,9 @@ def test_a_three_slope_gear_lies_between_its_slopes(shared_data: Path) -> None:
 def test_a_real_flexible_arm(shared_data: Path) -> None:
     """Published values: anti-resonance at 3.4 to 3.5 Hz, resonance at 4.0 to 4.5 Hz."""
     study = read_study(shared_data / "real" / "ist-flexible-arm" / "study.toml")
-    link_signals = links.link_side(read_log(study, study.experiments[0]), Arm.of(study.arm))
+    link_signals = links.prepare_link_signals(
+        read_log(study, study.experiments[0]), Arm.of(study.arm)
+    )
     (joint,) = decoupling.decouple(link_signals, None, Arm.of(study.arm))
     mode_pair = identify_record(link_signals, joint, None, Arm.of(study.arm)).modes
     assert mode_pair is not None

@@ -168,7 +168,9 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
         log = motion_log(study, values, seed, duration=20.0)
-        model = rigid.fit([signals.motor_side(log, Arm.of(study.arm))], Arm.of(study.arm))
+        model = rigid.fit(
+            [signals.prepare_motor_signals(log, Arm.of(study.arm))], Arm.of(study.arm)
+        )
         assert model.status == "determined"
         for p in model.parameters:
             assert p.value is not None
@@ -185,7 +187,7 @@ def test_the_compliance_is_corrected() -> None:
     """With rigid gears, gamma has an error of several per cent; with elastic gears, it has not."""
     study = scara.study(Path("nowhere"), "linear")
     values = scara.parameters(5, "linear")
-    motor_signals = signals.motor_side(motion_log(study, values, 0), Arm.of(study.arm))
+    motor_signals = signals.prepare_motor_signals(motion_log(study, values, 0), Arm.of(study.arm))
     stiff = replace(
         study,
         arm=replace(study.arm, joints=tuple(replace(j, spring="rigid") for j in study.arm.joints)),
@@ -211,7 +213,9 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
     channels = {name: values[cut] for name, values in log.channels.items()}
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     complete, shorter = (
-        rigid.fit([signals.motor_side(log_part, Arm.of(study.arm))], Arm.of(study.arm), options)
+        rigid.fit(
+            [signals.prepare_motor_signals(log_part, Arm.of(study.arm))], Arm.of(study.arm), options
+        )
         for log_part in (log, replace(log, time=log.time[cut], channels=channels))
     )
     std = np.sqrt(np.diag(complete.covariance))
@@ -384,7 +388,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     simulate_study(study, values, tmp_path, seed=seed, noise=noise, as_recorded=False)
     written = read_study(tmp_path / "study.toml")
     model = rigid.fit(
-        [signals.motor_side(log, Arm.of(written.arm)) for log in read_logs(written)],
+        [signals.prepare_motor_signals(log, Arm.of(written.arm)) for log in read_logs(written)],
         Arm.of(written.arm),
     )
     assert not warned(model, "not-settled")
@@ -399,7 +403,7 @@ def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
     )
     written = read_study(tmp_path / "study.toml")
     model = rigid.fit(
-        [signals.motor_side(log, Arm.of(written.arm)) for log in read_logs(written)],
+        [signals.prepare_motor_signals(log, Arm.of(written.arm)) for log in read_logs(written)],
         Arm.of(written.arm),
     )
     assert model.bandwidth_hz > 2.0

@@ -21,7 +21,9 @@ def load(path: Path, *names: str) -> tuple[Study, list[Signals]]:
     study = read_study(path / "study.toml")
     chosen = [e for e in study.experiments if e.name in names]
     assert len(chosen) == len(names)
-    return study, [signals.motor_side(read_log(study, e), Arm.of(study.arm)) for e in chosen]
+    return study, [
+        signals.prepare_motor_signals(read_log(study, e), Arm.of(study.arm)) for e in chosen
+    ]
 
 
 def truth_of(path: Path) -> dict[tuple[str, int | None], float]:

@@ -81,7 +81,7 @@ def test_sixteen_periods_give_the_estimate_of_one_period(seed: int) -> None:
     values = virtual_arms.values_of(study, seed)
     truth = virtual_arms.rigid_truth(study, values)
     model = rigid.fit(
-        [signals.motor_side(repeated_log(study, values, seed, 16), Arm.of(study.arm))],
+        [signals.prepare_motor_signals(repeated_log(study, values, seed, 16), Arm.of(study.arm))],
         Arm.of(study.arm),
     )
     assert model.bandwidth_hz > 2.0 * 8.0 / PERIOD

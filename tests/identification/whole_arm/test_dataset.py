@@ -113,7 +113,7 @@ def test_the_true_arm_repeats_its_record(
     study, values, logs = ideal()
     for log in logs:
         dataset = dataset_of(log, Arm.of(study.arm), CUTOFF)
-        assert not dataset.moving
+        assert not dataset.begins_in_motion
         assert dataset.local == ()
         assert len(dataset.start()) == 0
         difference = simulated(dataset, values, dataset.start()) - dataset.measured
@@ -244,7 +244,7 @@ def test_a_record_that_begins_in_motion() -> None:
     study, values, (log, *_) = ideal()
     cut = later(log, 400)
     dataset = dataset_of(cut, Arm.of(study.arm), CUTOFF)
-    assert dataset.moving
+    assert dataset.begins_in_motion
     assert dataset.local == tuple((name, i) for name in INITIAL_STATES for i in (1, 2))
     initial_state = beginning(study, values, log, 400)
     error = simulated(dataset, values, initial_state) - dataset.measured
@@ -255,7 +255,7 @@ def test_a_record_that_begins_in_motion() -> None:
     guess = dataset.start()
     np.testing.assert_allclose(guess[2:4], initial_state[2:4], atol=5e-3)
     # from standstill, the simulated motion differs
-    from_rest = replace(dataset, moving=False)
+    from_rest = replace(dataset, begins_in_motion=False)
     assert (
         np.max(np.abs(simulated(from_rest, values, np.zeros(0)) - dataset.measured) / scale) > 0.1
     )
@@ -298,17 +298,19 @@ def test_a_record_from_rest_is_classified_as_at_rest(spring: str) -> None:
     for amplitude in (3.0, 10.0):
         study, _, logs = shaken(spring, amplitude)
         for log in logs:
-            assert not dataset_of(log, Arm.of(study.arm), CUTOFF).moving
+            assert not dataset_of(log, Arm.of(study.arm), CUTOFF).begins_in_motion
     study, logs = rig_logs()
     assert not any(
-        dataset_of(log, Arm.of(study.arm), CUTOFF).moving for log in logs if log.sample_time == T
+        dataset_of(log, Arm.of(study.arm), CUTOFF).begins_in_motion
+        for log in logs
+        if log.sample_time == T
     )
 
 
 @pytest.mark.parametrize(("joint", "first"), [(1, 300), (1, 900), (2, 300), (2, 900)])
 def test_a_record_cut_in_motion_is_classified_as_moving(joint: int, first: int) -> None:
     study, _, logs = shaken()
-    assert dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF).moving
+    assert dataset_of(later(logs[joint - 1], first), Arm.of(study.arm), CUTOFF).begins_in_motion
 
 
 def test_records_that_cannot_be_gone_through_again() -> None:

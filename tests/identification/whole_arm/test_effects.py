@@ -15,7 +15,7 @@ from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.closed_loop import restrict_to_values, with_known_effects
+from strainwave.identification.closed_loop import keep_known_effects, restrict_to_values
 from strainwave.identification.whole_arm.effects import (
     add_effects,
     insignificant_effects,
@@ -127,17 +127,17 @@ def test_an_effect_within_three_standard_deviations_of_zero_is_insignificant() -
 
 def test_an_arm_is_known_as_far_as_its_values_go() -> None:
     arm, some_arm = Arm.of(rig(ALL).arm), Arm.of(rig(("hysteresis", "kinematic-error")).arm)
-    assert with_known_effects(arm, SIZES) == arm
-    assert with_known_effects(arm, ()) == Arm.of(rig(()).arm)
+    assert keep_known_effects(arm, SIZES) == arm
+    assert keep_known_effects(arm, ()) == Arm.of(rig(()).arm)
     some = [key for key in SIZES if key != ("stribeck_velocity", 1)]
-    assert with_known_effects(arm, some) == some_arm
+    assert keep_known_effects(arm, some) == some_arm
     values = {key: SIZES[key] for key in some}
     assert restrict_to_values(arm, values) == some_arm
 
 
 def test_records_are_run_with_the_effects_that_are_known() -> None:
     study, _, logs = records(ALL)
-    without_effects = with_known_effects(Arm.of(study.arm), ())
+    without_effects = keep_known_effects(Arm.of(study.arm), ())
     record = dataset_of(logs[0], without_effects, 100.0)
     assert set_record_effects([record], Arm.of(study.arm), ())[0] == record
     (record_with_effects,) = set_record_effects([record], Arm.of(study.arm), SIZES)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from benchmarks.studies.arms import draw_rig
 from benchmarks.studies.lab import without_link_sensors
-from benchmarks.studies.sensors import remove_channels, with_sensors
+from benchmarks.studies.sensors import remove_channels, restrict_sensors
 
 from strainwave.domain import Identification
 from strainwave.domain.parameters import Values
@@ -26,7 +26,7 @@ _OF_NO_ONE = ("motor_viscous_friction", "link_viscous_friction")  # only their s
 
 def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identification, Values]:
     """Result for logs of a drawn arm with a set of sensors, and the true values."""
-    rig = with_sensors(draw_rig(seed), sensors)
+    rig = restrict_sensors(draw_rig(seed), sensors)
     simulate_study(
         rig.study,
         rig.values,

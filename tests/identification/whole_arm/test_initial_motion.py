@@ -47,9 +47,9 @@ def test_a_record_from_a_turning_point_is_in_motion(joint: int, first: int) -> N
     study, true_values, logs = shaken()
     log = logs[joint - 1]
     objective, z = arm([later(log, first)])
-    assert not objective.records[0].moving  # the motor angles do not show the motion
+    assert not objective.records[0].begins_in_motion  # the motor angles do not show the motion
     corrected = add_initial_states(objective, z)
-    assert corrected.records[0].moving
+    assert corrected.records[0].begins_in_motion
     true = beginning(study, true_values, log, first)
     # link angles, which determine the gear torques
     np.testing.assert_allclose(corrected.memory.record_parameters[0][2:4], true[2:4], atol=2e-4)

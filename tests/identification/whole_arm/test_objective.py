@@ -17,9 +17,9 @@ from strainwave.identification.whole_arm.objective import BLOCKS_PER_RECORD, Obj
 from strainwave.identification.whole_arm.parametrisation import (
     ParameterSpace,
     Prior,
+    add_settling_unknowns,
+    add_stiffness_curves,
     space_of,
-    with_curves,
-    with_settling,
 )
 from strainwave.identification.whole_arm.preparation import dataset_of
 from tuning_runs import (
@@ -52,13 +52,13 @@ def rig(spring: str) -> tuple[ParameterSpace, tuple[Dataset, ...], FloatArray]:
         floor=0.002,
     )
     if spring == "three-slope":
-        space = with_curves(space, Arm.of(study.arm), (60.0, 15.0))
-    space = with_settling(space)
+        space = add_stiffness_curves(space, Arm.of(study.arm), (60.0, 15.0))
+    space = add_settling_unknowns(space)
     records = (
         dataset_of(first, Arm.of(study.arm), CUTOFF),
         dataset_of(later(second, 900), Arm.of(study.arm), CUTOFF),
     )
-    assert [record.moving for record in records] == [False, True]
+    assert [record.begins_in_motion for record in records] == [False, True]
     return space, records, space.coordinates(true_values)
 
 

@@ -18,9 +18,9 @@ from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
     VISCOUS,
     ParameterSpace,
+    add_settling_unknowns,
+    add_stiffness_curves,
     space_of,
-    with_curves,
-    with_settling,
 )
 from strainwave.identification.whole_arm.starts import starts_of, warn_rejected_starts
 from strainwave.virtual import scara
@@ -57,7 +57,11 @@ def mixed(share: float = 0.01) -> tuple[Study, Values, ParameterSpace]:
     study = mixed_study()
     true_values = mixed_values(study)
     space = started(study, true_values, rigid_model(study, true_values, share))
-    return study, true_values, with_settling(with_curves(space, Arm.of(study.arm), LARGEST_TORQUE))
+    return (
+        study,
+        true_values,
+        add_settling_unknowns(add_stiffness_curves(space, Arm.of(study.arm), LARGEST_TORQUE)),
+    )
 
 
 def somewhere(space: ParameterSpace, seed: int) -> FloatArray:
@@ -252,8 +256,8 @@ def test_prior_rows_have_the_covariance_of_the_rigid_model(seed: int) -> None:
     std = np.sqrt(np.diag(model.covariance))
     covariance = std[:, None] * (mixing @ mixing.T) * std
     model = replace(model, covariance=covariance)
-    space = with_settling(
-        with_curves(started(study, true_values, model), Arm.of(study.arm), LARGEST_TORQUE)
+    space = add_settling_unknowns(
+        add_stiffness_curves(started(study, true_values, model), Arm.of(study.arm), LARGEST_TORQUE)
     )
 
     values = space.values(0.3 * somewhere(space, seed))
@@ -292,7 +296,7 @@ def test_a_missing_effect_loosens_the_prior_of_the_rigid_step() -> None:
     _, _, space = mixed()
     prior, coulomb = space.prior, (COULOMB, 1)
     index = prior.names.index(coulomb)
-    loosened = prior.loosened({coulomb})
+    loosened = prior.relax({coulomb})
     added = loosened.factor @ loosened.factor.T - prior.factor @ prior.factor.T
     expected = np.zeros_like(added)
     expected[index, index] = (0.03 * prior.mean[index]) ** 2
@@ -309,11 +313,11 @@ def test_a_missing_effect_loosens_the_prior_of_the_rigid_step() -> None:
         np.testing.assert_allclose(
             each_prior.factor @ each_prior.rows, prior.factor @ prior.rows, atol=1e-12
         )
-    tightened = loosened.tightened()
+    tightened = loosened.restore()
     for name in ("rows", "target", "errors", "factor"):
         np.testing.assert_allclose(getattr(tightened, name), getattr(prior, name), atol=1e-9)
-    assert tightened.tightened() is tightened
-    assert prior.loosened(set()) is prior
+    assert tightened.restore() is tightened
+    assert prior.relax(set()) is prior
     (column,) = prior.by_shifts({coulomb}).T
     shifted = prior.mean + 0.03 * prior.mean[index] * np.eye(len(prior.mean))[index]
     np.testing.assert_allclose(column, np.linalg.solve(prior.factor, shifted) - prior.target)

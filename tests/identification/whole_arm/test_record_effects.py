@@ -198,7 +198,7 @@ def test_records_without_an_effect_show_none(name: str) -> None:
 @EACH
 def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> None:
     has = case(name)
-    record = replace(has.record(), moving=moving)
+    record = replace(has.record(), begins_in_motion=moving)
     values, local = has.records.known | has.sizes, record.start()
     keys: list[Key] = [*has.sizes, (COULOMB, has.joint), ("motor_inertia", has.joint)]
     _, tangent = record.linearised(values, local, keys)

@@ -517,13 +517,15 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
     study = read_study(folder / "study.toml")
     records = [logs.read_log(study, e) for e in study.experiments if e.use != "sweep"]
     motion = [
-        signals.motor_side(r, Arm.of(study.arm)) for r in records if r.experiment.use == "motion"
+        signals.prepare_motor_signals(r, Arm.of(study.arm))
+        for r in records
+        if r.experiment.use == "motion"
     ]
     model = rigid.fit(motion, Arm.of(study.arm))
     joints: list[JointModel] = []
     for joint in (1, 2):
         log = next(r for r in records if r.name == f"prbs-j{joint}")
-        link_signals = links.link_side(log, Arm.of(study.arm))
+        link_signals = links.prepare_link_signals(log, Arm.of(study.arm))
         decoupled_joint = decoupling.decouple(link_signals, model, Arm.of(study.arm))[joint - 1]
         joints.append(
             physical.identify_joint([(link_signals, decoupled_joint)], model, Arm.of(study.arm))

@@ -18,7 +18,7 @@ from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
 from strainwave.signals.consistency import check
-from strainwave.signals.motor import motor_side
+from strainwave.signals.motor import prepare_motor_signals
 
 DEGREE = np.pi / 180.0
 
@@ -179,7 +179,9 @@ def test_the_rigid_fit_reports_a_wrong_torque_constant(
 def test_correct_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     logs, study = small_arm
     motion = [log for log in logs if log.experiment.use == "motion"]
-    estimate = rigid.fit([motor_side(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm))
+    estimate = rigid.fit(
+        [prepare_motor_signals(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm)
+    )
     assert estimate.torque_ratio is not None
     value, std = estimate.torque_ratio
     assert abs(value - 1.0) < 4.0 * std + 1e-3

@@ -18,8 +18,8 @@ from strainwave.signals import hygiene
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.hygiene.defects import Defect
 from strainwave.signals.hygiene.repair import interpolate_masked, repair_record
-from strainwave.signals.link_motion import link_side
-from strainwave.signals.motor import motor_side
+from strainwave.signals.link_motion import prepare_link_signals
+from strainwave.signals.motor import prepare_motor_signals
 
 ARM = Arm.of(rig().arm)
 CUTOFF = 100.0  # [Hz] low-pass of the whole-arm dataset
@@ -117,38 +117,38 @@ def test_an_encoder_with_many_steps_is_excluded() -> None:
 
 def test_rigid_equations_exclude_defective_samples() -> None:
     """The rigid step excludes samples with defective torque or motion."""
-    of_torque = motor_side(spoilt("u1", 5000, 5003), ARM)
+    of_torque = prepare_motor_signals(spoilt("u1", 5000, 5003), ARM)
     assert not of_torque.valid[5000:5003, 0].any()
     assert of_torque.valid[5000:5003, 1].all()
-    of_motion = motor_side(spoilt("theta_m2", 5000, 5003), ARM)
+    of_motion = prepare_motor_signals(spoilt("theta_m2", 5000, 5003), ARM)
     assert not of_motion.valid[5000:5003].any()
 
 
 def test_linear_models_use_only_short_interpolated_stretches() -> None:
     """Linear models use short interpolated stretches and exclude long ones."""
-    assert link_side(spoilt("a1", 5000, 5003), ARM).valid[5000:5003].all()
-    assert not link_side(spoilt("a1", 5000, 5100, "frozen"), ARM).valid[5000:5100].any()
+    assert prepare_link_signals(spoilt("a1", 5000, 5003), ARM).valid[5000:5003].all()
+    assert not prepare_link_signals(spoilt("a1", 5000, 5100, "frozen"), ARM).valid[5000:5100].any()
 
 
 def test_the_whole_arm_fit_excludes_rows_with_defective_samples() -> None:
     """The whole-arm fit excludes rows whose filter includes defective samples."""
     record = dataset_of(spoilt("a2", 5000, 5003), ARM, CUTOFF)
-    assert record.counted is not None
+    assert record.is_counted is not None
     names = [channel.name for channel in record.channels]
     reach = 0.5 * len(record.kernels.smooth) * log().sample_time
     near = np.abs(record.time - log().time[5001]) < reach
     for k, name in enumerate(names):
-        excluded = ~record.counted[:, k]
+        excluded = ~record.is_counted[:, k]
         assert excluded.any() == (name == "a2")
         assert not (excluded & ~near).any()
-    assert near[~record.counted.all(axis=1)].all()
-    assert (~record.counted).sum() >= near.sum() - 2
-    assert dataset_of(log(), ARM, CUTOFF).counted is None
+    assert near[~record.is_counted.all(axis=1)].all()
+    assert (~record.is_counted).sum() >= near.sum() - 2
+    assert dataset_of(log(), ARM, CUTOFF).is_counted is None
 
 
 def test_masks_are_decimated_with_their_channels() -> None:
     """Masks are decimated together with their channels."""
     record = coarsen_steps(dataset_of(spoilt("a2", 5001, 5002), ARM, CUTOFF), 2e-3)
-    assert record.counted is not None
-    assert not record.counted.all()
+    assert record.is_counted is not None
+    assert not record.is_counted.all()
     assert np.flatnonzero(unmeasured(record.log, ("a2",))).tolist() == [5001 // 8]

@@ -113,9 +113,9 @@ class _Trial:
 def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
-    `signals` has one item per record, from `signals.motor_side`. A parameter that the data do not
-    determine has the value None, and a warning gives the reason. Raises `NotIdentifiable` if there
-    is no record or no usable sample.
+    `signals` has one item per record, from `signals.prepare_motor_signals`. A parameter that the
+    data do not determine has the value None, and a warning gives the reason. Raises
+    `NotIdentifiable` if there is no record or no usable sample.
     """
     if not signals:
         raise NotIdentifiable(

@@ -26,7 +26,7 @@ from strainwave.identification.whole_arm.solver import (
     polish,
     report_progress,
 )
-from strainwave.identification.whole_arm.start import Start, start_of
+from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
 from strainwave.numerics.parallel import one_blas_thread
 
@@ -67,7 +67,7 @@ def tune(
     """
     chosen = expand_published_options(options or TuningOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
-        begin = start_of(logs, model, (joints, *others), arm, chosen, start)
+        begin = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
         return arm_model(_fit(begin, selection), begin, selection)
 
@@ -84,7 +84,7 @@ def fitted(
     """Fit as `tune` does, and return the fit itself with its residuals."""
     chosen = expand_published_options(options or TuningOptions())
     with one_blas_thread():
-        begin = start_of(logs, model, (joints,), arm, chosen, start)
+        begin = prepare_start(logs, model, (joints,), arm, chosen, start)
         return _fit(begin, Selection(arm, chosen))
 
 
@@ -93,7 +93,7 @@ def _fit(start: Start, selection: Selection) -> Fit:
     coarse = coarse_search(start.coarse, start.start, selection.options)
     coarse = select_model(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
-    records = [replace(record, moving=found.moving) for record, found in pairs]
+    records = [replace(record, begins_in_motion=found.begins_in_motion) for record, found in pairs]
     with_effects = set_record_effects(records, selection.arm, coarse.objective.space.keys)
     objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
     fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)

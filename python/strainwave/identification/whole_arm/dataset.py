@@ -16,13 +16,13 @@ from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import (
     bandwidth_of,
-    constants_of,
     delay_of,
     differentiate_rows,
     drift_of,
     is_bandwidth,
     is_of_mount,
     is_sensor_constant,
+    list_sensor_constants,
     mount_of,
     mount_resonance,
     scale_of,
@@ -97,24 +97,26 @@ class Dataset:
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
     counts: tuple[float, ...]  # resolution of each channel; zero if unknown
-    moving: bool  # whether it begins in motion
+    begins_in_motion: bool  # whether it begins in motion
     max_time_step: float  # [s] of the integrator
-    lacking: FloatArray  # (n_rows, n_channels) correction of the integrator step error
+    step_error_correction: (
+        FloatArray  # (n_rows, n_channels) correction of the integrator step error
+    )
     # (n_rows, n_channels) False where a row contains masked samples; None if none does
-    counted: BoolArray | None = field(default=None, kw_only=True)
+    is_counted: BoolArray | None = field(default=None, kw_only=True)
     # (n_rows, n_channels) step error at the last correction; None if there was none
     step_error: FloatArray | None = field(default=None, kw_only=True)
 
     @property
     def local(self) -> tuple[tuple[str, int], ...]:
         """Unknown initial states, (name, joint)."""
-        if not self.moving:
+        if not self.begins_in_motion:
             return ()
         return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
         """Starting values (n_local,) of the initial states, with unloaded gears."""
-        if not self.moving:
+        if not self.begins_in_motion:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time
         n_first = max(2, round(INITIAL_INTERVAL / T))
@@ -170,7 +172,10 @@ class Dataset:
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
         to_channels = self.filtered_channels if resonates else self._stack_channels
-        channels, tangent = to_channels(motion, values) + self.lacking, to_channels(slopes, values)
+        channels, tangent = (
+            to_channels(motion, values) + self.step_error_correction,
+            to_channels(slopes, values),
+        )
         tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
@@ -187,7 +192,9 @@ class Dataset:
 
     def _inputs(self, values: Mapping[tuple[str, int | None], float]) -> RecordInputs:
         """Inputs of the compiled core, with the effects that are realised through inputs."""
-        return record_inputs(self.arm, dict(values), self.log.name, hanging=not self.moving)
+        return record_inputs(
+            self.arm, dict(values), self.log.name, hanging=not self.begins_in_motion
+        )
 
     def _arm_at(self, values: Mapping[tuple[str, int | None], float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
@@ -305,7 +312,7 @@ class Dataset:
 
     def sensor_constants(self) -> list[tuple[str, int | None]]:
         """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
-        constants = list(constants_of((c.sensor, c.joint) for c in self.channels))
+        constants = list(list_sensor_constants((c.sensor, c.joint) for c in self.channels))
         axes = self._axes()
         for axis in axes:
             joint_axes = [one for one in axes if one.joint == axis.joint]
@@ -370,8 +377,12 @@ class Dataset:
         """
         exact, error = self._step_error(values, local)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
-        correction = error if self.step_error is None else self.lacking + error - self.step_error
-        return replace(self, lacking=correction, noise=noise, step_error=error)
+        correction = (
+            error
+            if self.step_error is None
+            else self.step_error_correction + error - self.step_error
+        )
+        return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
     def store_step_error(
         self, values: Mapping[tuple[str, int | None], float], local: FloatArray
@@ -409,7 +420,7 @@ class Dataset:
 
     def _start_at(self, local: FloatArray) -> Drive:
         """Inputs of the simulation with initial states (n_local,)."""
-        if not self.moving:
+        if not self.begins_in_motion:
             return self.drive
         parts = local.reshape(len(INITIAL_STATES), -1).tolist()
         velocity, link, link_velocity = (tuple(part) for part in parts)

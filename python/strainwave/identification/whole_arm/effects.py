@@ -12,7 +12,7 @@ from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, eff
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.domain.parameters import Values, unit_of
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.closed_loop import with_known_effects
+from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.dataset import Dataset
 from strainwave.identification.whole_arm.loads import Loads
 from strainwave.identification.whole_arm.parametrisation import (
@@ -93,7 +93,7 @@ def add_effects(
 def _update_prior_trust(space: ParameterSpace, arm: Arm) -> ParameterSpace:
     """Trust the rigid-step estimates as far as the effects of the space allow."""
     biased = {key for one in effects_in(space, arm) for key in biased_parameters(one, arm)}
-    return replace(space, prior=space.prior.tightened().loosened(biased))
+    return replace(space, prior=space.prior.restore().relax(biased))
 
 
 def known_joint(arm: Arm, joint: int, values: Values, loads: Loads) -> KnownJoint:
@@ -203,7 +203,7 @@ def insignificant_effects(
 
 def warn_removed_effects(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic]:
     """Warn about named effects that the fit removed."""
-    remaining = set(named_effects(with_known_effects(arm, space.keys)))
+    remaining = set(named_effects(keep_known_effects(arm, space.keys)))
     for joint, effect in named_effects(arm):
         if (joint, effect) not in remaining:
             text = f"{effect} was fitted and removed: its size does not differ significantly from"
@@ -216,7 +216,7 @@ def set_record_effects(
     records: Sequence[Dataset], arm: Arm, keys: Collection[Key]
 ) -> tuple[Dataset, ...]:
     """Set the effects of the records' arm to those of `arm` with parameters among `keys`."""
-    effects = [joint.named_effects for joint in with_known_effects(arm, keys).joints]
+    effects = [joint.named_effects for joint in keep_known_effects(arm, keys).joints]
 
     def with_effects(record: Dataset) -> Dataset:
         pairs = zip(record.arm.joints, effects, strict=True)

@@ -42,7 +42,7 @@ def add_initial_states(objective: Objective, z: FloatArray) -> Objective:
 
     `z` (n_unknowns,) is near the minimum. Returns the same object if no such record exists.
     """
-    at_standstill = [k for k, record in enumerate(objective.records) if not record.moving]
+    at_standstill = [k for k, record in enumerate(objective.records) if not record.begins_in_motion]
     rows = objective.rows(z)
     costs = [rows[k].cost(objective.weights[k]) for k in at_standstill]
     estimates = run_parallel(

@@ -26,7 +26,7 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import Key, ParameterSpace
 from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.sensors import with_sensors
+from strainwave.identification.whole_arm.sensors import add_sensor_constants
 from strainwave.identification.whole_arm.solver import (
     COARSE_TOLERANCE,
     refine,
@@ -188,7 +188,7 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
         trials = []
         for side in (1.0, -1.0):
             starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
-            space = with_sensors(fit.objective.space, tilts, starts)
+            space = add_sensor_constants(fit.objective.space, tilts, starts)
             objective = fit.objective.replace_unknowns(space)
             start = space.coordinates({**values, **starts})
             evaluations = fit.iterations

@@ -269,7 +269,7 @@ class Objective:
     def add_initial_states(self, k: int, start: FloatArray | None = None) -> Objective:
         """Add initial states to record k, starting at `start` or at default values."""
         record, record_parameters = (
-            replace(self.records[k], moving=True),
+            replace(self.records[k], begins_in_motion=True),
             list(self.memory.record_parameters),
         )
         biases = record_parameters[k][len(self.records[k].local) :]
@@ -288,7 +288,10 @@ class Objective:
 
         records = tuple(self._map_records(corrected))
         pairs = zip(evaluated, records, self.records, strict=True)
-        shifted = [replace(e, difference=e.difference + n.lacking - o.lacking) for e, n, o in pairs]
+        shifted = [
+            replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
+            for e, n, o in pairs
+        ]
         memory = _Memory(list(self.memory.record_parameters), (z.tobytes(), shifted))
         return replace(self, records=records, memory=memory)
 
@@ -309,12 +312,12 @@ class Objective:
             long = lengthen_steps(record)
             n_rows = len(long.time)
             residual = (rows[k].residual * self.weights[k].stds)[:n_rows]
-            counted = None if record.counted is None else record.counted[:n_rows]
-            long = replace(long, lacking=np.zeros_like(residual), counted=counted)
+            counted = None if record.is_counted is None else record.is_counted[:n_rows]
+            long = replace(long, step_error_correction=np.zeros_like(residual), is_counted=counted)
             evaluated = self._evaluate_from(long, z, record_parameters[k])
             if not np.isfinite(evaluated.columns).all():
                 raise NumericalFailure("the derivatives overflow in long steps")
-            long = replace(long, lacking=residual - evaluated.difference)
+            long = replace(long, step_error_correction=residual - evaluated.difference)
             return long, replace(evaluated, difference=residual)
 
         try:
@@ -382,7 +385,7 @@ class Objective:
 
     def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluation:
         """Evaluate record k at z, with optimal initial states if it begins in motion."""
-        if not record.moving:
+        if not record.begins_in_motion:
             return self._evaluate_from(record, z, self.memory.record_parameters[k])
         results: dict[bytes, Evaluation] = {}
 
@@ -420,9 +423,9 @@ class Objective:
         columns[..., n_begin:n_own] = shifts
         columns[..., n_own:] = tangent[..., :n] @ self.space.slope(z)
         difference = channels + shifts @ record_parameters[n_begin:] - record.observed(values)
-        if record.counted is not None:  # zero rows carry no information
-            difference = difference * record.counted
-            columns *= record.counted[..., None]
+        if record.is_counted is not None:  # zero rows carry no information
+            difference = difference * record.is_counted
+            columns *= record.is_counted[..., None]
         return Evaluation(difference, columns, record_parameters.copy())
 
     def simulated(self, z: FloatArray) -> list[FloatArray]:

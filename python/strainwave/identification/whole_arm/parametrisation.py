@@ -24,10 +24,10 @@ __all__ = [
     "ParameterSpace",
     "Prior",
     "Unknown",
+    "add_settling_unknowns",
+    "add_stiffness_curves",
     "combination",
     "space_of",
-    "with_curves",
-    "with_settling",
 ]
 
 # relative errors of rigid-step estimates if the model lacks an effect, by parameter; that of the
@@ -107,7 +107,7 @@ class Prior:
         units = np.eye(len(self.names))[:, places] * self._typical_biases[places]
         return np.asarray(np.linalg.solve(self.factor, units))
 
-    def loosened(self, names: Collection[Key]) -> Prior:
+    def relax(self, names: Collection[Key]) -> Prior:
         """Increase the variance of rigid-model parameters that a missing effect biases."""
         places = [k for k, name in enumerate(self.names) if name in names]
         if not places:
@@ -130,7 +130,7 @@ class Prior:
             before=self.before or (self.factor, self.errors),
         )
 
-    def tightened(self) -> Prior:
+    def restore(self) -> Prior:
         """Restore the prior before `loosened`."""
         if self.before is None:
             return self
@@ -305,7 +305,8 @@ def space_of(
 ) -> ParameterSpace:
     """Unknowns with starting values from the decoupled step, and the prior of the rigid step.
 
-    All gears are linear; `with_curves` adds stiffness curves. `joints` has one model per joint;
+    All gears are linear; `add_stiffness_curves` adds stiffness curves. `joints` has one model per
+    joint;
     `model` may be None for a single joint without gravity. `largest_voltage` [V] of each joint sets
     the minimum Coulomb friction. `floor` is the minimum relative standard deviation of the prior.
     Raises `NotIdentifiable` if a starting value is missing.
@@ -334,7 +335,9 @@ def space_of(
     return ParameterSpace(tuple(unknowns), {}, _prior(model, keys, arm, floor))
 
 
-def with_curves(space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]) -> ParameterSpace:
+def add_stiffness_curves(
+    space: ParameterSpace, arm: Arm, largest_torque: Sequence[float]
+) -> ParameterSpace:
     """Replace the linear stiffness of each gear with a curve by the parameters of its law.
 
     `largest_torque` [N m] is that of each gear in the records.
@@ -373,7 +376,7 @@ def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unkn
     return unknowns
 
 
-def with_settling(space: ParameterSpace) -> ParameterSpace:
+def add_settling_unknowns(space: ParameterSpace) -> ParameterSpace:
     """Add the friction settling time of each joint."""
     joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
     settling_times = [

@@ -11,7 +11,7 @@ from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.combinations import value_of
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.kinds import Row
-from strainwave.domain.parameters import Values, completed, unit_of
+from strainwave.domain.parameters import Values, complete_values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.covariance import (
@@ -61,7 +61,7 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
     if not used:
         return ()
     with one_blas_thread():
-        return _predicted(used, arm, completed(values, arm))
+        return _predicted(used, arm, complete_values(values, arm))
 
 
 def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:

@@ -85,10 +85,10 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
         measured=np.column_stack(rows),
         noise=noise_behind(channels, raw, kernels, counts),
         counts=counts,
-        moving=_begins_in_motion(log, arm),
+        begins_in_motion=_begins_in_motion(log, arm),
         max_time_step=_STEP,
-        lacking=np.zeros((len(rows[0]), len(channels))),
-        counted=_unmasked_rows(log, channels, kernels),
+        step_error_correction=np.zeros((len(rows[0]), len(channels))),
+        is_counted=_unmasked_rows(log, channels, kernels),
     )
 
 
@@ -144,7 +144,7 @@ def _decimate(record: Dataset, every: int) -> Dataset:
         channels=channels,
     )
     coarse = dataset_of(thinned, record.arm, record.cutoff_hz, closed_loop=any(record.drive.servo))
-    return replace(coarse, noise=record.noise, moving=record.moving)
+    return replace(coarse, noise=record.noise, begins_in_motion=record.begins_in_motion)
 
 
 def _add_link_angles(log: Log, arm: Arm) -> Log:

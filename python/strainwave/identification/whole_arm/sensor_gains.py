@@ -232,5 +232,5 @@ def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]
         arm=record.arm.with_joints(joints),
         channels=channels,
         noise=np.array(noise),
-        lacking=np.zeros((len(record.time), len(channels))),
+        step_error_correction=np.zeros((len(record.time), len(channels))),
     )

@@ -23,7 +23,7 @@ from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.identification.whole_arm.residual_analysis import channels_above_noise
 from strainwave.identification.whole_arm.restricted import is_held
 from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.sensors import with_sensors
+from strainwave.identification.whole_arm.sensors import add_sensor_constants
 from strainwave.identification.whole_arm.solver import fine_search, search_minimum
 from strainwave.numerics.distributions import chi_square_limit
 
@@ -138,7 +138,7 @@ def _fit_mount(
     values = fit.objective.space.values(fit.z)
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
-        space = with_sensors(fit.objective.space, list(starts), starts)
+        space = add_sensor_constants(fit.objective.space, list(starts), starts)
         objective, start = fit.objective.replace_unknowns(space), space.coordinates(values | starts)
         options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
         try:

@@ -80,7 +80,7 @@ _MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a
 _MIN_REPORTED_SCALE_ERROR = 0.01
 
 
-def with_sensors(
+def add_sensor_constants(
     space: ParameterSpace, keys: Sequence[Key], starts: Values | None = None
 ) -> ParameterSpace:
     """Add sensor constants to the unknowns.
@@ -146,7 +146,7 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
             values[delay] = (1.0 - _LOW_PASS_DELAY_SHARE) * lag
     if not starts or fit.iterations >= options.max_iterations:
         return fit
-    extended = with_sensors(space, list(starts), starts)
+    extended = add_sensor_constants(space, list(starts), starts)
     objective, start = (
         fit.objective.replace_unknowns(extended),
         extended.coordinates(values | starts),
@@ -187,7 +187,7 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
         if not estimates:
             break
         values = fit.objective.space.values(fit.z)
-        space = with_sensors(fit.objective.space, list(estimates))
+        space = add_sensor_constants(fit.objective.space, list(estimates))
         start = space.coordinates(values | estimates)
         objective = fit.objective.replace_unknowns(space)
         if coarse:

@@ -8,7 +8,7 @@ from strainwave.identification.whole_arm.estimates import Fit
 from strainwave.identification.whole_arm.parametrisation import (
     SETTLING,
     SETTLING_START,
-    with_settling,
+    add_settling_unknowns,
 )
 from strainwave.identification.whole_arm.selection import (
     MAX_CANDIDATE_EVALUATIONS,
@@ -32,7 +32,7 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     if required is False or fit.iterations >= selection.max_evaluations:
         return fit
     values = fit.objective.space.values(fit.z)
-    space = with_settling(fit.objective.space)
+    space = add_settling_unknowns(fit.objective.space)
     start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
     objective = fit.objective.replace_unknowns(space)
     max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS

@@ -15,8 +15,8 @@ from strainwave.dynamics.link_sensors import is_optional, nominal
 from strainwave.dynamics.mounting import IMU_START_ATTITUDE
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import (
+    keep_known_effects,
     velocity_band,
-    with_known_effects,
 )
 from strainwave.identification.whole_arm.candidates import select_candidate
 from strainwave.identification.whole_arm.dataset import Dataset
@@ -30,8 +30,8 @@ from strainwave.identification.whole_arm.objective import Objective
 from strainwave.identification.whole_arm.parametrisation import (
     Key,
     ParameterSpace,
+    add_stiffness_curves,
     space_of,
-    with_curves,
 )
 from strainwave.identification.whole_arm.predicted import (
     CUTOFF_TO_RESONANCE,
@@ -48,10 +48,10 @@ from strainwave.identification.whole_arm.restricted import (
     restrict_space,
 )
 from strainwave.identification.whole_arm.sensors import (
-    with_sensors,
+    add_sensor_constants,
 )
 from strainwave.identification.whole_arm.starts import starts_of, warn_rejected_starts
-from strainwave.signals.mounting_start import mounting_starts
+from strainwave.signals.mounting_start import estimate_mounting_starts
 
 _STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine
 _INFEASIBLE_START = (
@@ -72,7 +72,7 @@ class Start:
     rejected: tuple[Diagnostic, ...]  # warnings about physically impossible starting values
 
 
-def start_of(
+def prepare_start(
     logs: Sequence[Log],
     model: RigidModel | None,
     candidates: Sequence[Sequence[JointModel]],
@@ -100,12 +100,12 @@ def start_of(
     all_joints = [joint for joints in candidates for joint in joints]
     records, long_steps = _records(used, all_joints, arm, options)
 
-    placed = mounting_starts(logs, arm, used)
+    placed = estimate_mounting_starts(logs, arm, used)
     given = placed | ({} if given is None else dict(given))
 
     def extended_space(joints: Sequence[JointModel]) -> ParameterSpace:
         extended = _space(records, model, joints, arm, options)
-        return with_sensors(
+        return add_sensor_constants(
             extended, [key for key in placed if key[0] not in IMU_START_ATTITUDE], given
         )
 
@@ -118,7 +118,7 @@ def start_of(
         records, long_steps = _records(used, joints, arm, options)
     space = extended_space(joints)
     measured_keys = {key for record in records for key in record.sensor_constants()}
-    space = with_sensors(space, [key for key in given if key in measured_keys])
+    space = add_sensor_constants(space, [key for key in given if key in measured_keys])
     nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
     start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
     initial = start
@@ -147,7 +147,7 @@ def _records(
 ) -> tuple[tuple[Dataset, ...], list[Dataset]]:
     """Prepare the records in the band of the joints' resonances, in short and in long steps."""
     cutoff = options.cutoff_hz or _cutoff(used, joints, arm)
-    plain = with_known_effects(arm, ())
+    plain = keep_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=options.closed_loop) for log in used)
     for record in records:
         _check_link_encoders(record, arm)
@@ -210,7 +210,7 @@ def _space(
     if any(joint.law.is_curved for joint in arm.joints):
         values = space.values(np.zeros(len(space.unknowns)))
         try:
-            space = with_curves(space, arm, gear_torques(records, values).tolist())
+            space = add_stiffness_curves(space, arm, gear_torques(records, values).tolist())
         except NumericalFailure as failure:
             raise NotIdentifiable(_INFEASIBLE_START) from failure
     return space

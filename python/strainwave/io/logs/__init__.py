@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, Study, channel_names
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
 from strainwave.io.logs.in_memory import Data, is_path, open_memory_table
@@ -154,7 +154,8 @@ def _check_mapped(study: Study, read: Sequence[Log], data: Data) -> None:
         raise InvalidInput(
             f"no log has the column '{channel.column}', which [channels] names for '{name}'",
             where=str(study.path),
-            remedy=f"correct channels.{name}, or remove it{nearest(channel.column, table.names)}",
+            remedy=f"correct channels.{name}, or remove it"
+            f"{suggest_name(channel.column, table.names)}",
         )
 
 
@@ -199,7 +200,7 @@ def _missing_column(column: str, what: str, table: Table | Bag, path: Path) -> I
     if isinstance(table, Bag):
         return table.build_missing_column_error(column, what)
     available = ", ".join(table.names[:20]) + (", ..." if len(table.names) > 20 else "")
-    available += nearest(column, table.names)
+    available += suggest_name(column, table.names)
     return InvalidInput(
         f"there is no column '{column}', {what}",
         where=str(path),

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from strainwave.domain import Diagnostic, IntArray
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.clocks import Track
 from strainwave.io.logs.messages import list_numbers, parse_field, read_number, read_stamp
 
@@ -172,7 +172,7 @@ class Bag:
             remedy = (
                 'map it in [channels] of the study, as { topic = "/joint_states", field = '
                 f'"position", name = "joint1" }}; the bag has: {available or "nothing"}'
-                + nearest(name, self._topics)
+                + suggest_name(name, self._topics)
             )
         elif topic.unreadable:
             problem = f"the topic '{name}' cannot be read: {topic.kind}, {topic.unreadable}"
@@ -187,7 +187,8 @@ class Bag:
             more = ", ..." if len(fields) > _MAX_LISTED_NAMES else ""
             available = ", ".join(fields[:_MAX_LISTED_NAMES]) + more
             remedy = (
-                f"its messages have: {available or 'no numbers'}{nearest(missing_field, fields)}"
+                f"its messages have: {available or 'no numbers'}"
+                f"{suggest_name(missing_field, fields)}"
             )
         return InvalidInput(f"{problem}, {what}", where=where, remedy=remedy)
 

@@ -21,7 +21,7 @@ from strainwave.domain.study_limits import (
     SERVO_LIMITS,
     SizeLimit,
 )
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
 
 
@@ -116,7 +116,7 @@ def check_options(study: Study, reader: Reader) -> None:
                 raise InvalidInput(
                     f"'{name}' is not a parameter of the whole-arm fit",
                     where=reader.place("options.tuning", None, key),
-                    remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
+                    remedy=f"use one of {', '.join(known)}{suggest_name(name, known)}",
                 )
     for name, (low, high) in options.tuning.ranges.items():
         if not low <= 1.0 <= high or low == high:
@@ -155,7 +155,7 @@ def _check_channels(study: Study, reader: Reader) -> None:
             raise InvalidInput(
                 f"'{name}' is not a channel of this arm",
                 where=reader.place(table, position, name),
-                remedy=f"use one of {', '.join(known)}{nearest(name, known)}",
+                remedy=f"use one of {', '.join(known)}{suggest_name(name, known)}",
             )
     for table, position, name in named_channels:
         for effect in _moving_encoders(study.arm, name):
@@ -222,7 +222,7 @@ def check_files(study: Study, reader: Reader) -> None:
                 f"the log file {experiment.file!r} does not exist",
                 where=reader.place("experiment", index, "file"),
                 remedy="put it next to the study file, or correct the name"
-                + nearest(experiment.file, siblings),
+                + suggest_name(experiment.file, siblings),
             )
 
 

@@ -24,7 +24,7 @@ from strainwave.domain import (
     effects,
     gear_laws,
 )
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 
 T = TypeVar("T")
 
@@ -171,7 +171,7 @@ class Reader:
         if all(name in known for name in names):
             return
         unknown = next(name for name in names if name not in known)
-        near = nearest(unknown, known) if isinstance(unknown, str) else ""
+        near = suggest_name(unknown, known) if isinstance(unknown, str) else ""
         *others, last = [repr(name) for name in known]
         raise InvalidInput(
             f"'{key}' is {_abbreviated(value)}, but it should be {', '.join(others)} or {last}",
@@ -258,7 +258,7 @@ class Reader:
     ) -> None:
         for key in table:
             if key not in known:
-                near = nearest(key, known)
+                near = suggest_name(key, known)
                 hint = near or f"; the known keys are {', '.join(known)}"
                 raise InvalidInput(
                     f"the key '{key}' is unknown",

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge, Le, MinLen
 
 from strainwave.domain.arm import NonNegative, Positive
-from strainwave.errors import InvalidInput, nearest
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
 from strainwave.virtual.families.catalogue import GEAR_CATALOGUE, GEAR_RATIOS, SPRINGS
 from strainwave.virtual.families.causes import cause_names
@@ -101,7 +101,7 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
 def _check_known(kinds: Iterable[Any], known: tuple[Any, ...], key: str, reader: Reader) -> None:
     for value in kinds:
         if value not in known:
-            near = nearest(value, known) if isinstance(value, str) else ""
+            near = suggest_name(value, known) if isinstance(value, str) else ""
             raise InvalidInput(
                 f"'{key}' contains the unknown value {value!r}",
                 where=reader.place("family", None, key),
