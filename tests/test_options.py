@@ -191,10 +191,12 @@ def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
     """Whole-arm fit of the small study, started from the results of the earlier stages."""
     before = pipeline.identify(small, stages=("rigid", "decoupled"))
     arguments = (read_logs(before.study), before.rigid, before.joints, Arm.of(before.study.arm))
-    default_fit = tuning.fitted(*arguments)
+    default_fit = tuning.fit_records(*arguments)
 
     def fit(options: TuningOptions) -> tuning.Fit:
-        return default_fit if options == TuningOptions() else tuning.fitted(*arguments, options)
+        return (
+            default_fit if options == TuningOptions() else tuning.fit_records(*arguments, options)
+        )
 
     return fit
 

@@ -226,7 +226,9 @@ def _enter_whole_arm(table: _Table, tuned: ArmModel, first_affected: int) -> Non
         return
     bounded = set(tuned.at_bounds)
     for p in tuned.parameters:
-        at_bound_reason = f"the fit ended at the bound of its range, {p.value or 0.0:.3g} {p.unit}"
+        at_bound_reason = (
+            f"the estimate is at the limit of its range, {p.value or 0.0:.3g} {p.unit}"
+        )
         table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
     for key, reason in _effect_shift_reasons(tuned).items():
         if key in table and not table[key].rejected:

@@ -339,7 +339,7 @@ def band_pass(
 
 def band_passes(
     signals: FloatArray,
-    wanted: Sequence[tuple[int, int]],
+    requests: Sequence[tuple[int, int]],
     low_hz: float,
     high_hz: float,
     sample_time: float,
@@ -347,17 +347,17 @@ def band_passes(
     """Band-pass of several signals, their integrals and their derivatives; see `band_pass`.
 
     `signals` (n_samples, n_signals).
-    `wanted`: For each result, the column of the signal and the number of integrations; negative
+    `requests`: For each result, the column of the signal and the number of integrations; negative
         numbers are differentiations.
     `low_hz, high_hz` [Hz].
     `sample_time` [s].
 
-    Returns (n_samples, n_wanted).
+    Returns (n_samples, n_requests).
     """
     f, spectrum, inner = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
-    filtered = np.empty((len(signals), len(wanted)))
-    for column, (k, integrals) in enumerate(wanted):
+    filtered = np.empty((len(signals), len(requests)))
+    for column, (k, integrals) in enumerate(requests):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
         filtered[:, column] = _inverse_spectrum(
             (response * spectrum[:, k])[:, None], inner, len(signals)

@@ -66,13 +66,15 @@ class Factor:
     scale: FloatArray  # (n_parameters,) norms of the weighted columns
     singular: FloatArray  # (n_parameters,) singular values, in descending order
     directions: FloatArray  # (n_parameters, n_parameters) rows, in scaled parameters
-    seen: BoolArray  # (n_parameters,) whether a direction exceeds the regressor noise
+    is_resolved: BoolArray  # (n_parameters,) whether a direction exceeds the regressor noise
     leverage: FloatArray  # (n_rows,) diagonal of the hat matrix
 
     @property
     def deviation(self) -> FloatArray:
         """Standard deviations of the parameters for white errors of unit variance."""
-        scaled_directions = self.directions[self.seen] / self.singular[self.seen, None]
+        scaled_directions = (
+            self.directions[self.is_resolved] / self.singular[self.is_resolved, None]
+        )
         return np.asarray(np.sqrt(np.sum(scaled_directions**2, axis=0)) / self.scale)
 
     @property
@@ -108,7 +110,7 @@ def factorise(equations: Equations, root: FloatArray) -> Factor:
         scale=scale,
         singular=s,
         directions=Vt,
-        seen=is_identifiable,
+        is_resolved=is_identifiable,
         leverage=reduced.leverage,
     )
 
@@ -119,9 +121,9 @@ def moves(equations: Equations, factor: Factor, changes: FloatArray) -> FloatArr
     `changes` (n_rows, n_changes). Returns (n_parameters, n_changes).
     """
     reduced = _reduce(equations, factor.root, changes, leverage=False)
-    basis = factor.directions[factor.seen].T
+    basis = factor.directions[factor.is_resolved].T
     # R'R = V s^2 V', so R^-1 = V s^-2 V' R'
-    inverse = basis / factor.singular[factor.seen] ** 2 @ basis.T @ reduced.own.T
+    inverse = basis / factor.singular[factor.is_resolved] ** 2 @ basis.T @ reduced.own.T
     return np.asarray(inverse @ reduced.right / factor.scale[:, None])
 
 
@@ -268,8 +270,8 @@ def jackknife(equations: Equations, factor: Factor) -> tuple[FloatArray, FloatAr
     Returns the covariance (n_parameters, n_parameters) within the identifiable directions, and the
     variances (n_common,) of the common nuisance parameters.
     """
-    basis = factor.directions[factor.seen].T / factor.scale[:, None]
-    to_parameters = basis / factor.singular[factor.seen]
+    basis = factor.directions[factor.is_resolved].T / factor.scale[:, None]
+    to_parameters = basis / factor.singular[factor.is_resolved]
     normal = _NormalEquations.of(equations, factor.root, to_parameters)
     reference = normal.solution()
     shifts = [normal.without(label) - reference for label in normal.block_grams]
@@ -359,7 +361,7 @@ def determined(equations: Equations, factor: Factor, covariance: FloatArray) -> 
 
     `covariance` (n_parameters, n_parameters).
     """
-    unidentifiable = np.abs(factor.directions[~factor.seen])
+    unidentifiable = np.abs(factor.directions[~factor.is_resolved])
     is_identifiable = (unidentifiable < _MIN_DIRECTION_COMPONENT).all(axis=0)
     torque = np.linalg.norm(factor.root * equations.target)
     torque_std = np.sqrt(np.clip(np.diag(covariance), 0.0, None)) * factor.scale

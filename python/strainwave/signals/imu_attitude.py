@@ -130,7 +130,7 @@ class _AxisProblem:
 
 
 def _search_minima(
-    wanted: Sequence[_AxisProblem], axes: Sequence[Axis], arm: Arm, *, flat: bool
+    problems: Sequence[_AxisProblem], axes: Sequence[Axis], arm: Arm, *, flat: bool
 ) -> list[tuple[float, dict[Key, float]]]:
     """Local minima as (objective, mounting), in ascending order of the objective."""
     joint, keys = axes[0].joint, unknowns_of(axes, arm)
@@ -150,10 +150,10 @@ def _search_minima(
                 }
             if has_bearing:
                 values[IMU_BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
-            candidate = _with_optimal_position(wanted, values, keys, arm)
-            starts.append((_cost(wanted, candidate, arm), candidate))
+            candidate = _with_optimal_position(problems, values, keys, arm)
+            starts.append((_cost(problems, candidate, arm), candidate))
     starts.sort(key=lambda one: one[0])
-    minima = [_find_minimum(wanted, values, keys, arm) for _, values in starts[:_MAX_SEARCHES]]
+    minima = [_find_minimum(problems, values, keys, arm) for _, values in starts[:_MAX_SEARCHES]]
     return sorted(minima, key=lambda one: one[0])
 
 
@@ -173,30 +173,30 @@ def _starting_rotations(*, flat: bool) -> Iterator[FloatArray]:
                 yield from (matrix @ rotation for rotation in intermediate)
 
 
-def _residual(wanted: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> FloatArray:
+def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> FloatArray:
     """Residuals of all axes for a mounting."""
     parts = [
-        problem.root @ factors(problem.axis, arm, values) - problem.target for problem in wanted
+        problem.root @ factors(problem.axis, arm, values) - problem.target for problem in problems
     ]
     return np.concatenate(parts)
 
 
-def _cost(wanted: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> float:
+def _cost(problems: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> float:
     """Sum of squared residuals of a mounting."""
-    return float(np.sum(_residual(wanted, values, arm) ** 2))
+    return float(np.sum(_residual(problems, values, arm) ** 2))
 
 
 def _jacobian(
-    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> FloatArray:
     """Derivatives of the residuals with respect to the unknowns, (n_rows, n_keys)."""
     return np.concatenate(
-        [problem.root @ slopes(problem.axis, arm, values, keys) for problem in wanted]
+        [problem.root @ slopes(problem.axis, arm, values, keys) for problem in problems]
     )
 
 
 def _with_optimal_position(
-    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> dict[Key, float]:
     """Mounting with the optimal position and gyro factors for its attitude.
 
@@ -208,8 +208,8 @@ def _with_optimal_position(
     linear = [key for key in linear if key[0] not in IMU_ROTATION]
     if not linear:
         return values
-    jacobian = _jacobian(wanted, values, linear, arm)
-    optimum = np.linalg.lstsq(jacobian, -_residual(wanted, values, arm))[0]
+    jacobian = _jacobian(problems, values, linear, arm)
+    optimum = np.linalg.lstsq(jacobian, -_residual(problems, values, arm))[0]
     placed = {**values, **dict(zip(linear, optimum.tolist(), strict=True))}
     joint = linear[0][1]
     # A negative distance belongs to the opposite bearing.
@@ -219,12 +219,15 @@ def _with_optimal_position(
 
 
 def _find_minimum(
-    wanted: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
 ) -> tuple[float, dict[Key, float]]:
     """Levenberg-Marquardt search from a mounting: (objective, mounting) at the local minimum."""
-    cost, damping = _cost(wanted, values, arm), _INITIAL_DAMPING
+    cost, damping = _cost(problems, values, arm), _INITIAL_DAMPING
     for _ in range(_MAX_ITERATIONS):
-        jacobian, residual = _jacobian(wanted, values, keys, arm), _residual(wanted, values, arm)
+        jacobian, residual = (
+            _jacobian(problems, values, keys, arm),
+            _residual(problems, values, arm),
+        )
         column_norm = np.linalg.norm(jacobian, axis=0)
         column_norm = np.maximum(
             column_norm, _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
@@ -237,7 +240,7 @@ def _find_minimum(
         step *= min(1.0, _MAX_STEP / max(float(np.max(np.abs(step))), 1e-300))
         for key, change in zip(keys, step.tolist(), strict=True):
             trial[key] += change
-        trial_cost = _cost(wanted, trial, arm)
+        trial_cost = _cost(problems, trial, arm)
         if trial_cost < cost:
             decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping
             if decrease < _RELATIVE_TOLERANCE * cost:

@@ -137,13 +137,11 @@ class Solved:
     arm: Arm
     known: RigidKnowledge
     band: tuple[float, float]
-    own: _WeightedEquations
-    as_it_shows: (
-        _WeightedEquations  # with friction that follows the sign of the velocity everywhere
-    )
-    beside: tuple[
-        _WeightedEquations, ...
-    ]  # in a narrower and a wider band; empty if the band is given
+    in_band: _WeightedEquations
+    # with friction that follows the sign of the velocity everywhere
+    with_sign_friction: _WeightedEquations
+    # in a narrower and a wider band; empty if the band is given
+    in_other_bands: tuple[_WeightedEquations, ...]
 
     def fit(self) -> GreyBoxFit:
         """Estimates, with the model error added to the covariance.
@@ -151,12 +149,12 @@ class Solved:
         The model error consists of the changes of the estimates with the treatment of friction near
         zero velocity and with the band.
         """
-        fit = _result(self.own, self.known, self.band)
-        friction_change = _physical(self.as_it_shows.x) - _physical(self.own.x)
+        fit = _result(self.in_band, self.known, self.band)
+        friction_change = _physical(self.with_sign_friction.x) - _physical(self.in_band.x)
         fit = replace(fit, covariance=fit.covariance + np.outer(friction_change, friction_change))
-        if not self.beside:
+        if not self.in_other_bands:
             return fit
-        changes = [_physical(other.x) - _physical(self.own.x) for other in self.beside]
+        changes = [_physical(other.x) - _physical(self.in_band.x) for other in self.in_other_bands]
         return replace(fit, covariance=fit.covariance + _model_error(changes))
 
     def of_record(self, k: int) -> Solved:
@@ -165,16 +163,16 @@ class Solved:
         If its resonances differ, the equations are solved in new bands.
         """
         record, known = self.records[k : k + 1], self.known.of_record(k)
-        weighted = _iterate(self.own.of_record(k, known), known, _TOLERANCE)
+        weighted = _iterate(self.in_band.of_record(k, known), known, _TOLERANCE)
         band = _band_around(_joint_of(weighted), record, self.band)
         if not same_band(self.band, band, _BAND_TOLERANCE):
             return solve(record, self.arm, known, search_from_hz=self.band)
         with_sign_friction = _iterate(
-            self.as_it_shows.of_record(k, known), known, _MODEL_ERROR_TOLERANCE
+            self.with_sign_friction.of_record(k, known), known, _MODEL_ERROR_TOLERANCE
         )
         in_other_bands = [
             _iterate(each.of_record(k, known), known, _MODEL_ERROR_TOLERANCE)
-            for each in self.beside
+            for each in self.in_other_bands
         ]
         return Solved(
             record, self.arm, known, self.band, weighted, with_sign_friction, tuple(in_other_bands)

@@ -30,7 +30,14 @@ from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
 from strainwave.numerics.parallel import one_blas_thread
 
-__all__ = ["Fit", "TuningOptions", "fitted", "has_likelier_effect", "predicted_parameters", "tune"]
+__all__ = [
+    "Fit",
+    "TuningOptions",
+    "fit_records",
+    "has_likelier_effect",
+    "predicted_parameters",
+    "tune",
+]
 
 
 def tune(
@@ -72,7 +79,7 @@ def tune(
         return arm_model(_fit(begin, selection), begin, selection)
 
 
-def fitted(
+def fit_records(
     logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],

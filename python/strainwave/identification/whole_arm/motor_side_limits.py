@@ -82,7 +82,7 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
     for p in poor:
         uncertainty = "not identified"
         if (p.name, p.joint) in at_bounds:
-            uncertainty = "at the end of its range"
+            uncertainty = "at the limit of its range"
         elif p.value is not None and p.std is not None:
             uncertainty = f"to {100.0 * CI95_STDS * p.std / abs(p.value):.2g} % only"
         descriptions.append(f"{p.label} {uncertainty}")
