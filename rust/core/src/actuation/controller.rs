@@ -61,6 +61,7 @@ macro_rules! controllers {
                 }
             }
 
+            #[inline(always)]
             fn command<R: Real>(
                 &self,
                 memory: &mut ServoMemory<R, N>,

@@ -37,6 +37,7 @@ impl<const N: usize> Controller<N> for PiPosition<N> {
     }
 
     /// `reference` holds motor velocities [rad/s].
+    #[inline(always)]
     fn command<R: Real>(
         &self,
         memory: &mut PiPositionMemory<R, N>,

@@ -77,6 +77,7 @@ impl<const N: usize> Controller<N> for PiVelocity<N> {
     }
 
     /// `reference` holds motor velocities [rad/s].
+    #[inline(always)]
     fn command<R: Real>(
         &self,
         memory: &mut PiVelocityMemory<R, N>,

@@ -184,6 +184,11 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     /// Applies the voltages of this instant: the feed-forward of the tick, and the servo's output
     /// if the servo reads.
     pub(crate) fn command(&mut self, step: usize, servo_reads: bool) {
+        S::scope(CommandWork(self, step, servo_reads));
+    }
+
+    #[inline(always)]
+    fn apply_command(&mut self, step: usize, servo_reads: bool) {
         let tick = step / self.task.clock.steps_per_tick;
         let feed_forward = &self.member.feed_forward[tick];
         let encoder = self.encoder();
@@ -430,6 +435,23 @@ impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     #[inline(always)]
     fn run(self) {
         self.0.record_all(self.1, self.2);
+    }
+}
+
+/// [`Simulation::command`].
+struct CommandWork<'g, 'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'g mut Simulation<'a, A, S, G, N, EFFECTS>,
+    usize,
+    bool,
+);
+
+impl<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for CommandWork<'_, '_, A, S, G, N, EFFECTS>
+{
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.apply_command(self.1, self.2);
     }
 }
 

@@ -25,7 +25,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::joint::gear::Gears;
 use crate::plant::{Instant, Modes, Plant, State, Watch};
-use crate::scalar::{Real, Work};
+use crate::scalar::{Real, Work, run_out_of_line};
 
 /// Largest number of events within one step. After that, motors at rest are held until the step
 /// ends.
@@ -78,8 +78,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut any = false;
         for i in 0..N {
             if modes.free[i].lane(0) == 0.0 {
-                let holding = self.holding_torques(x, torque, modes)[i].lane(0);
-                if holding.abs() > self.dry_friction_in(x, i).lane(0) {
+                let (holding, limit) = run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes));
+                let holding = holding[i].lane(0);
+                if holding.abs() > limit[i].lane(0) {
                     modes.direction[i] = sign(holding);
                     modes.free[i] = R::splat(1.0);
                     any = true;
@@ -193,8 +194,13 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             self.release(&motion.state, &motion.torque, &mut motion.modes);
         } else {
-            let holding = self.holding_torques(&motion.state, &motion.torque, &motion.modes)[joint];
-            motion.modes.direction[joint] = sign(holding.lane(0));
+            let Motion {
+                state,
+                torque,
+                modes,
+            } = &motion;
+            let (holding, _) = run_out_of_line::<R, _>(HoldingWork(self, state, torque, modes));
+            motion.modes.direction[joint] = sign(holding[joint].lane(0));
             motion.modes.free[joint] = R::splat(1.0);
         }
     }
@@ -236,6 +242,28 @@ impl<R: Real, const N: usize> Span<R, N> {
     }
 }
 
+/// Holding torques and friction limits of all motors.
+struct HoldingWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'p Plant<A, R, G, N, EFFECTS>,
+    &'p State<R, N>,
+    &'p [R; N],
+    &'p Modes<R, N>,
+);
+
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for HoldingWork<'_, A, R, G, N, EFFECTS>
+{
+    type Output = ([R; N], [R; N]);
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut limit = [R::splat(0.0); N];
+        for i in 0..N {
+            limit[i] = self.0.dry_friction_in(self.1, i);
+        }
+        (self.0.holding_torques(self.1, self.2, self.3), limit)
+    }
+}
+
 /// A span of time with fixed modes, and the integrator's step over any part of it.
 struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> {
     plant: &'a Plant<A, R, G, N, EFFECTS>,
@@ -259,6 +287,27 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.0.instant(&self.1.state, &self.1.torque, &self.1.modes)
+    }
+}
+
+struct BeginMarginWork<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'l SpanIntegrator<'a, A, R, G, N, EFFECTS>,
+);
+
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for BeginMarginWork<'_, '_, A, R, G, N, EFFECTS>
+{
+    type Output = [R; N];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let Motion {
+            state,
+            torque,
+            modes,
+        } = self.0.from;
+        self.0
+            .plant
+            .margins(state, torque, modes, self.0.has_held_motors)
     }
 }
 
@@ -324,12 +373,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     /// The first event of the span, if there is one.
     fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
-        let at_begin = self.plant.margins(
-            &self.from.state,
-            &self.from.torque,
-            &self.from.modes,
-            self.has_held_motors,
-        );
+        let at_begin = R::scope(BeginMarginWork(self));
         (0..N)
             .filter(|&i| margins_at_end[i].lane(0) < 0.0)
             .map(|i| {

@@ -335,20 +335,14 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut force = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
-            let velocity = x.motor_velocity[i];
             let mut load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
             let mut applied = torque[i];
             if EFFECTS {
                 load = load + loads[i];
                 applied = applied + self.added_torque(x, i);
             }
-            let drive_torque = |at_motor: R| {
-                let dry = self.dry_friction(velocity, at_motor, i);
-                let dry = dry.mul_add(modes.direction[i], joint.offset);
-                (-joint.motor_viscous).mul_add(velocity, applied - dry)
-            };
             if self.is_rigid(i) {
-                let drive = drive_torque(R::splat(0.0));
+                let drive = self.drive_torque(x, modes, [applied, R::splat(0.0)], i);
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
                 force[i] = modes.free[i] * (drive * row - load);
@@ -362,7 +356,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 let gear = self.gear(x, i);
                 let transmitted = self.transmitted(x, i, &gear.torsion);
                 let at_motor = gear.local_ratio * transmitted;
-                let net = (-gear.local_ratio).mul_add(transmitted, drive_torque(at_motor));
+                let drive = self.drive_torque(x, modes, [applied, at_motor], i);
+                let net = (-gear.local_ratio).mul_add(transmitted, drive);
                 let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
                 motor[i] = settling.mul_add(
                     x.motor_velocity[i],
@@ -389,6 +384,22 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
     }
 
+    /// Torque [N m] that drives a motor: the torque `applied` to it minus friction, with a gear
+    /// torque `at_motor`.
+    #[inline(always)]
+    fn drive_torque(
+        &self,
+        x: &State<R, N>,
+        modes: &Modes<R, N>,
+        [applied, at_motor]: [R; 2],
+        i: usize,
+    ) -> R {
+        let (joint, velocity) = (&self.joints[i], x.motor_velocity[i]);
+        let dry = self.dry_friction(velocity, at_motor, i);
+        let dry = dry.mul_add(modes.direction[i], joint.offset);
+        (-joint.motor_viscous).mul_add(velocity, applied - dry)
+    }
+
     /// Torque [N m] at each motor, without its offset, that holds the motor: at rest, or as it
     /// settles.
     ///
@@ -411,20 +422,24 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
-        if G::RIGID {
-            self.subtract_rigid_loads(x, torque, modes, &mut holding);
+        for i in 0..N {
+            if self.is_rigid(i) {
+                return run_out_of_line::<R, _>(RigidLoadWork(self, x, torque, modes, holding));
+            }
         }
         holding
     }
 
-    /// Subtracts the loads behind rigid gears: the torque of the link's row with that link at rest.
+    /// Subtracts the loads behind rigid gears from the `holding` torques: the torque of the link's
+    /// row with that link at rest.
+    #[inline(always)]
     fn subtract_rigid_loads(
         &self,
         x: &State<R, N>,
         torque: &[R; N],
         modes: &Modes<R, N>,
-        holding: &mut [R; N],
-    ) {
+        mut holding: [R; N],
+    ) -> [R; N] {
         let at = self.arm.posture(&x.link_angle);
         let inertia = self.arm.inertia(&self.base, &at);
         let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
@@ -451,6 +466,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             holding[i] = holding[i] - self.joints[i].ratio * load;
         }
+        holding
     }
 
     /// One classical Runge-Kutta step with fixed friction modes.
@@ -647,6 +663,25 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     #[inline(always)]
     fn run(self) -> Self::Output {
         self.0.hysteresis_states(self.1, self.2, self.3)
+    }
+}
+
+/// [`Plant::subtract_rigid_loads`].
+struct RigidLoadWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'p Plant<A, R, G, N, EFFECTS>,
+    &'p State<R, N>,
+    &'p [R; N],
+    &'p Modes<R, N>,
+    [R; N],
+);
+
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for RigidLoadWork<'_, A, R, G, N, EFFECTS>
+{
+    type Output = [R; N];
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        self.0.subtract_rigid_loads(self.1, self.2, self.3, self.4)
     }
 }
 

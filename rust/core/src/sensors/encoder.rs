@@ -6,6 +6,7 @@ use crate::scalar::Real;
 ///
 /// The derivative of the reading is that of the angle. The derivative of the staircase, zero except
 /// for its jumps, would hide the motion.
+#[inline(always)]
 pub fn encoder_angle<R: Real>(angle: R, counts_per_turn: Option<f64>) -> R {
     let mut reading = angle;
     if let Some(counts) = counts_per_turn {
