@@ -15,8 +15,8 @@ __all__ = [
     "gear_laws",
     "hankel_gram",
     "joint_effects",
-    "leave_out",
     "parameter_table",
+    "residual_products_without_blocks",
 ]
 
 GEAR_CORNER: float
@@ -184,7 +184,7 @@ def eliminate(
     Raises ValueError for sizes that do not fit and entries that are not finite.
     """
 
-def leave_out(
+def residual_products_without_blocks(
     first: NDArray[np.int64],
     entries: NDArray[np.float64],
     unknowns: int,
@@ -257,7 +257,7 @@ class InnovationsFit:
     @property
     def cost(self) -> float: ...
     @property
-    def promised(self) -> float: ...
+    def predicted_decrease(self) -> float: ...
     @property
     def n_parameters(self) -> int: ...
     @property

@@ -348,7 +348,9 @@ def _without_blocks(
     stops = [0, *np.cumsum(counts).tolist()]
     Z = Z.rows(order)
     right = np.ascontiguousarray(right[order])
-    full, *without = _core.leave_out(Z.first, Z.entries, Z.n_columns, right, stops)
+    full, *without = _core.residual_products_without_blocks(
+        Z.first, Z.entries, Z.n_columns, right, stops
+    )
     return full, dict(zip(present.tolist(), without, strict=True))
 
 

@@ -133,7 +133,7 @@ class _Fit:
     matrices: Matrices
     covariance: FloatArray | None  # of the packed entries and initial states, scaled
     cost: float
-    promised: float
+    predicted_decrease: float
     iterations: int
     evaluations: int
     status: Literal["converged", "iteration-limit", "stalled"]
@@ -236,7 +236,7 @@ def _fit(
         matrices=evaluator.unpack(fit.values),
         covariance=fit.covariance,
         cost=fit.cost,
-        promised=fit.promised,
+        predicted_decrease=fit.predicted_decrease,
         iterations=fit.iterations,
         evaluations=fit.evaluations,
         status=fit.status,
@@ -272,7 +272,8 @@ def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
             Diagnostic(
                 "pem-iteration-limit",
                 "state-space model",
-                f"not converged after {fit.iterations} steps; {fit.promised:.2g} of log-likelihood "
+                f"not converged after {fit.iterations} steps; {fit.predicted_decrease:.2g} of "
+                "log-likelihood "
                 "seems left. Raise max_iterations, or lower the order",
             )
         )
@@ -281,7 +282,8 @@ def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
             Diagnostic(
                 "pem-stalled",
                 "state-space model",
-                f"the search stopped {fit.promised:.2g} of log-likelihood short of an optimum, "
+                f"the search stopped {fit.predicted_decrease:.2g} of "
+                "log-likelihood short of an optimum, "
                 "mostly because that lies where the predictor is unstable. Take off means and "
                 "drifts, lower the order, or "
                 + ("fit an output-error model" if options.disturbance != "none" else "estimate K"),

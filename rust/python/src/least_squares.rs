@@ -13,7 +13,7 @@ use crate::statespace::not_contiguous;
 /// Adds this file's functions to the module.
 pub fn register(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(eliminate, module)?)?;
-    module.add_function(wrap_pyfunction!(leave_out, module)?)
+    module.add_function(wrap_pyfunction!(residual_products_without_blocks, module)?)
 }
 
 /// Eliminates unknowns with unit prior variance from right-hand sides: solution, residuals and
@@ -53,7 +53,7 @@ fn eliminate<'py>(
 
 /// Products of the residuals after elimination, without each block of rows.
 #[pyfunction]
-fn leave_out<'py>(
+fn residual_products_without_blocks<'py>(
     py: Python<'py>,
     first: PyReadonlyArray1<'py, i64>,
     entries: PyReadonlyArray2<'py, f64>,

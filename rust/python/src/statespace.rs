@@ -269,7 +269,7 @@ impl InnovationsFit {
     }
 
     #[getter]
-    fn promised(&self) -> f64 {
+    fn predicted_decrease(&self) -> f64 {
         self.fit.predicted_decrease
     }
 
