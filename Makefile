@@ -6,18 +6,18 @@ BIN    := $(VENV)/bin
 DEMO   := build/demo
 RUST   := $(shell find rust -name '*.rs' -o -name Cargo.toml 2>/dev/null) Cargo.toml Cargo.lock
 
-.PHONY: setup demo comparisons test check bench docs wheel lock clean
+.PHONY: setup develop demo comparisons test check bench docs wheel lock clean
 
 setup: $(VENV)/.built
 
 # Compiles most of the core while pip installs the packages.
-$(VENV)/.installed: requirements.lock
+$(VENV)/.installed: requirements-run.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo 'strainwave needs Python 3.11 or later: make setup PYTHON=/path/to/python3.11'; exit 1; }
 	@command -v cargo > /dev/null || { echo 'strainwave needs a Rust toolchain: https://rustup.rs'; exit 1; }
 	cargo build --release --locked --quiet -p strainwave-arms --lib & core=$$!; \
 	$(PYTHON) -m venv $(VENV) && \
-	  $(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock; \
+	  $(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements-run.lock; \
 	installed=$$?; wait $$core && exit $$installed
 	@touch $@
 
@@ -26,11 +26,18 @@ $(VENV)/.built: $(VENV)/.installed pyproject.toml $(RUST)
 	@$(BIN)/python -m compileall -q python/strainwave  # or each run would, where none may write
 	@touch $@
 
+# The packages of tests, checks, benchmarks and documentation.
+develop: setup $(VENV)/.develop
+
+$(VENV)/.develop: requirements.lock $(VENV)/.installed
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@touch $@
+
 demo: setup
 	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
 
 # Renews docs/comparisons.md from ten seeds; see there for how long it takes.
-comparisons: setup
+comparisons: develop
 	$(BIN)/strainwave demo --as-published --seeds 10 --quiet --out build/comparisons
 	cp build/comparisons/comparisons.md build/comparisons/comparisons.json docs/
 
@@ -40,13 +47,13 @@ ifndef SEED
 SEED := $(shell od -An -N4 -tu4 /dev/urandom | tr -d ' ')
 endif
 
-test: setup
+test: develop
 	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
 	PROPTEST_RNG_SEED=$(SEED) cargo test --release --workspace --exclude strainwave-python --locked --quiet
 	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n logical --maxprocesses=8 --dist loadfile \
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
-check: setup
+check: develop
 	cargo fmt --all --check
 	cargo clippy --workspace --all-targets --locked --quiet -- -D warnings
 	$(BIN)/ruff format --check
@@ -55,20 +62,24 @@ check: setup
 	$(BIN)/lint-imports
 	$(BIN)/stubtest strainwave._core
 
-bench: setup
+bench: develop
 	$(BIN)/python -m benchmarks
 
 # Runs the notebooks; a warning is an error. Open build/docs/index.html.
-docs: setup
+docs: develop
 	$(BIN)/python -m sphinx -b html -W --keep-going -q -d build/doctrees docs build/docs
 
 wheel: $(VENV)/.installed
 	$(BIN)/maturin build --release --locked --out dist
 
 # Refreshes the versions; needs `pip install pip-tools`. Hashes only: no address of a package index.
+COMPILE := pip-compile --quiet --generate-hashes --strip-extras --no-header --no-emit-index-url \
+  --no-emit-find-links --no-emit-trusted-host
 lock:
-	pip-compile --quiet --upgrade --all-extras --generate-hashes --strip-extras --no-header \
-	  --no-emit-index-url --no-emit-find-links --no-emit-trusted-host -o requirements.lock pyproject.toml
+	$(COMPILE) --upgrade --all-extras -o requirements.lock pyproject.toml
+	grep -o '^[^ #]*==[^ ]*' requirements.lock > build-constraints.txt
+	$(COMPILE) --no-annotate --extra build -c build-constraints.txt -o requirements-run.lock pyproject.toml
+	rm build-constraints.txt
 
 clean:
 	rm -rf $(VENV) target build dist
