@@ -68,7 +68,7 @@ def test_threads_do_not_change_the_result() -> None:
 
 @pytest.mark.parametrize("direction", [("alpha", 1), ("initial_link_angle", 3), ("mass", None)])
 def test_unknown_directions_are_rejected(direction: tuple[str, int | None]) -> None:
-    with pytest.raises(ValueError, match=f'no "{direction[0]}"'):
+    with pytest.raises(ValueError, match=f'unknown direction "{direction[0]}"'):
         ARM.sensitivities(VALUES, VOLTAGE, with_respect_to=[direction], **EXPERIMENT)
 
 

@@ -213,7 +213,7 @@ def test_responses_of_incompatible_records_are_refused() -> None:
         frequency.respond([])
     with pytest.raises(InvalidInput, match="different joints"):
         frequency.respond([first, replace(first, joint=2)])
-    with pytest.raises(InvalidInput, match="sample times"):
+    with pytest.raises(InvalidInput, match="sampling periods differ"):
         frequency.respond([first, replace(first, sample_time=1e-3)])
     with pytest.raises(NotIdentifiable, match="records"):
         frequency.by_periods([(first.inputs, first.outputs)], first.sample_time, 4092, 1)

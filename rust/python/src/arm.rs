@@ -433,9 +433,12 @@ impl Arm {
                 (Some(state), Some(joint)) if (1..=self.n_joints()).contains(joint) => {
                     Ok(state(joint - 1))
                 }
-                _ => Err(PyValueError::new_err(format!(
-                    "unknown direction {name:?} of joint {joint:?}"
-                ))),
+                _ => {
+                    let owner = joint.map_or("the arm".to_owned(), |j| format!("joint {j}"));
+                    Err(PyValueError::new_err(format!(
+                        "unknown direction {name:?} of {owner}"
+                    )))
+                }
             }
         };
         directions.iter().map(source).collect()

@@ -269,7 +269,7 @@ def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
     )
     weighted = grey_box.solve(
         joint_case.records, Arm.of(joint_case.study.arm), rigid_values, (5.0, 45.0)
-    ).own
+    ).in_band
     equations, root = weighted.equations, weighted.root
     friction_columns = np.zeros((len(root), len(equations.local_deviation)))
     friction_columns[equations.local[0].rows] = equations.local[0].columns.dense()
