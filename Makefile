@@ -47,10 +47,13 @@ ifndef SEED
 SEED := $(shell od -An -N4 -tu4 /dev/urandom | tr -d ' ')
 endif
 
+# One process of tests more than cores: some tests wait for processes that they start.
+WORKERS = $(shell $(PYTHON) -c 'import os; print(min(os.cpu_count() or 1, 8) + 1)')
+
 test: develop
 	@echo 'cases drawn with SEED=$(SEED); again: make test SEED=$(SEED)'
 	PROPTEST_RNG_SEED=$(SEED) cargo test --release --workspace --exclude strainwave-python --locked --quiet
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n logical --maxprocesses=8 --dist loadfile \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -q -n $(WORKERS) --dist loadfile \
 	  --hypothesis-profile=fresh --hypothesis-seed=$(SEED)
 
 check: develop
