@@ -37,7 +37,7 @@ demo: setup
 	$(BIN)/strainwave demo --out $(DEMO) $(DEMO_ARGS)
 
 # Renews docs/comparisons.md from ten seeds; see there for how long it takes.
-comparisons: develop
+comparisons: setup
 	$(BIN)/strainwave demo --as-published --seeds 10 --quiet --out build/comparisons
 	cp build/comparisons/comparisons.md build/comparisons/comparisons.json docs/
 
