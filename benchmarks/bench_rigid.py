@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from benchmarks.peers.rigid import pinocchio
 from benchmarks.timing import Row, best_of
 from strainwave.domain import Log, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import rigid

@@ -35,13 +35,16 @@ from strainwave.domain import (
     TuningOptions,
 )
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune
-from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import add_stiffness_curves, space_of
-from strainwave.identification.whole_arm.preparation import dataset_of
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    add_stiffness_curves,
+    space_of,
+)
+from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
 from strainwave.numerics.parallel import one_blas_thread

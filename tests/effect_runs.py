@@ -20,7 +20,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.effects import RecordEffect, all_effects
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import TuningOptions, tune

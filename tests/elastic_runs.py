@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory

@@ -8,7 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Spring, Study
-from strainwave.domain.parameters import Values, unit_of
+from strainwave.domain.keys import Values
+from strainwave.domain.parameters import unit_of
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.io.study import write_study
 from strainwave.virtual import scara

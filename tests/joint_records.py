@@ -9,7 +9,7 @@ import numpy as np
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
 from strainwave.domain import Decoupled, LinkSignals, RigidModel, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.identification import decoupling

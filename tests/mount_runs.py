@@ -9,7 +9,7 @@ import numpy as np
 from scipy.signal import lsim
 
 from strainwave.domain import FloatArray
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 

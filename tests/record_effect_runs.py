@@ -10,11 +10,10 @@ import numpy as np
 
 from effect_runs import FACTORS, rig
 from strainwave.domain import ArmModel, EffectName, Log, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import TuningOptions, tune
-from strainwave.identification.whole_arm.parametrisation import Key
 from strainwave.virtual import scara
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 

@@ -21,12 +21,16 @@ from strainwave.domain import (
     RigidModel,
     Study,
 )
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
-from strainwave.identification.whole_arm.dataset import Channel, Dataset
-from strainwave.identification.whole_arm.low_pass import Kernels
-from strainwave.identification.whole_arm.parametrisation import ParameterSpace, Prior, Unknown
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    ParameterSpace,
+    Prior,
+    Unknown,
+)
+from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
+from strainwave.identification.whole_arm.records.low_pass import Kernels
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
 from strainwave.signals.recorded_input import recorded_drive

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 from strainwave.domain import FloatArray, Log, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 
 CUTOFF = 5.0  # [Hz] the best of 5, 10 and 20: above the motion, far below the resonances
 MIN_VELOCITY = 5.0  # [rad/s] of a motor; below it the sign of friction is uncertain

@@ -21,7 +21,7 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, lfilter, sosfiltfilt
 
 from strainwave.domain import FloatArray, Log, Parameter, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.export.mjcf import to_mjcf
 from strainwave.export.source import IdentifiedArm
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import Experiment, Prbs, Spring, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import simulate_study

@@ -20,7 +20,7 @@ from rich.table import Table
 from benchmarks.studies import arms
 from benchmarks.studies.arms import run_all, run_on_logs
 from strainwave.domain import Parameter
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify

@@ -23,7 +23,7 @@ from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 
 from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
 from strainwave.export.mjcf import to_mjcf

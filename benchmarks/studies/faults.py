@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.studies import arms
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from benchmarks.studies import arms
 from strainwave.domain import Identification, Log, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from strainwave.domain import Identification, Parameter
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study, write_study

@@ -31,7 +31,7 @@ from benchmarks.studies.coverage import (
     parameter_kind,
 )
 from strainwave.domain import Channel, FloatArray, Identification, JointModel, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification import joint_model as physical

@@ -30,7 +30,7 @@ from strainwave.domain import (
     Study,
     Use,
 )
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.study import read_study, write_study
 from strainwave.virtual.experiments import derived, simulate_study

@@ -17,7 +17,8 @@ from strainwave.domain.combinations import (
     total_inertia,
     value_of,
 )
-from strainwave.domain.kinds import KINDS, Values, kind_of
+from strainwave.domain.keys import Values
+from strainwave.domain.kinds import KINDS, kind_of
 
 RATIOS = (0.02, 0.01)
 

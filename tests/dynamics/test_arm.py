@@ -11,7 +11,7 @@ import pytest
 
 from strainwave.domain import ArmDescription, FloatArray, Joint
 from strainwave.domain.combinations import value_of
-from strainwave.domain.kinds import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
 

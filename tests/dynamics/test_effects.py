@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from strainwave import pipeline
 from strainwave.domain import ArmDescription, EffectName, FloatArray, Joint, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameters import SENSOR_PARAMETERS, Values
+from strainwave.domain.parameters import SENSOR_PARAMETERS
 from strainwave.dynamics.link_sensors import (
     apply_sensor_model,
     bandwidth_of,

@@ -12,7 +12,7 @@ import pytest
 from strainwave.domain import FloatArray, Prbs, Spring
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.low_pass import low_pass_kernels
+from strainwave.identification.whole_arm.records.low_pass import low_pass_kernels
 from strainwave.virtual import scara
 
 RIG = Arm.of(scara.study(Path()).arm)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import (
     Drive,

@@ -17,7 +17,7 @@ import pytest
 from strainwave import experiment_design as design
 from strainwave import pipeline
 from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Servo, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput

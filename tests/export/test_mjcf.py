@@ -11,7 +11,7 @@ import pytest
 
 import exports
 from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, simulate

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import exports
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.export.flat import to_json

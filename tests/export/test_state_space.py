@@ -12,7 +12,7 @@ from scipy import signal
 
 import exports
 from strainwave.domain import ComplexArray, FloatArray, Prbs
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 import exports
 from strainwave.domain import Parameter
+from strainwave.domain.keys import Values
 from strainwave.domain.kinds.bodies import Body, about_axis
-from strainwave.domain.parameters import Values
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
 from strainwave.export.bodies import link_bodies

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from elastic_runs import log_of, prbs_run, rig, rig_values
 from strainwave.domain import ArmDescription, ArmModel, Joint, Log, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
 from strainwave.presentation.figures import Line, Markers

@@ -162,7 +162,10 @@ def test_options_can_be_records_or_tables(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_options_accept_all_parameters_of_the_fit(spring: str) -> None:
-    from strainwave.identification.whole_arm.parametrisation import add_stiffness_curves, space_of
+    from strainwave.identification.whole_arm.problem.parameter_space import (
+        add_stiffness_curves,
+        space_of,
+    )
 
     study, known = truth(spring)
     joints = joint_models(study, known, 0.01, np.zeros((2, 6)))

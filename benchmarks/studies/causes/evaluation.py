@@ -12,10 +12,10 @@ import numpy as np
 from benchmarks.studies.causes.runs import Run, can_be_named, draw_run
 from strainwave.domain import FloatArray, Identification, Study
 from strainwave.domain.effects import all_effects
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.effects import effects_among
+from strainwave.identification.whole_arm.problem.effect_unknowns import effects_among
 from strainwave.pipeline import identify
 from strainwave.virtual.experiments import derived
 from strainwave.virtual.families.causes import NO_CAUSE, Cause, OwnPlant

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 from strainwave.domain import Study
+from strainwave.domain.keys import Key
 from strainwave.io.logs.in_memory import Data
 
 
@@ -29,7 +30,7 @@ class Opened:
 
     study: Study | Path
     data: Data | None = None
-    truth: Mapping[tuple[str, int | None], float] = field(default_factory=dict)
+    truth: Mapping[Key, float] = field(default_factory=dict)
     """(name, joint) -> true value of a virtual arm."""
     classes: Mapping[str, Any] = field(default_factory=dict)
     """Properties with which a virtual arm was drawn, as plain JSON values."""

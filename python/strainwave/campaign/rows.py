@@ -14,6 +14,7 @@ from strainwave.campaign.schema import TIMED_PARTS
 from strainwave.campaign.store import Record
 from strainwave.campaign.tasks import FAILED_STATUS, Task
 from strainwave.domain import Identification, Parameter
+from strainwave.domain.keys import Key
 from strainwave.io.results import to_document, to_json
 
 
@@ -82,7 +83,7 @@ def failure_of(
     )
 
 
-def _parameter_row(p: Parameter, truth: Mapping[tuple[str, int | None], float]) -> dict[str, Any]:
+def _parameter_row(p: Parameter, truth: Mapping[Key, float]) -> dict[str, Any]:
     low, high = p.ci95 or (None, None)
     true = truth.get((p.name, p.joint))
     error = None

@@ -11,6 +11,7 @@ from strainwave.display import Displayed
 from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
+from strainwave.domain.keys import Key
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ class ArmModel(Displayed):
     """Whole-arm fit: all parameters, fitted to all records that excite the gears."""
 
     parameters: tuple[Parameter, ...]
-    values: Mapping[tuple[str, int | None], float]  # all values that the simulation requires
+    values: Mapping[Key, float]  # all values that the simulation requires
     covariance: FloatArray  # (n_parameters, n_parameters), of `parameters`
     fit_percent: Mapping[str, Mapping[str, float]]  # experiment -> channel -> fit
     initial_fit_percent: Mapping[str, Mapping[str, float]]  # at the starting values
@@ -271,9 +272,7 @@ class ArmModel(Displayed):
     warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
     gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
-    at_bounds: tuple[
-        tuple[str, int | None], ...
-    ] = ()  # at a bound, or derived from such a parameter
+    at_bounds: tuple[Key, ...] = ()  # at a bound, or derived from such a parameter
     differences: tuple[StageDifference, ...] = ()  # from the rigid model, for each value
     agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
     suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first

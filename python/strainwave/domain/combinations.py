@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.kinds import Key, RigidColumn, Row, kind_of
+from strainwave.domain.keys import Key, Row
+from strainwave.domain.kinds import RigidColumn, kind_of
 
 FRICTION_COLUMNS = 3
 """Viscous friction, Coulomb friction and offset: the last columns of each joint."""

@@ -10,6 +10,7 @@ from strainwave.domain.estimates import Diagnostic, Parameter, Place
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.identification import Identification, model_defects
+from strainwave.domain.keys import Key
 from strainwave.domain.ranges import implausible_joints
 
 _NUMBER = re.compile(
@@ -103,7 +104,7 @@ def _record(warning: Diagnostic) -> str | None:
 def _merge(group: Sequence[Diagnostic]) -> Diagnostic:
     """Merge warnings with one cause into one that gives all places and the ranges of numbers."""
     first = group[0]
-    joints_by_record: dict[tuple[str, int | None], None] = {}
+    joints_by_record: dict[Key, None] = {}
     messages = []
     for warning in group:
         record, place = _record(warning), warning.place

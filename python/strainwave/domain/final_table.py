@@ -18,7 +18,8 @@ from strainwave.domain.combinations import lumped_inertias
 from strainwave.domain.estimates import CI95_STDS, Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
-from strainwave.domain.kinds import Key, Row, kind_of
+from strainwave.domain.keys import Key, Row
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from strainwave.domain.arm import ArmDescription, Joint
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.kinds import Values, kind_of
+from strainwave.domain.keys import Values
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameter_table import base_name, parameter_table
 
 __all__ = [
     "SENSOR_PARAMETERS",
-    "Values",
     "complete_values",
     "unit_of",
     "whole_arm_parameter_names",

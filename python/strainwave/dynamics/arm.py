@@ -19,7 +19,8 @@ from strainwave.domain.combinations import (
     rigid_columns,
 )
 from strainwave.domain.effects import RecordEffect, effect_named
-from strainwave.domain.kinds import Key, RigidColumn, Row, Values, kind_of
+from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.kinds import RigidColumn, kind_of
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
 

@@ -14,11 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.mounting import ACCELEROMETER_TILT, is_mounting
-
-Key = tuple[str, int | None]
 
 MAX_SENSOR_DELAY = 5e-3
 """Largest delay [s] of a sensor: logger, bus and internal filter."""

@@ -18,11 +18,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Imu
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Quantity
-
-Key = tuple[str, int | None]
 
 ACCELEROMETER_BASIS: tuple[Quantity, ...] = (
     "specific_force_x",

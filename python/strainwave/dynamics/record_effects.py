@@ -13,7 +13,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.effects import Input, RecordEffect, all_effects, effect_named
-from strainwave.domain.kinds import Key, Values
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name, of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import raise_if_stopped
@@ -143,7 +143,7 @@ def sensitivities(
     arm: Arm,
     values: Values,
     drive: Drive,
-    directions: Sequence[tuple[str, int | None]],
+    directions: Sequence[Key],
     *,
     sample_time: float,
     samples: int,

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Diagnostic, Study
-from strainwave.domain.parameters import Values, complete_values
+from strainwave.domain.keys import Values
+from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band, band_of

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain.combinations import value_of
-from strainwave.domain.parameters import Values, complete_values
+from strainwave.domain.keys import Values
+from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 

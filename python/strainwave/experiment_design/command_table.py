@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import ArmDescription, Experiment, FloatArray
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput

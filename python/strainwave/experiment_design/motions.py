@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Use
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import Log, Parameter, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Quantity, SensorNoise, measure, simulate
 from strainwave.errors import InvalidInput, NumericalFailure

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.experiment_design.plan import Limits
 from strainwave.numerics.parallel import one_blas_thread

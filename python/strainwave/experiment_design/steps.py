@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Servo, Use
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive

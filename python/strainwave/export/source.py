@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
-from strainwave.domain.parameters import Values, complete_values
+from strainwave.domain.keys import Values
+from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
 from strainwave.io.results import (

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray
+from strainwave.domain.keys import Key
 from strainwave.domain.kinds import kind_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -78,7 +79,7 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
     )
 
 
-def link_inertia_row(arm: IdentifiedArm, joint: int) -> dict[tuple[str, int | None], float]:
+def link_inertia_row(arm: IdentifiedArm, joint: int) -> dict[Key, float]:
     """m_L as a linear combination of parameters (3): (name, joint) -> weight."""
     key = ("link_inertia", joint)
     return {key: 1.0} if key in arm.values else dict(kind_of(arm.study.arm).link_inertia(joint))
@@ -98,7 +99,7 @@ def joint_model_covariance(
     if a parameter has neither.
     """
     law = arm.joint(joint).law
-    keys: list[dict[tuple[str, int | None], float]] = [
+    keys: list[dict[Key, float]] = [
         {("motor_inertia", joint): 1.0},
         {("motor_viscous_friction", joint): 1.0},
         link_inertia_row(arm, joint),

@@ -20,8 +20,8 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.record_effects import record_inputs
@@ -34,7 +34,7 @@ from strainwave.signals.recorded_input import check_recorded_input, recorded_dri
 _MIN_SIGNAL_TO_NOISE = 10.0
 
 
-def keep_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> Arm:
+def keep_known_effects(arm: Arm, known: Collection[Key]) -> Arm:
     """The arm with only the effects whose parameters are all known."""
     known = {(base_name(name), joint) for name, joint in known}
     joints = tuple(
@@ -51,7 +51,7 @@ def keep_known_effects(arm: Arm, known: Collection[tuple[str, int | None]]) -> A
     return arm.with_joints(joints)
 
 
-def restrict_to_values(arm: Arm, values: Mapping[tuple[str, int | None], float]) -> Arm:
+def restrict_to_values(arm: Arm, values: Mapping[Key, float]) -> Arm:
     """The arm with known effects only, and with the simplest springs that the values describe.
 
     `values` maps (name, joint) to a value.
@@ -86,7 +86,7 @@ class Observation:
         """Whether each channel clearly exceeds its noise."""
         return tuple((np.std(self.measured, axis=0) > _MIN_SIGNAL_TO_NOISE * self.noise).tolist())
 
-    def simulated(self, arm: Arm, values: Mapping[tuple[str, int | None], float]) -> FloatArray:
+    def simulated(self, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
 
         The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.

@@ -21,6 +21,7 @@ from strainwave.domain import (
     MotorResponse,
 )
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate_arms
 from strainwave.identification.closed_loop import restrict_to_values, velocity_band
@@ -94,7 +95,7 @@ def motor_response(
 
 
 def modes_of_motor(
-    values: Mapping[tuple[str, int | None], float],
+    values: Mapping[Key, float],
     arm: Arm,
     link_angle: FloatArray,
     joint: int,
@@ -173,8 +174,8 @@ def _condition(log: Log, arm: Arm) -> Condition:
 
 
 def _with_equivalent_stiffness(
-    values: Mapping[tuple[str, int | None], float], joints: Sequence[JointModel], arm: Arm
-) -> dict[tuple[str, int | None], float]:
+    values: Mapping[Key, float], joints: Sequence[JointModel], arm: Arm
+) -> dict[Key, float]:
     """Values with the equivalent stiffness of nonlinear gears at the records' amplitude."""
     linear_values = dict(values)
     for joint in joints:

@@ -18,7 +18,7 @@ from strainwave.domain import (
     RigidModel,
     Signals,
 )
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import gear_laws
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 

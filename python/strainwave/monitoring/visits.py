@@ -15,6 +15,7 @@ import numpy as np
 
 from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
+from strainwave.domain.keys import Key
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.monitoring.estimates import is_record_parameter
@@ -285,7 +286,7 @@ def _arm_history(
     arm: str, visits: Sequence[Visit], by_run: Mapping[str, Sequence[Row]]
 ) -> ArmHistory:
     start = visits[0].time
-    rows_by_parameter: dict[tuple[str, int | None], list[tuple[Visit, Row]]] = {}
+    rows_by_parameter: dict[Key, list[tuple[Visit, Row]]] = {}
     for visit in visits:
         for row in by_run.get(visit.run, ()):
             if _is_usable(row):
@@ -300,7 +301,7 @@ def _is_usable(row: Row) -> bool:
 
 
 def _parameter_histories(
-    rows_by_parameter: Mapping[tuple[str, int | None], Sequence[tuple[Visit, Row]]], start: datetime
+    rows_by_parameter: Mapping[Key, Sequence[tuple[Visit, Row]]], start: datetime
 ) -> Iterator[ParameterHistory]:
     for (name, joint), pairs in rows_by_parameter.items():
         (stage, unit), _ = Counter((row["stage"], row["unit"]) for _, row in pairs).most_common(1)[

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Comparison, Criterion, Evidence, JointModel
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import NotIdentifiable
 from strainwave.paper.claims import comparison_of

@@ -21,8 +21,8 @@ from strainwave.domain import (
     Prbs,
     RigidModel,
 )
+from strainwave.domain.keys import Values
 from strainwave.domain.options import Channels, EstimationMethod
-from strainwave.domain.parameters import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import (

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain import Comparison, Criterion, FloatArray
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.paper.claims import comparison_of

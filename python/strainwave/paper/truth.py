@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from strainwave.domain import ArmDescription
 from strainwave.domain.gear_laws import gear_law
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import Trajectory
 from strainwave.dynamics.two_inertia import TwoInertia
 

@@ -9,6 +9,7 @@ from copy import copy
 from dataclasses import dataclass, field, fields
 
 from strainwave.domain import Diagnostic, JointModel, LinkSummary
+from strainwave.domain.keys import Key
 from strainwave.domain.progress import Progress, ProgressEvent
 from strainwave.dynamics.arm import Arm
 
@@ -23,7 +24,7 @@ class Run:
     parts: list[str] = field(default_factory=list)  # started or skipped
     warnings: list[Diagnostic] = field(default_factory=list)
     failures: list[str] = field(default_factory=list)
-    sensors: dict[tuple[str, int | None], float] = field(default_factory=dict)  # estimated delays
+    sensors: dict[Key, float] = field(default_factory=dict)  # estimated delays
     links: tuple[LinkSummary, ...] = ()
     others: list[tuple[JointModel, ...]] = field(default_factory=list)  # further starts of the fit
     timing_s: dict[str, float] = field(default_factory=dict)

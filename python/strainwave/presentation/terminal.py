@@ -21,10 +21,11 @@ from strainwave.domain import (
     Verdict,
 )
 from strainwave.domain.formatting import percent, plus_minus
+from strainwave.domain.keys import Key
 from strainwave.presentation.report import advice, by_severity, gain_sentences, sentence
 from strainwave.presentation.report.amplitudes import trend_title
 
-Truth = Mapping[tuple[str, int | None], float]
+Truth = Mapping[Key, float]
 """Known values of a virtual arm, by name and joint."""
 
 _STATUS_STYLES = {"determined": "bold green", "partly-determined": "bold yellow"}

@@ -12,6 +12,7 @@ from strainwave.domain import (
     LinkSignals,
     Place,
 )
+from strainwave.domain.keys import Key
 
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
@@ -58,7 +59,7 @@ def build_misalignment_warnings(
 
 def list_removed_delays(
     records: Sequence[LinkSignals], delays: Sequence[Delay]
-) -> dict[tuple[str, int | None], float]:
+) -> dict[Key, float]:
     """Delays that were removed, keyed as in the whole-arm fit: (name, joint) -> delay [s]."""
     names = {"accelerometer": "accelerometer_delay", "encoder": "link_encoder_delay"}
     names["gyro"] = "gyro_delay"

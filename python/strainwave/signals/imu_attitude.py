@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     IMU_BEARING,
@@ -27,8 +28,6 @@ from strainwave.dynamics.mounting import (
     unknowns_of,
 )
 from strainwave.dynamics.rotations import angles, attitude
-
-Key = tuple[str, int | None]  # parameter name, joint
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search

@@ -13,13 +13,12 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import FloatArray, Imu, Log
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import estimate_imu_starts
-
-Key = tuple[str, int | None]  # parameter name, joint
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
 _MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record

@@ -20,7 +20,7 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.combinations import reported, value_of
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import (

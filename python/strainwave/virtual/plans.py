@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Prbs
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive

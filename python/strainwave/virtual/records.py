@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import Axis, axes_of, factors
 from strainwave.dynamics.record_effects import record_inputs

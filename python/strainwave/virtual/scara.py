@@ -20,7 +20,7 @@ from strainwave.domain import (
     Use,
 )
 from strainwave.domain.gear_laws import gear_law
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.errors import InvalidInput
 
 DESCRIPTION = "a simulated SCARA-type arm with three-slope gears and noisy sensors"

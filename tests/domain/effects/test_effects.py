@@ -30,7 +30,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
-from strainwave.identification.whole_arm.causes import warn_likely_cause
+from strainwave.identification.whole_arm.selection.causes import warn_likely_cause
 from strainwave.io.study import read_study
 from strainwave.presentation.report.remedies import remedies
 from virtual_arms import ELASTIC_JOINT

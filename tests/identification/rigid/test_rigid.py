@@ -11,7 +11,7 @@ from benchmarks.studies.arms import draw_arm
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics import simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable

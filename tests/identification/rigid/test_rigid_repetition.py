@@ -7,7 +7,7 @@ import pytest
 
 import virtual_arms
 from strainwave.domain import FloatArray, Log, Signals, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.identification.rigid.repetition import period_of

@@ -13,7 +13,7 @@ from elastic_results import elastic_identification
 from strainwave.domain import ArmModel, FloatArray, Log, Study, gear_laws
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter
 from strainwave.domain.gear_laws.cubic import CUBIC
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import tune

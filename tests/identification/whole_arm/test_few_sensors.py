@@ -13,7 +13,7 @@ from benchmarks.studies.lab import without_link_sensors
 from benchmarks.studies.sensors import remove_channels, restrict_sensors
 
 from strainwave.domain import Identification
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
 from strainwave.pipeline import identify

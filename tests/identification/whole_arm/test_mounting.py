@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise

@@ -14,21 +14,25 @@ from record_effect_runs import CHANGES, From, Runs, fitted, runs
 from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.effects import RecordEffect, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name, of_record
-from strainwave.domain.parameters import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
-from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.effects import (
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     insignificant_effects,
     named_effects,
     remove_effects,
     sizes_of,
 )
-from strainwave.identification.whole_arm.loads import Loads
-from strainwave.identification.whole_arm.parametrisation import COULOMB, Key, ParameterSpace, Prior
-from strainwave.identification.whole_arm.preparation import dataset_of
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    COULOMB,
+    ParameterSpace,
+    Prior,
+)
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.records.largest_loads import Loads
+from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.virtual.records import Simulator
 from tuning_runs import shaken_study, simulated_logs, truth
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from elastic_runs import log_of, prbs_run, rig
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.preparation import coarsen_steps, dataset_of
+from strainwave.identification.whole_arm.records.preparation import coarsen_steps, dataset_of
 from strainwave.signals import hygiene
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.hygiene.defects import Defect

@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription, ArmKind
-from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
 from strainwave.domain.kinds.planar_two_link import PlanarTwoLink
 from strainwave.domain.kinds.single_joint import SingleJoint
 
-__all__ = ["KINDS", "Fault", "Key", "Kind", "RigidColumn", "Row", "Values", "kind_of"]
+__all__ = ["KINDS", "Fault", "Kind", "RigidColumn", "kind_of"]
 
 KINDS: Mapping[ArmKind, Kind] = {
     "planar-two-link": PlanarTwoLink(),

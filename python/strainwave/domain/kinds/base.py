@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from strainwave.domain.arm import ArmDescription
+from strainwave.domain.keys import Key, Row, Values
 
 if TYPE_CHECKING:
     from strainwave.domain.kinds.bodies import Body, ParameterLookup
     from strainwave.domain.kinds.starts import StageInertias
-
-Key = tuple[str, int | None]
-"""Name of a parameter and its joint, from 1; None for parameters of the whole arm."""
-
-Values = dict[Key, float]
-"""Parameter values."""
-
-Row = Mapping[Key, float]
-"""Weights of a linear combination of parameters."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.kinds.base import Fault, Key, Kind, RigidColumn, Row, Values
+from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
 from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
 from strainwave.errors import InvalidInput

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain.kinds.base import Key
+from strainwave.domain.keys import Key
 from strainwave.errors import NotIdentifiable
 
 MOTOR_SHARE = 0.3

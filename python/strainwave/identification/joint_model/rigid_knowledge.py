@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, LinkSignals, RigidModel
 from strainwave.domain.combinations import is_uncoupled, total_inertia
-from strainwave.domain.kinds import Row
+from strainwave.domain.keys import Row
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_variations, interaction_torques
 from strainwave.identification.joint_model.grey_box import RigidError, RigidKnowledge

@@ -10,22 +10,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from strainwave.domain import ArmModel, JointModel, Log, RigidModel, TuningOptions
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
-from strainwave.identification.whole_arm.effects import set_record_effects
-from strainwave.identification.whole_arm.estimates import Fit
-from strainwave.identification.whole_arm.model_selection import COARSE, FINE, select_model
-from strainwave.identification.whole_arm.parametrisation import Key
-from strainwave.identification.whole_arm.predicted import predicted_parameters
-from strainwave.identification.whole_arm.restricted import expand_published_options
-from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.solver import (
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.predicted_precision import predicted_parameters
+from strainwave.identification.whole_arm.problem.effect_unknowns import set_record_effects
+from strainwave.identification.whole_arm.problem.restrictions import expand_published_options
+from strainwave.identification.whole_arm.search.solver import (
     Progress,
     coarse_search,
     fine_search,
     polish,
     report_progress,
 )
+from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.model_selection import COARSE, FINE, select_model
 from strainwave.identification.whole_arm.start import Start, prepare_start
 from strainwave.identification.whole_arm.torque_constant_rivals import has_likelier_effect
 from strainwave.numerics.parallel import one_blas_thread

@@ -12,40 +12,47 @@ from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
 )
-from strainwave.identification.whole_arm.agreement import (
+from strainwave.identification.whole_arm.inference.agreement import (
     agreement_tests,
     disagreement,
     is_disagreement,
     stage_differences,
     suspects_of,
 )
-from strainwave.identification.whole_arm.bounds import at_bounds, parameters_at_bounds
-from strainwave.identification.whole_arm.causes import (
+from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
+from strainwave.identification.whole_arm.inference.motor_side_limits import motor_side_limits
+from strainwave.identification.whole_arm.inference.parameter_estimates import (
+    Fit,
+    parameters_of,
+    warnings_of,
+)
+from strainwave.identification.whole_arm.inference.residual_analysis import (
+    residual_tests,
+    residual_warnings,
+)
+from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
+from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
+from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    SETTLING,
+)
+from strainwave.identification.whole_arm.records.gear_torques import (
+    gear_torque_samples,
+    histograms_of,
+    largest_of,
+)
+from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.identification.whole_arm.selection.causes import (
     fit_missing_effects,
     list_causes,
     warn_added_effects,
     warn_likely_cause,
     warn_unfitted_effects,
 )
-from strainwave.identification.whole_arm.effects import warn_removed_effects
-from strainwave.identification.whole_arm.estimates import Fit, parameters_of, warnings_of
-from strainwave.identification.whole_arm.gear_load import (
-    gear_torque_samples,
-    histograms_of,
-    largest_of,
-)
-from strainwave.identification.whole_arm.motor_side_limits import motor_side_limits
-from strainwave.identification.whole_arm.parametrisation import (
-    SETTLING,
-)
-from strainwave.identification.whole_arm.residual_analysis import residual_tests, residual_warnings
-from strainwave.identification.whole_arm.score_tests import score_tests_of
-from strainwave.identification.whole_arm.selection import Selection
-from strainwave.identification.whole_arm.sensor_gains import sensor_gains
-from strainwave.identification.whole_arm.sensor_mounts import mount_warnings
-from strainwave.identification.whole_arm.sensors import (
+from strainwave.identification.whole_arm.selection.sensor_constants import (
     sensor_warnings,
 )
+from strainwave.identification.whole_arm.selection.sensor_mounts import mount_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input

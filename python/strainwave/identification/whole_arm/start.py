@@ -10,6 +10,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, TuningOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_optional, nominal
 from strainwave.dynamics.mounting import IMU_START_ATTITUDE
@@ -18,39 +19,41 @@ from strainwave.identification.closed_loop import (
     keep_known_effects,
     velocity_band,
 )
-from strainwave.identification.whole_arm.candidates import select_candidate
-from strainwave.identification.whole_arm.dataset import Dataset
-from strainwave.identification.whole_arm.gear_load import (
-    gear_torques,
+from strainwave.identification.whole_arm.inference.predicted_precision import (
+    CUTOFF_TO_RESONANCE,
+    MAX_CUTOFF_TO_SAMPLING_RATE,
 )
-from strainwave.identification.whole_arm.mountings import (
-    select_mountings,
-)
-from strainwave.identification.whole_arm.objective import Objective
-from strainwave.identification.whole_arm.parametrisation import (
-    Key,
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.parameter_space import (
     ParameterSpace,
     add_stiffness_curves,
     space_of,
 )
-from strainwave.identification.whole_arm.predicted import (
-    CUTOFF_TO_RESONANCE,
-    MAX_CUTOFF_TO_SAMPLING_RATE,
+from strainwave.identification.whole_arm.problem.restrictions import (
+    published_records,
+    restrict_space,
 )
-from strainwave.identification.whole_arm.preparation import (
+from strainwave.identification.whole_arm.problem.starting_values import (
+    starts_of,
+    warn_rejected_starts,
+)
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.records.gear_torques import (
+    gear_torques,
+)
+from strainwave.identification.whole_arm.records.preparation import (
     STEPS_PER_PERIOD,
     coarsen_steps,
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.restricted import (
-    published_records,
-    restrict_space,
+from strainwave.identification.whole_arm.search.start_comparison import select_candidate
+from strainwave.identification.whole_arm.selection.mountings import (
+    select_mountings,
 )
-from strainwave.identification.whole_arm.sensors import (
+from strainwave.identification.whole_arm.selection.sensor_constants import (
     add_sensor_constants,
 )
-from strainwave.identification.whole_arm.starts import starts_of, warn_rejected_starts
 from strainwave.signals.mounting_start import estimate_mounting_starts
 
 _STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine

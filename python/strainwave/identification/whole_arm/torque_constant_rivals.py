@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from strainwave.domain import ArmModel
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.effects import effects_among
+from strainwave.identification.whole_arm.problem.effect_unknowns import effects_among
 
 _DRIVE_GAIN = "drive-gain"  # effect that a wrong torque constant resembles
 _MIN_GAIN_RATIO = 1.2  # minimum ratio of cost reductions, other effect over wrong torque constant

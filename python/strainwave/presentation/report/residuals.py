@@ -22,7 +22,10 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import effect_named
 from strainwave.domain.formatting import plus_minus
-from strainwave.identification.whole_arm.score_tests import MIN_COST_SHARE, RELEVANT_COST_SHARE
+from strainwave.identification.whole_arm.inference.score_tests import (
+    MIN_COST_SHARE,
+    RELEVANT_COST_SHARE,
+)
 from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
     DASHES,

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import Decision, Identification, Parameter, half_width
 from strainwave.domain.diagnostics import missing_validation
+from strainwave.domain.keys import Key
 from strainwave.presentation.report.blocks import (
     Block,
     Callout,
@@ -120,7 +121,7 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
         yield "Only the combination is identified", "; ".join(pairs)
 
 
-def _split_label(label: str) -> tuple[str, int | None]:
+def _split_label(label: str) -> Key:
     """Name and joint of a label such as "gear_stiffness 1"."""
     name, _, joint = label.partition(" ")
     return name, int(joint) if joint else None
@@ -137,7 +138,7 @@ def _certainty_class(decision: Decision) -> str:
     return next(name for limit, name in _CLASSES if relative <= limit)
 
 
-def named(parameters: Iterable[tuple[str, int | None]]) -> str:
+def named(parameters: Iterable[Key]) -> str:
     """Names with their joints: `gear stiffness (1, 2), alpha`."""
     joints: dict[str, list[str]] = {}
     for name, joint in parameters:

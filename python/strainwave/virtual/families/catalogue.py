@@ -23,7 +23,7 @@ from strainwave.domain import (
     Study,
     Use,
 )
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual.families.rigs import Rig, between
 

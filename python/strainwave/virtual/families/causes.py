@@ -12,7 +12,7 @@ import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray, Study
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
 from strainwave.virtual.families.rigs import Rig, between

@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import Channel, FloatArray, Log, Study
 from strainwave.domain.arm import Joint
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.logs import read_logs

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from strainwave.domain import Study
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import SensorNoise
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Control, Experiment, Prbs, Spring, Use
-from strainwave.domain.parameters import Values
+from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.plans import Plan, default_plan

@@ -1,0 +1,1 @@
+"""Covariance, intervals, residual analysis and tests of a fit."""

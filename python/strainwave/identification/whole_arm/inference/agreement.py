@@ -1,0 +1,276 @@
+"""Agreement of the whole-arm fit with the rigid model, which is its prior."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Literal
+
+import numpy as np
+
+from strainwave.domain import (
+    AgreementTest,
+    Cause,
+    Diagnostic,
+    FloatArray,
+    StageDifference,
+    SuspectConstant,
+)
+from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Key
+from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    body_parameters,
+    friction_parameters,
+)
+from strainwave.identification.whole_arm.problem.objective import Evaluation
+from strainwave.identification.whole_arm.problem.parameter_space import COULOMB, OFFSET
+from strainwave.numerics.distributions import chi_square_tail
+
+Scope = Literal["all", "inertias", "friction"]
+
+MAX_NOISE_DEVIATIONS = 3.0
+"""Difference in standard deviations above which the stages disagree.
+
+Noise alone exceeds it in one of 100 runs. Above `domain.arm_model.MAX_DISAGREEMENT`, the values are
+rejected.
+"""
+
+MIN_EXPLAINED_SHARE = 0.1
+"""Smallest share of the objective that a reported hypothesis explains."""
+
+MAX_SUSPECTS = 3  # maximum number of hypotheses in a message
+LENGTH_STEP = 1e-4  # relative step of a length for central differences
+
+# standard deviation of a difference, relative to the rigid step, below which the records add no
+# information
+_MIN_STD_RATIO = 0.05
+_MIN_EIGENVALUE_RATIO = 1e-9  # relative eigenvalue below which the rigid correlations are singular
+_MIN_TAIL_PROBABILITY = 1e-300  # lower limit of a tail probability; equals 37 standard deviations
+
+
+def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
+    """Differences between rigid model and whole-arm fit, with their standard deviations.
+
+    The rigid model is the prior of the fit; `covariance.residual_covariance` includes the resulting
+    correlation. `fit` is at its minimum. Values without information in the fast records are
+    omitted. The result is empty without a rigid model.
+    """
+    prior, confidence = fit.objective.space.prior, fit.confidence
+    F = prior.factor
+    difference = F @ confidence.prior_residual
+    std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
+    rigid_std = _standard_deviations([F @ prior.errors @ F.T])
+    differences = []
+    for k, (name, joint) in enumerate(prior.names):
+        if std[k] <= _MIN_STD_RATIO * rigid_std[k]:
+            continue
+        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
+        rigid = float(prior.mean[k])
+        whole_arm = rigid + float(difference[k])
+        differences.append(StageDifference(name, joint, rigid, whole_arm, float(std[k]), unit))
+    return tuple(differences)
+
+
+def _standard_deviations(covariances: Sequence[FloatArray]) -> FloatArray:
+    """Largest standard deviation of each row over the covariances: (n_rows,)."""
+    variances = np.max([np.diag(part) for part in covariances], axis=0)
+    return np.asarray(np.sqrt(np.maximum(variances, 0.0)))
+
+
+def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
+    """Chi-square tests of the differences: all values, inertias, and the friction of each joint.
+
+    The statistic is d' C^-1 d with the differences d and their covariance C. C has the correlations
+    of steady errors, which about 1,000 rows determine, and the larger of both variances. Only
+    directions in which the records add information to the rigid model are included.
+
+    `fit` is at its minimum. The result is empty without a rigid model, or if the records contain no
+    information on its values.
+    """
+    prior, confidence = fit.objective.space.prior, fit.confidence
+    F = prior.factor
+    _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
+    std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
+    steady_std = np.sqrt(np.maximum(np.diag(steady), 0.0))
+    scale = np.divide(std, steady_std, out=np.ones_like(std), where=steady_std > 0.0)
+    covariance = steady * np.outer(scale, scale)
+    rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
+    relative = np.abs(difference) / _reference_values(prior.names, prior.mean)
+    groups: dict[tuple[Scope, int | None], list[int]] = {}
+    for k, (name, joint) in enumerate(prior.names):
+        group_key: tuple[Scope, int | None] = ("inertias", None)
+        if "friction" in name:
+            group_key = ("friction", joint)
+        for group in (("all", None), group_key):
+            groups.setdefault(group, []).append(k)
+    tests = []
+    for (scope, joint), rows in groups.items():
+        block = np.ix_(rows, rows)
+        chi_square, degrees = _chi_square(difference[rows], covariance[block], rigid[block])
+        if degrees:
+            largest = float(np.max(relative[rows]))
+            tests.append(
+                AgreementTest(
+                    scope, joint, chi_square, degrees, _as_normal(chi_square, degrees), largest
+                )
+            )
+    return tuple(tests)
+
+
+def _reference_values(names: Sequence[Key], values: FloatArray) -> FloatArray:
+    """Reference of relative differences: the value, or the Coulomb friction for an offset."""
+    magnitudes = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
+    references = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
+    sizes = [
+        magnitudes.get(key, magnitudes[name]) for key, name in zip(references, names, strict=True)
+    ]
+    return np.asarray(np.maximum(np.array(sizes), 1e-300))
+
+
+def _chi_square(
+    difference: FloatArray, covariance: FloatArray, rigid: FloatArray
+) -> tuple[float, int]:
+    """Statistic d' C^-1 d and its degrees of freedom.
+
+    Directions in which C is negligible relative to the rigid covariance are omitted.
+    """
+    rigid_std = np.sqrt(np.diag(rigid))
+    values, vectors = np.linalg.eigh(rigid / np.outer(rigid_std, rigid_std))
+    is_regular = values > _MIN_EIGENVALUE_RATIO * values[-1]
+    whiten = (vectors[:, is_regular] / np.sqrt(values[is_regular])).T / rigid_std
+    ratios, directions = np.linalg.eigh(whiten @ covariance @ whiten.T)
+    is_informative = ratios > _MIN_STD_RATIO**2
+    projection = directions.T[is_informative] @ (whiten @ difference)
+    return float(np.sum(projection**2 / ratios[is_informative])), int(
+        np.count_nonzero(is_informative)
+    )
+
+
+def _as_normal(chi_square: float, degrees: int) -> float:
+    tail = max(chi_square_tail(chi_square, degrees), _MIN_TAIL_PROBABILITY)
+    return max(0.0, -NormalDist().inv_cdf(0.5 * tail))
+
+
+def is_disagreement(tests: Sequence[AgreementTest]) -> bool:
+    """Whether a difference between the stages is significant and of practical importance."""
+    return any(test.deviations > MAX_NOISE_DEVIATIONS and test.matters for test in tests)
+
+
+def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectConstant, ...]:
+    """Hypotheses that can explain a disagreement of the stages, most likely first.
+
+    Each hypothesis extends the Jacobian of the fit by columns: derivatives of the records with
+    respect to a constant of the study, or shifts of the rigid model for a payload or friction that
+    changed between slow and fast records. Its share is the decrease of the objective, including the
+    prior, in one linear step. Likely effects are included with the shares of their fits.
+    """
+    prior = fit.objective.space.prior
+    hypotheses = [
+        (
+            SuspectConstant(
+                "payload", None, 0.0, experiment="repeat the motion with the load of fast records"
+            ),
+            body_parameters(arm),
+        )
+    ]
+    for joint in range(1, arm.n_joints + 1):
+        change = "repeat the motion directly after the fast records"
+        hypotheses.append(
+            (
+                SuspectConstant("changed friction", joint, 0.0, experiment=change),
+                friction_parameters(arm, joint),
+            )
+        )
+    suspects = [
+        replace(one, share=_shift_share(fit, shifted=prior.by_shifts(names)))
+        for one, names in hypotheses
+        if any(name in names for name in prior.names)
+    ]
+    if arm.link_length is not None:
+        suspects += _link_length(fit, arm.link_length)
+    suspects += [
+        SuspectConstant(
+            cause.effect, cause.joint, cause.share, experiment=effect_named(cause.effect).experiment
+        )
+        for cause in causes
+    ]
+    likely = [one for one in suspects if one.share > MIN_EXPLAINED_SHARE]
+    return tuple(sorted(likely, key=lambda one: -one.share)[:MAX_SUSPECTS])
+
+
+def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
+    """Test the link length, on which the acceleration of link 2 depends."""
+    values, objective = fit.objective.space.values(fit.z), fit.objective
+
+    def column(k: int, evaluated: Evaluation) -> FloatArray:
+        """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
+        record = objective.records[k]
+        own = evaluated.record_parameters[: len(record.local)]
+        ends = [
+            replace(record, arm=replace(record.arm, link_length=length * factor)).linearised(
+                values, own, ()
+            )[0]
+            for factor in (1.0 + LENGTH_STEP, 1.0 - LENGTH_STEP)
+        ]
+        return np.asarray((ends[0] - ends[1])[..., None] / (2.0 * LENGTH_STEP))
+
+    try:
+        factor = objective.factor_with_columns(fit.z, 1, column)
+    except (InvalidInput, NumericalFailure):
+        return
+    n = len(objective.space.unknowns)
+    own, target = factor[n:, n], factor[n:, -1]
+    square = float(own @ own)
+    if square > 0.0:
+        step = -float(own @ target) / square
+        share = step**2 * square / max(fit.cost, 1e-300)
+        value = length * math.exp(step)
+        text = "measure the distance between the axes of both joints"
+        yield SuspectConstant("link_length", None, share, value, "m", text)
+
+
+def _shift_share(fit: Fit, shifted: FloatArray) -> float:
+    """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
+    n, width = len(fit.objective.space.unknowns), shifted.shape[1]
+
+    def nothing(_: int, evaluated: Evaluation) -> FloatArray:
+        return np.zeros((*evaluated.difference.shape, width))
+
+    factor = fit.objective.factor_with_columns(fit.z, width, nothing, shifted)
+    jacobian, target = factor[n:, n:-1], factor[n:, -1]
+    remaining = target - jacobian @ np.linalg.lstsq(jacobian, target)[0]
+    return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))
+
+
+def disagreement(
+    differences: Sequence[StageDifference],
+    tests: Sequence[AgreementTest],
+    suspects: Sequence[SuspectConstant] = (),
+) -> Iterator[Diagnostic]:
+    """Yield the warning that the stages disagree, with likely causes; at most one."""
+    if not is_disagreement(tests):
+        return
+    worst = max((t for t in tests if t.matters), key=lambda test: test.deviations)
+    largest = ", ".join(
+        f"{d.name if d.joint is None else f'{d.name} of joint {d.joint}'} "
+        f"{d.rigid:.4g} by the rigid and {d.whole_arm:.4g} {d.unit} by the whole-arm fit"
+        for d in sorted(differences, key=lambda d: -abs(d.deviations))[:3]
+    )
+    text = (
+        f"taken together, {worst.subject} differ by {worst.deviations:.1f} standard deviations"
+        f" (chi-square {worst.chi_square:.4g} of {worst.degrees} degrees), most in {largest}"
+    )
+    if suspects:
+        causes = ", or ".join(one.text for one in suspects)
+        text += f"; likely causes in this order: {causes}"
+    else:
+        text += "; likely causes in this order: a motor constant that falls with current (record"
+        text += " with less voltage), a clock that is fast or slow, a dead zone of the drive,"
+        text += " another law of friction"
+    yield Diagnostic("stages-disagree", "rigid and whole-arm fit", text)

@@ -1,0 +1,37 @@
+"""Parameters at a bound of their range after a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from strainwave.domain.keys import Key
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.parameter_space import SETTLING
+
+_BOUND_TOLERANCE = (
+    0.01  # distance to a bound, relative to half the range, that counts as at the bound
+)
+
+
+def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
+    """Yield the parameters at a bound, and the inertias that contain them, as (name, joint).
+
+    The total viscous friction of a joint is omitted, because it can be identifiable although its
+    parts are not.
+    """
+    keys = fit.objective.space.keys
+    ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
+    yield from ended
+    links = {key: row for key, row in arm.reported.items() if key[0] == "link_inertia"}
+    for key, parts in (*arm.lumped_inertias.items(), *links.items()):
+        if key not in ended and any(part in ended for part in parts):
+            yield key
+
+
+def at_bounds(fit: Fit) -> list[bool]:
+    """Whether each unknown is at a bound of its range."""
+    space = fit.objective.space
+    margin = 0.5 * _BOUND_TOLERANCE * (space.upper - space.lower)
+    is_near: list[bool] = ((fit.z < space.lower + margin) | (fit.z > space.upper - margin)).tolist()
+    return is_near

@@ -1,0 +1,391 @@
+"""Covariance of the whole-arm fit.
+
+Four covariances describe the error of each parameter:
+
+- local, (J'J)^-1, with the rows of J in standard deviations. The rows are weighted by the
+  correlation time of the errors. The errors of a velocity decorrelate quickly, so for a correct
+  model this is an upper bound;
+- sandwich, from the gradients of segments of each record. It is valid for nonstationary errors, but
+  about 50 segments estimate a variance only roughly;
+- steady, a sandwich for errors that are stationary within a record. About 1,000 rows determine
+  their spectrum, so it resolves how slow effects average quick errors;
+- scatter, from the gradients of whole records. It includes model errors that differ between
+  experiments.
+
+A variance is the larger of sandwich and steady, plus an increment from the scatter. Correlations
+are those of the steady covariance, because a combination of parameters depends on other errors than
+its terms.
+
+The rows of the rigid model are weighted by standard deviations with a lower limit, so that the
+records dominate. Both sandwiches use the errors that the rigid step reports. They are scaled up
+only if the fit contradicts the rigid model.
+
+None of the four includes a model error that is the same in every record, such as an error of the
+friction law, of the drive, or of the integrator. Such an error appears as a residual above the
+sensor noise, and it does not average out over records. The share of a variance that noise does not
+explain is therefore counted once more for each record. This share depends on the parameter: it
+follows from the spectra of its derivatives, of the residuals and of the noise. The noise of a
+differentiated, quantised angle rises with the square of the frequency. At the resonances, a model
+error can thus exceed the noise many times although its share in the total power is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import FloatArray, IntArray
+from strainwave.domain.estimates import CI95_STDS
+from strainwave.identification.whole_arm.problem.objective import (
+    BLOCKS_PER_RECORD,
+    Objective,
+    Rows,
+    spectrum_and_autocovariance,
+    white_noise_autocovariance,
+)
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.distributions import student_quantile
+from strainwave.numerics.parallel import run_parallel
+
+MIN_VARIANCE_SHARE = 1e-3
+"""Share of the local variance that is added to the steady variance.
+
+Residuals contain no errors of parameters that no record identifies.
+"""
+
+_MIN_INFORMATION = 1e-30  # information of a parameter that no record depends on
+_MIN_VARIANCE_RATIO = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
+_HERMITE_SHARES = {1: 0.927, 3: 0.056, 5: 0.017}
+"""Hermite degree -> share of the variance of r (1 + r^2)^(-1/2) for standard normal r.
+
+The last entry includes all higher degrees. The gradient of the loss slightly whitens the noise.
+"""
+_NOISE_TOLERANCE = 0.2  # relative uncertainty of the sensor-noise part of a variance
+_MIN_RECORDS = 3  # minimum number of records for the scatter
+_MIN_REMAINING = 1e-3  # lower limit of 1 - leverage; near 0, one record identifies a parameter
+_MAX_RELATIVE_STD = 0.1  # relative standard deviation above which a direction is poorly identified
+# minimum ratio of marginal to conditional standard deviation for a group to be reported
+_MIN_STD_RATIO = 5.0
+_MIN_COMPONENT = 0.2  # minimum component of a group member, relative to the largest component
+
+
+@dataclass(frozen=True, slots=True)
+class Confidence:
+    """Covariances of the parameters, each (n_unknowns, n_unknowns)."""
+
+    combined: FloatArray
+    local: FloatArray
+    sandwich: FloatArray
+    steady: FloatArray
+    scatter: FloatArray  # NaN with fewer than `_MIN_RECORDS` records
+    prior_residual: FloatArray  # (n_prior,) whitened: fit minus rigid model
+    prior_covariance: tuple[FloatArray, FloatArray]
+    """Covariances of that residual, (n_prior, n_prior): by segment gradients, by steady errors."""
+
+    @property
+    def cautious(self) -> FloatArray:
+        """Combined covariance with the local variances as lower limit, for significance tests.
+
+        A sandwich of few segments can be far too small by chance.
+        """
+        combined, local = np.diag(self.combined), np.diag(self.local)
+        ones = np.ones_like(local)
+        raised = np.sqrt(np.divide(local, combined, out=ones, where=combined > 0.0))
+        raised = np.maximum(raised, 1.0)
+        return np.asarray(self.combined * np.outer(raised, raised))
+
+
+def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
+    """Compute the covariances of the fitted parameters.
+
+    `z`, (n_unknowns,), minimises `objective`.
+    """
+    noise = [
+        np.minimum(1.0, record.noise / weights.stds)
+        for record, weights in zip(objective.records, objective.weights, strict=True)
+    ]
+    each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
+    records = run_parallel([partial(_evidence, *one) for one in each])
+    space, prior = objective.space, objective.space.prior
+    slope = space.slope(z)
+    rows, unknown_rows = prior.rows @ slope, space.own_prior[0] @ slope
+    unknown_information = unknown_rows.T @ unknown_rows
+    prior_information = rows.T @ rows + unknown_information
+    inverse = inverse_information(sum((record.product for record in records), prior_information))
+    bread = sum((record.curvature for record in records), prior_information)
+    unscaled_covariance = inverse_information(bread)
+    blocks = np.concatenate([record.gradients for record in records])
+    n = len(blocks)
+    segment_meat = n / (n - 1.0) * blocks.T @ blocks
+    prior_residual = prior.rows @ space.parameters(z) - prior.target
+    prior_scale = _prior_scale(
+        prior.errors, prior_residual, rows @ unscaled_covariance, rows, segment_meat
+    )
+    prior_meat = prior_scale * rows.T @ prior.errors @ rows + unknown_information
+    sandwich = unscaled_covariance @ (segment_meat + prior_meat) @ unscaled_covariance
+    steady = (
+        unscaled_covariance
+        @ sum((record.steady for record in records), prior_meat)
+        @ unscaled_covariance
+    )
+    steady = steady + MIN_VARIANCE_SHARE * inverse
+    scatter, pooled = _scatter(bread, prior_information, records)
+    local, sandwich, steady, scatter = (
+        slope @ part @ slope.T for part in (inverse, sandwich, steady, scatter)
+    )
+    local_variance, sandwich_variance, steady_variance, scatter_variance = (
+        np.diag(part) for part in (local, sandwich, steady, scatter)
+    )
+    n_records = len(records)
+    variance = np.maximum(sandwich_variance, steady_variance)
+    if n_records >= _MIN_RECORDS:
+        variance = variance + _scatter_increment(
+            local_variance, scatter_variance, pooled, n_records
+        )
+    variance = variance * (
+        1.0 + n_records * _unexplained_share(slope @ unscaled_covariance, records)
+    )
+    ones = np.ones_like(variance)
+    scale = np.sqrt(np.divide(variance, steady_variance, out=ones, where=steady_variance > 0.0))
+    steady_meat = sum((record.steady for record in records), np.zeros_like(prior_information))
+    expected = tuple(
+        residual_covariance(prior.errors, rows @ unscaled_covariance, rows, meat)
+        for meat in (segment_meat, steady_meat)
+    )
+    return Confidence(
+        steady * np.outer(scale, scale),
+        local,
+        sandwich,
+        steady,
+        scatter,
+        prior_residual,
+        (expected[0], expected[1]),
+    )
+
+
+def _scatter_increment(
+    own: FloatArray, scattered: FloatArray, pooled: float, n_records: int
+) -> FloatArray:
+    """Increment of the variances from the scatter of few records.
+
+    The scatter of one parameter follows a chi-square distribution with few degrees of freedom. If
+    the pooled scatter agrees with the noise, its excess is chance. If the pooled scatter is much
+    larger, the model has errors, of which the records are a small sample. The excess is then scaled
+    by the squared ratio of the quantiles of Student's t and the normal distribution, and every
+    parameter receives at least the pooled excess.
+    """
+    quantile_ratio = (student_quantile(0.975, n_records - 1) / CI95_STDS) ** 2
+    weight = quantile_ratio * (1.0 - 1.0 / pooled)
+    return np.asarray(np.maximum((scattered - own) * weight, own * (pooled - 1.0) * quantile_ratio))
+
+
+@dataclass(frozen=True, slots=True)
+class _Evidence:
+    """Gradients and information of one record."""
+
+    gradients: FloatArray  # (n_segments, n_unknowns) of the loss
+    product: FloatArray  # (n_unknowns, n_unknowns) contribution to J'J
+    curvature: FloatArray  # (n_unknowns, n_unknowns) second derivative of the loss
+    steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient, stationary errors
+    noise: FloatArray  # (n_unknowns, n_unknowns) of the gradient, sensor noise only
+
+
+def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
+    """Compute gradients and information of one record, minimised over its own unknowns.
+
+    `noise` is the sensor noise in weighted standard deviations. The gradient of the soft L1 loss
+    has the weights (1 + r^2)^(-1/2), its second derivative (1 + r^2)^(-3/2).
+    """
+    n_own, width = len(rows.step), rows.residual.shape[1]
+    table = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
+    flat = table.reshape(-1, table.shape[2])
+    local, shared = flat[:, :n_own], flat[:, n_own:]
+    n = shared.shape[1]
+    coefficients = np.linalg.lstsq(local, shared)[0]
+    shared = shared - local @ coefficients  # orthogonal to the record's own unknowns
+    gradients = shared * (rows.residual * rows.root).reshape(-1, 1)
+    labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
+    sums = np.zeros((len(labels), n))
+    np.add.at(sums, segment, gradients)
+    robust_scale = np.sqrt(1.0 + rows.residual**2)
+    scaled = shared / robust_scale.reshape(-1, 1)
+    columns = shared.reshape(-1, width, n) * (rows.root * robust_scale)[..., None]
+    steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
+    for k, channel in enumerate(record.channels):
+        errors = _autocovariance(rows.residual[:, k], float(noise[k]))
+        own_noise = np.zeros_like(errors)
+        filtered = white_noise_autocovariance(
+            record.kernels.taps(rate=channel.rate), record.kernels.step
+        )[:rows_in]
+        share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
+        own_noise[: len(filtered)] = (
+            errors[0] * share * _loss_autocorrelation(filtered / filtered[0])
+        )
+        covariances = gradient_covariances(columns[:, k], (errors, own_noise))
+        steady, of_noise = steady + covariances[0], of_noise + covariances[1]
+    return _Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
+
+
+def _loss_autocorrelation(correlation: FloatArray) -> FloatArray:
+    """Autocorrelation of r (1 + r^2)^(-1/2) for normal r with this one, by Hermite expansion."""
+    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE_SHARES.items()))
+
+
+def gradient_covariances(
+    columns: FloatArray, autocovariances: Sequence[FloatArray]
+) -> list[FloatArray]:
+    """Covariances of columns' e for stationary errors e; columns is (n_rows, n_unknowns).
+
+    Each autocovariance, (n_rows,) from lag zero, is tapered to the length of a segment (Newey and
+    West, 1987). The covariance is the spectrum of the columns, weighted by the power spectrum of
+    the errors. Returns one (n_unknowns, n_unknowns) for each autocovariance.
+    """
+    n = len(columns)
+    max_lag = max(1, n // BLOCKS_PER_RECORD)
+    n_fft = 2 * ((n + max_lag + 1) // 2)
+    taper = 1.0 - np.arange(max_lag) / max_lag
+    multiplicity = np.full(n_fft // 2 + 1, 2.0)  # positive and negative frequencies
+    multiplicity[[0, -1]] = 1.0
+    lines = np.fft.rfft(columns, n_fft, axis=0)
+    covariances = []
+    for autocovariance in autocovariances:
+        lags = np.zeros(n_fft)
+        lags[:max_lag] = taper * autocovariance[:max_lag]
+        lags[n_fft - max_lag + 1 :] = lags[1:max_lag][::-1]
+        power = np.maximum(np.fft.rfft(lags).real, 0.0)
+        weighted = lines * np.sqrt(multiplicity * power / n_fft)[:, None]
+        covariances.append(weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
+    return covariances
+
+
+def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
+    """Autocovariance of the gradient of the loss, (n_rows,), with the sensor noise as lower limit.
+
+    At standstill, the residuals of a quantised angle are smaller than the noise of its encoder.
+    """
+    n, variance, noise_variance = len(residual), float(np.var(residual)), noise**2
+    if variance == 0.0:
+        return np.asarray(noise_variance * np.eye(1, n)[0])
+    _, products = spectrum_and_autocovariance(residual / np.sqrt(1.0 + residual**2))
+    return np.asarray(products / n * max(1.0, noise_variance / variance))
+
+
+def _prior_scale(
+    errors: FloatArray, left: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
+) -> float:
+    """Mean ratio of squared prior residuals to their expectation; at least 1."""
+    if not len(left):
+        return 1.0
+    expected = np.diag(residual_covariance(errors, answer, rows, meat))
+    expected = np.maximum(expected, _MIN_VARIANCE_RATIO * np.diag(errors))
+    return max(1.0, float(np.mean(left**2 / expected)))
+
+
+def residual_covariance(
+    errors: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
+) -> FloatArray:
+    """Covariance of the prior residuals at the minimum of the fit.
+
+    Errors e of the prior with rows G, and gradients g of the records, shift the fit by
+    B (G' e + g), where B is the inverse of the total information. The prior residual is
+    (I - G B G') e - G B g, which includes the correlation of fit and prior. If both are efficient,
+    this is the covariance of the prior minus that of the combination.
+
+    `errors`, (n_prior, n_prior), is the covariance of e; `answer` is G B and `rows` is G, both
+    (n_prior, n_unknowns); `meat`, (n_unknowns, n_unknowns), is the covariance of g. Returns
+    (n_prior, n_prior).
+    """
+    remaining = np.eye(len(rows)) - answer @ rows.T
+    return np.asarray(remaining @ errors @ remaining.T + answer @ meat @ answer.T)
+
+
+def _unexplained_share(answer: FloatArray, records: Sequence[_Evidence]) -> FloatArray:
+    """Share of the variance of each parameter that sensor noise does not explain.
+
+    `answer`, (n_unknowns, n_unknowns), is the derivative of the parameters by the gradient.
+    """
+    total, noise = (
+        np.einsum("ij,jk,ik->i", answer, sum(parts, np.zeros_like(answer)), answer)
+        for parts in zip(*((record.steady, record.noise) for record in records), strict=True)
+    )
+    explained = np.divide(noise, total, out=np.ones_like(total), where=total > 0.0)
+    return np.asarray(np.maximum(0.0, 1.0 - explained - _NOISE_TOLERANCE))
+
+
+def _scatter(
+    whole: FloatArray, known: FloatArray, records: Sequence[_Evidence]
+) -> tuple[FloatArray, float]:
+    """Covariance of the fit from the gradients of whole records, and the pooled excess.
+
+    With the leverage A = L^-1 P L^-T of a record, L L' the total information and P that of the
+    record, the fit reduces the variance A of its gradient by the factor I - A. The gradient is
+    multiplied by (I - A)^(-1/2), so that for a correct model the scatter equals the local
+    covariance (Bell and McCaffrey, 2002). A jackknife uses (I - A)^-1, which is unbounded for a
+    parameter that only one record identifies. The pooled excess is the mean square of the corrected
+    gradients over all records and directions, relative to its expectation; it is at least 1. The
+    prior contributes as in the local covariance.
+    """
+    if len(records) < _MIN_RECORDS:
+        return np.full_like(whole, np.nan), 1.0
+    unscale = _root_of(inverse_information(whole))  # L^-T, whose square is the inverse
+    meat = unscale.T @ known @ unscale
+    squares = expected = 0.0
+    for record in records:
+        leverage, vectors = np.linalg.eigh(unscale.T @ record.curvature @ unscale)
+        root_remaining = np.sqrt(np.maximum(1.0 - leverage, _MIN_REMAINING))
+        gradient = record.gradients.sum(axis=0)
+        corrected = vectors @ (vectors.T @ (unscale.T @ gradient) / root_remaining)
+        meat = meat + np.outer(corrected, corrected)
+        squares += float(corrected @ corrected)
+        expected += float(np.sum(leverage))
+    return np.asarray(unscale @ meat @ unscale.T), max(1.0, squares / max(expected, 1e-300))
+
+
+def _root_of(covariance: FloatArray) -> FloatArray:
+    """Matrix L with L L' = covariance."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def inverse_information(information: FloatArray) -> FloatArray:
+    """Regularised inverse of an information matrix, (n_unknowns, n_unknowns).
+
+    Uses the eigenvalues of the matrix scaled to unit diagonal, with a lower limit. Parameters that
+    are not identifiable have very large variances.
+    """
+    scale = np.sqrt(np.diag(information))
+    scale[scale == 0.0] = _MIN_INFORMATION
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    values = np.maximum(values, 1e-13 * values[-1])
+    return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
+
+
+def only_together(
+    names: Sequence[str], values: FloatArray, covariance: FloatArray
+) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield groups of parameters of which the data identify only a combination.
+
+    `values` is (n,), `covariance` is (n, n). Yields the names of each group, and the relative
+    standard deviation of the unidentified combination.
+    """
+    scale = np.where(values == 0.0, 1.0, np.abs(values))
+    relative = covariance / np.outer(scale, scale)
+    variances, directions = np.linalg.eigh(relative)
+    for variance, direction in zip(variances[::-1], directions.T[::-1], strict=True):
+        std = float(np.sqrt(max(variance, 0.0)))
+        if std < _MAX_RELATIVE_STD:
+            return
+        is_member = np.abs(direction) > _MIN_COMPONENT * np.max(np.abs(direction))
+        members = np.flatnonzero(is_member)
+        if len(members) < 2:
+            continue
+        # marginal and conditional standard deviation, others unknown and fixed
+        information = np.linalg.pinv(relative[np.ix_(members, members)], hermitian=True)
+        marginal = np.sqrt(np.diag(relative)[members])
+        conditional = 1.0 / np.sqrt(np.diag(information))
+        if np.min(marginal / conditional) > _MIN_STD_RATIO:
+            yield tuple(names[int(k)] for k in members), std

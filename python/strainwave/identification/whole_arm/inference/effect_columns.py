@@ -1,0 +1,173 @@
+"""Derivatives of the channels by the sizes of effects that the model lacks."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import EffectName, FloatArray
+from strainwave.domain.effects import effect_named, names
+from strainwave.domain.keys import Key, Values
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NumericalFailure
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    NamedEffect,
+    body_parameters,
+    friction_parameters,
+    set_record_effects,
+    sizes_of,
+)
+from strainwave.identification.whole_arm.problem.objective import Evaluation
+from strainwave.identification.whole_arm.records.dataset import Dataset
+
+COLUMN_ROUNDING = 1e-7  # of a column's norm; a smaller projection is rounding
+
+Shapes = Mapping[str, float]
+"""Those of an effect: name -> value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Hypothesis:
+    """The presence of an effect of given shapes in a joint."""
+
+    joint: int  # from 1
+    effect: EffectName
+    number: int  # of the set of shapes among those that are tested, from 0
+
+    @property
+    def named_effect(self) -> NamedEffect:
+        """The joint and the effect."""
+        return self.joint, self.effect
+
+
+@dataclass(frozen=True, slots=True)
+class _Pass:
+    """A simulation of the records with effects of size zero, one set of shapes each."""
+
+    records: Sequence[Dataset]
+    values: Values
+    sizes: Mapping[Hypothesis, Sequence[Key]]
+
+    @classmethod
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> _Pass:
+        """A pass over effects of which no two are the same effect of one joint."""
+        values = fit.objective.space.values(fit.z)
+        absent = {
+            (name, one.joint): value
+            for one, shapes in tested.items()
+            for name, value in {**effect_named(one.effect).absent, **shapes}.items()
+        }
+        values = absent | values
+        joints = tuple(replace(joint, effects=names()) for joint in arm.joints)
+        records = set_record_effects(fit.objective.records, arm.with_joints(joints), values)
+        return cls(
+            records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
+        )
+
+    def columns(self, k: int, record_parameters: FloatArray) -> FloatArray:
+        """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
+        record, keys = self.records[k], [key for sizes in self.sizes.values() for key in sizes]
+        tangent = record.linearised(self.values, record_parameters[: len(record.local)], keys)[1]
+        return tangent[..., : len(keys)]
+
+
+@dataclass(frozen=True, slots=True)
+class EffectColumns:
+    """R of [unknowns sizes shifts residual], then the priors of sizes and shifts.
+
+    Sizes are those of effects, at zero. Shifts are errors of the rigid step: first of inertias and
+    gravity, then of each joint's friction.
+    """
+
+    factor: FloatArray  # (n_rows, n_unknowns + n_sizes + n_shifts + 1)
+    n_unknowns: int
+    sizes: Mapping[Hypothesis, Sequence[Key]]
+    shapes: Mapping[Hypothesis, Shapes]
+    n_shifts: Sequence[int]  # of inertias and gravity, and of each joint
+
+    @classmethod
+    def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
+        """The columns of effects in addition to those of a fit.
+
+        All effects at the first of their shapes share one simulation, and so do those of each
+        further number. Raises `InvalidInput` or `NumericalFailure` if the arm with effects cannot
+        be simulated with finite derivatives.
+        """
+        objective, n = fit.objective, len(fit.objective.space.unknowns)
+        each = [
+            _Pass.of(
+                fit, arm, {one: shapes for one, shapes in tested.items() if one.number == number}
+            )
+            for number in sorted({one.number for one in tested})
+        ]
+        sizes = {one: keys for run in each for one, keys in run.sizes.items()}
+        n_sizes = sum(map(len, sizes.values()))
+        frictions = (friction_parameters(arm, joint) for joint in range(1, arm.n_joints + 1))
+        shifts = [
+            objective.space.prior.by_shifts(group) for group in (body_parameters(arm), *frictions)
+        ]
+        prior_rows = np.concatenate([np.zeros((len(shifts[0]), n_sizes)), *shifts], axis=1)
+        width = prior_rows.shape[1]
+
+        def tangent(k: int, _: Evaluation) -> FloatArray:
+            size_columns = np.concatenate(
+                [run.columns(k, objective.memory.record_parameters[k]) for run in each], 2
+            )
+            return np.concatenate(
+                [size_columns, np.zeros((*size_columns.shape[:2], width - n_sizes))], axis=2
+            )
+
+        whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
+        if not np.isfinite(whole).all():
+            raise NumericalFailure("the derivative by an effect's size overflows")
+        stds = [effect_named(one.effect).prior_std for one, keys in sizes.items() for _ in keys]
+        stds += [1.0] * (width - n_sizes)
+        known = [k for k, std in enumerate(stds) if std is not None]
+        prior = np.zeros((len(known), whole.shape[1]))
+        prior[range(len(known)), [n + k for k in known]] = [1.0 / (stds[k] or 1.0) for k in known]
+        factor = np.concatenate([whole, prior])
+        return cls(factor, n, sizes, tested, [one.shape[1] for one in shifts])
+
+    @property
+    def target(self) -> FloatArray:
+        """The residual that the unknowns do not explain."""
+        return self.factor[self.n_unknowns :, -1]
+
+    def effect_columns(self, one: Hypothesis) -> FloatArray:
+        """An effect's columns after projection, zero where only rounding is left."""
+        place = self._place(one)
+        left = self.factor[self.n_unknowns :, place].copy()
+        size = np.linalg.norm(self.factor[:, place], axis=0)
+        left[:, np.linalg.norm(left, axis=0) <= COLUMN_ROUNDING * size] = 0.0
+        return left
+
+    def shifts(self, one: Hypothesis) -> FloatArray:
+        """Residual effect of errors in the rigid-step estimates due to the missing effect."""
+        return self.factor[self.n_unknowns :, self._shifts(one)]
+
+    def change_of_unknowns(
+        self, one: Hypothesis, size: FloatArray, shift: FloatArray
+    ) -> FloatArray:
+        """Change of the unknowns (n_unknowns,) for sizes of an effect and rigid-step shifts."""
+        n = self.n_unknowns
+        by_effect = self.factor[:n, self._place(one)] @ size
+        by_effect = by_effect + self.factor[:n, self._shifts(one)] @ shift
+        return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
+
+    def _place(self, one: Hypothesis) -> slice:
+        counts = {key: len(sizes) for key, sizes in self.sizes.items()}
+        at = self.n_unknowns
+        for key, count in counts.items():
+            if key == one:
+                return slice(at, at + count)
+            at += count
+        raise KeyError(one)
+
+    def _shifts(self, one: Hypothesis) -> list[int]:
+        first = self.n_unknowns + sum(map(len, self.sizes.values()))
+        ends = first + np.cumsum([0, *self.n_shifts])
+        groups = [0, one.joint] if effect_named(one.effect).misleads_inertias else [one.joint]
+        return [k for group in groups for k in range(ends[group], ends[group + 1])]

@@ -1,0 +1,216 @@
+"""Residual analysis: level, spectrum, whiteness and correlation with the inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+from itertools import chain
+from math import erfc, sqrt
+
+import numpy as np
+
+from strainwave.domain import (
+    BoolArray,
+    Diagnostic,
+    FloatArray,
+    Place,
+    ResidualTest,
+)
+from strainwave.identification.whole_arm.problem.objective import (
+    Objective,
+    Rows,
+    Weights,
+    spectrum_and_autocovariance,
+)
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.correlations import correlate_residuals
+from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.spectra import cross_spectral_densities
+
+_N_SEGMENTS = 8  # number of half-overlapping segments per record for averaged spectra
+_MIN_SEGMENT_ROWS = 64  # minimum segment length [rows]
+_MAX_BAND_SHARE = 0.8  # upper limit of the band for spectral comparison, relative to the cut-off
+_MAX_INPUT_DELAY = 0.1  # maximum delay between input and residual [s]
+_MIN_WARNING_RATIO = 3.0  # ratio of residual to sensor noise above which a warning is issued
+_MIN_NOISE_RATIO = 1.5  # ratio above which more than half of the residual power is not noise
+_SIGNIFICANCE_LEVEL = 1e-3  # significance level of the input correlation
+
+
+def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, ...]:
+    """Test the residuals of every channel in every record.
+
+    `z`, (n_unknowns,), is the final iterate of the fit.
+    """
+
+    def tested(record: Dataset, rows: Rows, weights: Weights) -> list[ResidualTest]:
+        physical_residual = rows.residual * weights.stds
+        inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
+        return [
+            _test_channel(record, k, physical_residual[:, k], inputs)
+            for k in range(len(record.channels))
+        ]
+
+    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
+    return tuple(
+        chain.from_iterable(run_parallel([partial(tested, *arguments) for arguments in each]))
+    )
+
+
+def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
+    channel, kernels = record.channels[k], record.kernels
+    T = record.log.sample_time
+    frequency, density = spectral_density(left, kernels.step * T)
+    taps = kernels.taps(rate=channel.rate)
+    # response of the low-pass on the frequency grid of the density; its taps have the period T
+    gain = np.abs(np.fft.rfft(taps, round(1.0 / (frequency[1] * T))))[: len(frequency)]
+    raw = record.noise[k] / np.linalg.norm(taps)
+    noise_density = 2.0 * T * raw**2 * gain**2
+    band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
+    ratio = density[band] / np.maximum(noise_density[band], 1e-300)
+    joint, correlation, delay, probability = correlate_with_inputs(left, inputs, kernels.step * T)
+    return ResidualTest(
+        experiment=record.log.name,
+        channel=channel.name.replace("theta", "omega"),
+        deviation=float(np.std(left)),
+        noise=float(record.noise[k]),
+        frequency_hz=frequency,
+        density=density,
+        noise_density=noise_density,
+        worst_hz=float(frequency[band][np.argmax(ratio)]),
+        whiteness=has_noise_spectrum(
+            left, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
+        ),
+        input_joint=joint,
+        input_correlation=correlation,
+        input_delay=delay,
+        input_probability=probability,
+        correlation=correlate_residuals(left, inputs, kernels.step * T),
+    )
+
+
+def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
+    """One-sided power spectral density of a residual, averaged over overlapping segments.
+
+    `x` is (n_samples,), `sample_time` in s. Returns frequency [Hz] and density [unit^2/Hz], both
+    (n_frequencies,).
+    """
+    segment = min(len(x), max(_MIN_SEGMENT_ROWS, 2 * len(x) // (_N_SEGMENTS + 1)))
+    frequency, density = cross_spectral_densities(x[:, None], sample_time, segment)
+    return frequency, density[:, 0, 0].real
+
+
+def has_noise_spectrum(
+    left: FloatArray, row_time: float, taps: FloatArray, sample_time: float, below_hz: float
+) -> float:
+    """Test whether a residual has the spectrum of low-pass filtered white noise.
+
+    Bartlett's test: the Kolmogorov-Smirnov statistic of the cumulative periodogram, divided by the
+    power response of the low-pass, against a straight line.
+
+    `left`, (n_rows,), is the residual with period `row_time` [s]; `taps`, (n_taps,), are those of
+    the low-pass, with period `sample_time` [s]. Only frequencies below `below_hz` are used. Returns
+    the p-value.
+    """
+    frequency = np.fft.rfftfreq(len(left), row_time)
+    band = (frequency > 0.0) & (frequency < below_hz)
+    power = np.abs(np.fft.rfft(left - left.mean()))[band] ** 2
+    gain = np.abs(np.fft.rfft(taps, 8192))
+    gain = np.interp(frequency[band], np.fft.rfftfreq(8192, sample_time), gain)
+    power = power / np.maximum(gain**2, 1e-300)
+    m = len(power)
+    if m < 2 or not np.sum(power) > 0.0:
+        return 1.0
+    cumulative = np.cumsum(power)[:-1] / np.sum(power)
+    line = np.arange(1, m) / m
+    distance = float(np.max(np.abs(cumulative - line)))
+    root = sqrt(m - 1.0)
+    x = (root + 0.12 + 0.11 / root) * distance
+    k = np.arange(1, 101)
+    return float(np.clip(2.0 * np.sum((-1.0) ** (k - 1) * np.exp(-2.0 * (k * x) ** 2)), 0.0, 1.0))
+
+
+def correlate_with_inputs(
+    left: FloatArray, inputs: FloatArray, row_time: float
+) -> tuple[int, float, float, float]:
+    """Find the input and delay with the most significant correlation with a residual.
+
+    For independent signals, the cross-correlation at one delay has the variance (1/n) times the sum
+    of the products of both autocorrelations (Bartlett).
+
+    `left`, (n_rows,), is the residual and `inputs` is (n_rows, n_joints), both with period
+    `row_time` [s]. Returns the joint, counted from 1, the correlation, the delay [s] and the
+    p-value.
+    """
+    n = len(left)
+    delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
+    residual_spectrum, residual_products = spectrum_and_autocovariance(left)
+    best = (1, 0.0, 0.0, 1.0)
+    for j in range(inputs.shape[1]):
+        input_spectrum, input_products = spectrum_and_autocovariance(inputs[:, j])
+        if not (residual_products[0] > 0.0 and input_products[0] > 0.0):
+            continue
+        cross = np.fft.irfft(residual_spectrum * input_spectrum.conj(), 2 * n)[:delays]
+        correlation = cross / np.sqrt(residual_products[0] * input_products[0])
+        products = residual_products / residual_products[0] * input_products / input_products[0]
+        variance = max(1.0, 1.0 + 2.0 * float(np.sum(products[1 : n // 2]))) / n
+        lag = int(np.argmax(np.abs(correlation)))
+        z_score = abs(float(correlation[lag])) / sqrt(variance)
+        probability = min(1.0, delays * inputs.shape[1] * erfc(z_score / sqrt(2.0)))
+        if probability < best[3] or (
+            probability == best[3] and abs(correlation[lag]) > abs(best[1])
+        ):
+            best = (j + 1, float(correlation[lag]), lag * row_time, probability)
+    return best
+
+
+def has_excess_residuals(objective: Objective, z: FloatArray) -> bool:
+    """Whether more than half of the residual power of any channel is not sensor noise.
+
+    The limit is lower than that of `residual_warnings`, because an effect can be significant below
+    the latter. `z`, (n_unknowns,), is the final iterate of the fit.
+    """
+    return any(bool(np.any(beyond)) for beyond in channels_above_noise(objective, z))
+
+
+def channels_above_noise(objective: Objective, z: FloatArray) -> list[BoolArray]:
+    """Channels whose residual exceeds the sensor noise: one (n_channels,) for each record.
+
+    `z`, (n_unknowns,), is the final iterate of the fit.
+    """
+    exceeding = []
+    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
+    for record, rows, weights in each:
+        stds = np.std(rows.residual * weights.stds, axis=0)
+        exceeding.append((stds >= _MIN_NOISE_RATIO * record.noise) & (record.noise > 0.0))
+    return exceeding
+
+
+def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iterator[Diagnostic]:
+    """Yield one warning per channel name, on the record with the largest ratio to sensor noise.
+
+    `explained` states whether a likely effect explains the residuals.
+    """
+    for name in dict.fromkeys(test.channel for test in tests):
+        candidates = [test for test in tests if test.channel == name and test.noise > 0.0]
+        worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
+        if worst is None or worst.deviation < _MIN_WARNING_RATIO * worst.noise:
+            continue
+        text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
+        text += f" noise, most near {worst.worst_hz:.3g} Hz"
+        if worst.input_probability < _SIGNIFICANCE_LEVEL:
+            text += f", and follow joint {worst.input_joint}'s input by"
+            text += (
+                f" {1e3 * worst.input_delay:.3g} ms: the model lacks something of the motion, or"
+            )
+            text += " the study has a wrong constant"
+        else:
+            text += (
+                ", without linear dependence on an input: friction or a gear that the model does"
+            )
+            text += (
+                " not describe, a wrong constant in the study and an outside disturbance look so"
+            )
+        if not explained:
+            text += "; none of the effects that the program knows explains them"
+        text += "; intervals were widened for it"
+        yield Diagnostic.at("residual-not-noise", Place.in_records(worst.experiment), text)

@@ -1,0 +1,318 @@
+"""Score tests for effects that the model lacks.
+
+The derivatives of all channels with respect to the sizes of an effect, at size zero, extend the
+Jacobian of the fit. The cost reduction of one linear step is the test statistic, so that no model
+with the effect needs to be fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
+from strainwave.domain.effects import Effect, all_effects, effect_named
+from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.parameter_table import base_name
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import is_sensor_constant
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.inference.effect_columns import (
+    EffectColumns,
+    Hypothesis,
+    Shapes,
+)
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    NamedEffect,
+    effects_in,
+    known_joint,
+)
+from strainwave.identification.whole_arm.problem.parameter_space import OFFSET, SETTLING, VISCOUS
+from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.numerics.distributions import chi_square_limit
+
+FALSE_ALARMS = 1e-4
+"""Probability that any effect is significant if the residuals are noise."""
+
+RELEVANT_COST_SHARE = 0.04
+"""Cost reduction, relative, from which an effect is relevant in any case."""
+
+MIN_COST_SHARE = 0.01
+"""Cost reduction, relative, below which no effect is relevant: other errors explain as much."""
+
+
+@dataclass(frozen=True, slots=True)
+class TestedEffect:
+    """A score test and the parameter values after its linear step."""
+
+    test: ScoreTest
+    chance: float  # false alarm probability of one test
+    alone: float  # cost reduction by this effect alone
+    rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
+    values: Values  # of unknowns, sizes and non-default shapes, after the step of this effect alone
+
+    @property
+    def named_effect(self) -> NamedEffect:
+        """The joint and the effect."""
+        return self.test.joint, self.test.effect
+
+    @property
+    def is_promising(self) -> bool:
+        """Whether the effect is significant and explains enough to justify a fit."""
+        return bool(self.test.shifts)
+
+
+def score_tests_of(fit: Fit, arm: Arm) -> list[TestedEffect]:
+    """Test the effects that the model lacks, the most significant first.
+
+    If residuals exceed the sensor noise, each effect is tested at all its sets of shapes, and the
+    set with the largest cost reduction is kept. Otherwise only the first set is tested. Each cost
+    reduction is in addition to those of the preceding significant effects. Returns an empty list if
+    the arm cannot be simulated with the effects.
+    """
+    candidates = _missing_effects(fit, arm)
+    if not candidates:
+        return []
+    hypotheses = _hypotheses(fit, arm, candidates)
+    for steps in (lengthen_steps(fit), fit):  # some effects are too stiff for long steps
+        try:
+            return list(_select_forward(EffectColumns.of(steps, arm, hypotheses), fit))
+        except (InvalidInput, NumericalFailure):
+            continue
+    return []
+
+
+def lengthen_steps(fit: Fit) -> Fit:
+    """The fit with long integrator steps, which are sufficient for derivatives by effects."""
+    objective = fit.objective.lengthen_steps(fit.z)
+    at = objective.linearise(fit.z)
+    return fit if at is None else replace(fit, objective=objective, cost=at.cost)
+
+
+def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
+    """Effects that the model lacks and that the channels of the records permit."""
+    present = effects_in(fit.objective.space, arm)
+    channels = [channel for record in fit.objective.records for channel in record.channels]
+    encoders = {channel.joint for channel in channels if channel.quantity == "link_angle"}
+    return [
+        (number, effect.name)
+        for number, joint in enumerate(arm.joints, start=1)
+        for effect in all_effects()
+        if joint.elastic
+        and (number, effect.name) not in present
+        and (number == 1 or not effect.first_joint_only)
+        and not (number in encoders and effect.moves_link_encoder)
+    ]
+
+
+def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[Hypothesis, Shapes]:
+    """Sets of shapes at which the effects are tested.
+
+    Only one set per effect is tested if the residuals are noise. The same holds if the model has
+    an effect already, because each derivative then requires a separate simulation. The frequencies
+    of further sets lie within the band of the low-pass.
+    """
+    records, values = fit.objective.records, fit.objective.space.values(fit.z)
+    band_hz = max(record.cutoff_hz for record in records)
+    loads = loads_of(records, values)
+    single_set = bool(effects_in(fit.objective.space, arm)) or not has_excess_residuals(
+        fit.objective, fit.z
+    )
+    hypotheses: dict[Hypothesis, Shapes] = {}
+    for joint, name in candidates:
+        effect = effect_named(name)
+        first, *further = effect.tested_shapes(known_joint(arm, joint, values, loads))
+        in_band = [one for one in further if not single_set and _highest(effect, one) < band_hz]
+        for number, shapes in enumerate((first, *in_band)):
+            hypotheses[Hypothesis(joint, name, number)] = shapes
+    return hypotheses
+
+
+def _highest(effect: Effect, shapes: Shapes) -> float:
+    """The highest frequency among shapes [Hz]."""
+    frequencies = (
+        value for name, value in shapes.items() if effect.described(name).units[0] == "Hz"
+    )
+    return max(frequencies, default=0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Linear step of one effect: sizes and cost reduction."""
+
+    candidate: Hypothesis
+    names: tuple[str, ...]
+    gain: float
+    rigid: float  # preceding cost reduction by the shifts of the rigid-step estimates
+    size: FloatArray
+    std: FloatArray
+    shift: FloatArray  # of the rigid-step estimates
+
+    def beyond(self, chance: float) -> float:
+        """Cost reduction beyond the chi-square limit at a false alarm probability."""
+        return self.gain - chi_square_limit(chance, len(self.size))
+
+
+def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[TestedEffect]:
+    """Forward selection: each effect is tested given the significant effects before it."""
+    chance = FALSE_ALARMS / len(columns.sizes)
+    selected = np.zeros((len(columns.target), 0))
+    single_steps = _best_shapes(
+        [_step(columns, hypothesis, selected) for hypothesis in columns.sizes]
+    )
+    remaining, steps = list(single_steps), list(single_steps.values())
+    while remaining:
+        best = max(steps, key=lambda step: step.beyond(chance))
+        hypothesis = best.candidate
+        score_test = _score_test(best, fit, _values_after_step(columns, best, fit), chance)
+        reached = _fit_start(columns, single_steps[hypothesis], fit)
+        yield TestedEffect(
+            score_test,
+            chance,
+            single_steps[hypothesis].gain,
+            single_steps[hypothesis].rigid,
+            reached,
+        )
+        remaining.remove(hypothesis)
+        if score_test.evident:
+            selected = np.column_stack(
+                [selected, columns.effect_columns(hypothesis), columns.shifts(hypothesis)]
+            )
+            steps = [_step(columns, other, selected) for other in remaining]
+        else:
+            steps = [step for step in steps if step is not best]
+
+
+def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
+    """For each effect, the step at the shapes with the largest cost reduction."""
+    best: dict[NamedEffect, _Step] = {}
+    for step in steps:
+        one = step.candidate.named_effect
+        if one not in best or step.gain > best[one].gain:
+            best[one] = step
+    return {step.candidate: step for step in best.values()}
+
+
+def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+    """Values of the unknowns after the linear step of an effect."""
+    change = columns.change_of_unknowns(step.candidate, step.size, step.shift)
+    space = fit.objective.space
+    return space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
+
+
+def _fit_start(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
+    """Starting values of a fit: unknowns, admissible sizes and non-default shapes."""
+    one = step.candidate
+    joint, effect = one.joint, effect_named(one.effect)
+    usual = columns.shapes[replace(one, number=0)]
+    shapes: Values = {
+        (name, joint): value for name, value in columns.shapes[one].items() if value != usual[name]
+    }
+    sizes: Values = {
+        (name, joint): value
+        for name, value in zip(step.names, step.size.tolist(), strict=True)
+        if effect.is_signed(name) or value > 0.0
+    }
+    return _values_after_step(columns, step, fit) | sizes | shapes
+
+
+def _score_test(step: _Step, fit: Fit, moved: Values, chance: float) -> ScoreTest:
+    """Score test by the parameters of the effect."""
+    share = step.gain / max(fit.cost, 1e-300)
+    significant = step.beyond(chance) > 0.0
+    parameter_shifts = tuple(shifts(fit, moved)) if significant and share > MIN_COST_SHARE else ()
+    return ScoreTest(
+        joint=step.candidate.joint,
+        effect=step.candidate.effect,
+        sizes=dict(zip(step.names, step.size.tolist(), strict=True)),
+        stds=dict(zip(step.names, step.std.tolist(), strict=True)),
+        gain=step.gain,
+        share=share,
+        evident=significant and is_relevant(share, parameter_shifts),
+        shifts=parameter_shifts,
+        limit=chi_square_limit(chance, len(step.size)),
+    )
+
+
+def is_relevant(share: float, moves: Sequence[ParameterShift]) -> bool:
+    """Whether an effect is relevant.
+
+    An effect is relevant if its `share` of the cost exceeds `RELEVANT_COST_SHARE`, or if the share
+    exceeds `MIN_COST_SHARE` and another parameter leaves its 95 % confidence interval.
+    """
+    has_shift = any(abs(move.deviations) > CI95_STDS for move in moves)
+    return share > RELEVANT_COST_SHARE or (share > MIN_COST_SHARE and has_shift)
+
+
+def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
+    """Shifts of the arm parameters due to an additional effect, the most significant first.
+
+    `values` maps (name, joint) to the values of the model with the effect. Yields shifts of
+    inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
+    and only sums of viscous frictions are identifiable.
+    """
+    estimates = fit.objective.space.values(fit.z)
+    stds = np.sqrt(np.diag(fit.confidence.combined))
+    parameter_shifts = []
+    for (name, joint), std in zip(fit.objective.space.keys, stds.tolist(), strict=True):
+        if _is_primary((name, joint)) and std > 0.0:
+            shift = values[name, joint] - estimates[name, joint]
+            parameter_shifts.append(
+                ParameterShift(name, joint, estimates[name, joint], shift, shift / std)
+            )
+    yield from sorted(parameter_shifts, key=lambda move: -abs(move.deviations))
+
+
+def _is_primary(key: Key) -> bool:
+    """Whether a parameter is an inertia, gravity torque, gear parameter or Coulomb friction."""
+    excluded = (*VISCOUS, OFFSET, SETTLING)
+    of_effects = {name for effect in all_effects() for name in effect.names}
+    name = base_name(key[0])
+    return not (name in excluded or name in of_effects or is_sensor_constant(key))
+
+
+def _step(columns: EffectColumns, one: Hypothesis, selected: FloatArray) -> _Step:
+    """Optimal sizes of one effect in addition to the columns `selected`.
+
+    Sizes without sign are not negative. Errors of the rigid-step estimates due to the missing
+    effect are free.
+    """
+    parts = (columns.shifts(one), columns.effect_columns(one), columns.target)
+    shifts, columns_of_effect, target = _project_out(selected, *parts)
+    projected, remaining = _project_out(shifts, columns_of_effect, target)
+    names = tuple(name for name, _ in columns.sizes[one])
+    effect = effect_named(one.effect)
+    size = least_squares(projected, remaining, np.array([effect.is_signed(name) for name in names]))
+    gain = float(np.sum(remaining**2) - np.sum((remaining + projected @ size) ** 2))
+    std = np.sqrt(np.diag(np.linalg.pinv(projected.T @ projected)))
+    shift = np.asarray(np.linalg.lstsq(shifts, -(target + columns_of_effect @ size))[0])
+    rigid = float(np.sum(target**2) - np.sum(remaining**2))
+    return _Step(one, names, gain, rigid, size, std, shift)
+
+
+def _project_out(selected: FloatArray, *others: FloatArray) -> Iterator[FloatArray]:
+    """Project columns on the orthogonal complement of the columns `selected`."""
+    basis = np.linalg.qr(selected)[0]
+    for columns in others:
+        yield columns - basis @ (basis.T @ columns)
+
+
+def least_squares(columns: FloatArray, target: FloatArray, signed: BoolArray) -> FloatArray:
+    """Least squares for sizes (n_sizes,) that minimise |target + columns size|.
+
+    `columns` is (n_rows, n_sizes), `target` (n_rows,) and `signed` (n_sizes,). Sizes without sign
+    that would be negative are zero.
+    """
+    free, size = np.ones(len(signed), dtype=bool), np.zeros(len(signed))
+    while free.any():
+        size[free] = np.linalg.lstsq(columns[:, free], -target)[0]
+        negative = ~signed & (size < 0.0)
+        if not negative.any():
+            break
+        size[:], free = 0.0, free & ~negative
+    return size

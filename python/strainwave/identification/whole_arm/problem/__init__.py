@@ -1,0 +1,1 @@
+"""The least-squares problem: unknowns, starting values, prior and objective."""

@@ -1,0 +1,569 @@
+"""Objective of the whole-arm fit: weighted residuals of all records, and the prior.
+
+Each record has its own unknowns, the record parameters: initial states and sensor biases. They are
+eliminated record by record (variable projection). Their columns come first in the least squares
+problem of the record, so the rows of its triangular factor below them are the problem in the shared
+unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TypeVar
+
+import numpy as np
+
+from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.records.preparation import lengthen_steps
+from strainwave.numerics.linalg import triangular_factor
+from strainwave.numerics.parallel import run_parallel
+from strainwave.numerics.trust_region import Flat, Linearised, minimise
+
+MIN_ERROR_SHARE = 1e-3
+"""Minimum standard deviation of residuals, as a share of a channel's standard deviation.
+
+The error of the best models is about as large.
+"""
+
+BLOCKS_PER_RECORD = 10
+"""Blocks per record whose errors are assumed independent."""
+
+_MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
+_INITIAL_ERROR_SHARE = 0.1  # initial standard deviation of residuals, as a share of the channel's
+_STD_PER_MEDIAN = 1.4826  # standard deviation over median absolute deviation, normal distribution
+
+# maximum updates of the robust weights in the solution for record parameters
+_MAX_WEIGHT_UPDATES = 6
+# change of residuals, in standard deviations, at which these updates end
+_ROBUST_WEIGHT_TOLERANCE = 1e-3
+# predicted cost reduction at which the search for initial states ends
+_INITIAL_STATE_TOLERANCE = 0.1
+ROUGH_INITIAL_STATE_TOLERANCE = 0.2
+"""Relative cost reduction at which an approximate search for initial states ends."""
+_MAX_INITIAL_STATE_EVALUATIONS = 12  # maximum evaluations of a search for initial states
+
+MIN_CURVATURE_RATIO = 0.5
+"""Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class Weights:
+    """Scales of the residuals of a record."""
+
+    stds: FloatArray  # (n_channels,) standard deviations of the residuals
+    rows_per_error: FloatArray  # (n_channels,) rows per independent residual
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Unweighted residuals of one record at one point, with derivatives."""
+
+    difference: FloatArray  # (n_rows, n_channels) simulated minus measured
+    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns): record parameters, then shared
+    record_parameters: FloatArray  # (n_own,)
+
+    @property
+    def n_own(self) -> int:
+        """Number of record parameters."""
+        return len(self.record_parameters)
+
+    @property
+    def local(self) -> FloatArray:
+        """Derivatives with respect to the record parameters: (n_rows, n_channels, n_own)."""
+        return self.columns[..., : self.n_own]
+
+    @property
+    def shared(self) -> FloatArray:
+        """Derivatives with respect to the coordinates: (n_rows, n_channels, n_unknowns)."""
+        return self.columns[..., self.n_own :]
+
+    def initial_state_problem(self, weights: Weights) -> Linearised:
+        """Cost and least squares problem in the record parameters only."""
+        residual = self.difference / weights.stds
+        root = np.sqrt(_robust_weight(residual, weights))
+        table = np.concatenate([self.local / weights.stds[:, None], residual[..., None]], axis=2)
+        table = table * root[..., None]
+        factor = triangular_factor(table.reshape(-1, table.shape[2]))
+        return Linearised(_loss(residual, weights), factor)
+
+    def weigh(self, weights: Weights) -> Rows:
+        """Weighted rows, with optimal record parameters."""
+        initial_residual = self.difference / weights.stds
+        columns = (self.local / weights.stds[:, None]).reshape(initial_residual.size, -1)
+        residual, weight = initial_residual, _robust_weight(initial_residual, weights)
+        step = np.zeros(self.n_own)
+        is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
+        for _ in range(_MAX_WEIGHT_UPDATES if self.n_own else 0):
+            step = _solve_weighted(
+                columns, -initial_residual.ravel(), weight.ravel(), is_separable=is_separable
+            )
+            previous, residual = (
+                residual,
+                initial_residual + (columns @ step).reshape(initial_residual.shape),
+            )
+            weight = _robust_weight(residual, weights)
+            if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
+                break
+        return Rows(residual, np.sqrt(weight), self, weights.stds, step)
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Weighted rows of one record with optimal record parameters."""
+
+    residual: FloatArray  # (n_rows, n_channels) in standard deviations
+    root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
+    evaluated: Evaluation
+    stds: FloatArray  # (n_channels,)
+    step: FloatArray  # (n_own,) of the record parameters to their optimum
+
+    @property
+    def local(self) -> FloatArray:
+        """Scaled derivatives by the record parameters: (n_rows, n_channels, n_own)."""
+        return np.asarray(self.evaluated.local / self.stds[:, None])
+
+    @property
+    def shared(self) -> FloatArray:
+        """Scaled derivatives by the coordinates: (n_rows, n_channels, n_unknowns)."""
+        return np.asarray(self.evaluated.shared / self.stds[:, None])
+
+    def factor(self, min_curvature_ratio: float) -> FloatArray:
+        """R of [shared, residual] after elimination of the record parameters.
+
+        R reproduces the gradient of the loss and its mean curvature. The curvature is less than the
+        weights (1 + r^2)^(-1/2) of the gradient, with which steps would be a third too short.
+        `min_curvature_ratio` is its minimum relative to the weights.
+        """
+        square = self.root**2
+        curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
+        curvature = np.sqrt(np.maximum(curvature, min_curvature_ratio))
+        columns, n = self.evaluated.columns, len(self.step)
+        table = np.empty((*self.residual.shape, columns.shape[2] + 1))
+        scale = self.root * (curvature / self.stds)
+        np.multiply(columns, scale[..., None], out=table[..., :-1])
+        np.multiply(self.residual, self.root / curvature, out=table[..., -1])
+        return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
+
+    def cost(self, weights: Weights) -> float:
+        """Soft L1 loss of the record."""
+        return _loss(self.residual, weights)
+
+    def costs(self, weights: Weights) -> FloatArray:
+        """Soft L1 loss of each channel, (n_channels,)."""
+        return _losses(self.residual, weights)
+
+
+@dataclass
+class _Memory:
+    """Record parameters, and cached evaluations at the last point with the last weights."""
+
+    record_parameters: list[FloatArray]
+    last: tuple[bytes, list[Evaluation]] | None = None
+    rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
+    long_steps: tuple[bytes, tuple[Weights, ...], Objective] | None = None
+
+    def store_biases(self, k: int, n_begin: int, optimum: FloatArray) -> None:
+        """Store the sensor biases of a record as the start of the next search."""
+        start = self.record_parameters[k][:n_begin]
+        self.record_parameters[k] = np.concatenate([start, optimum[n_begin:]])
+
+
+@dataclass(frozen=True)
+class Objective:
+    """Weighted residuals of all records as a function of the unknowns."""
+
+    space: ParameterSpace
+    records: tuple[Dataset, ...]
+    weights: tuple[Weights, ...]
+    memory: _Memory = field(repr=False)
+    has_initial_weights: bool = False  # True for initial weights, before any residuals are known
+    # relative cost reduction at which the search for initial states ends
+    initial_state_tolerance: float = 0.0
+
+    @classmethod
+    def of(cls, space: ParameterSpace, records: Sequence[Dataset]) -> Objective:
+        """Create an objective with initial weights: 1/10 of each channel's standard deviation."""
+        weights = []
+        for record in records:
+            spread = _INITIAL_ERROR_SHARE * np.std(record.measured, axis=0)
+            size = np.maximum(spread, record.noise)
+            weights.append(Weights(size, np.ones(len(size))))
+        record_parameters = [
+            np.concatenate([r.start(), np.zeros(_shifts(r).shape[1])]) for r in records
+        ]
+        return cls(
+            space,
+            tuple(records),
+            tuple(weights),
+            _Memory(record_parameters),
+            has_initial_weights=True,
+        )
+
+    def linearise(self, z: FloatArray) -> Linearised | None:
+        """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
+        min_curvature_ratio = 1.0 if self.has_initial_weights else MIN_CURVATURE_RATIO
+
+        def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
+            rows = evaluated.weigh(self.weights[k])
+            self.memory.store_biases(
+                k, len(self.records[k].local), evaluated.record_parameters + rows.step
+            )
+            return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
+
+        try:
+            evaluated_records = self._map_evaluated(z, linearised)
+        except (InvalidInput, NumericalFailure):
+            return None
+        self.memory.rows = z.tobytes(), self.weights, [rows for rows, _ in evaluated_records]
+        parts = [part for _, part in evaluated_records]
+        cost = sum(part.cost for part in parts)
+        slope, prior = self.space.linearise_prior(z)
+        stacked = np.concatenate([*(p.factor for p in parts), np.column_stack([slope, prior])])
+        if not np.isfinite(stacked).all():  # the derivatives of very stiff candidates overflow
+            return None
+        return Linearised(float(cost + np.sum(prior**2)), triangular_factor(stacked))
+
+    def rows(self, z: FloatArray) -> list[Rows]:
+        """Weighted rows of every record at z, with optimal record parameters."""
+        point, cached = z.tobytes(), self.memory.rows
+        if cached is not None and cached[0] == point and cached[1] is self.weights:
+            return cached[2]
+        rows = self._map_evaluated(z, lambda k, evaluated: evaluated.weigh(self.weights[k]))
+        self.memory.rows = point, self.weights, rows
+        return rows
+
+    def evaluate(self, z: FloatArray) -> list[Evaluation]:
+        """Unweighted residuals and derivatives of every record at z."""
+        return self._map_evaluated(z, lambda _, evaluated: evaluated)
+
+    def update_weights(self, z: FloatArray) -> Objective:
+        """Update the weights from the residuals at z."""
+        weights = []
+        for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
+            errors = rows.residual * old.stds
+            minimum = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(record.measured, axis=0))
+            stds = np.maximum(_robust_std(errors), minimum)
+            weights.append(
+                Weights(stds, np.array([estimate_rows_per_error(column) for column in errors.T]))
+            )
+        return replace(self, weights=tuple(weights), has_initial_weights=False)
+
+    def replace_unknowns(self, space: ParameterSpace) -> Objective:
+        """Replace the shared unknowns."""
+        return replace(self, space=space, memory=_Memory(list(self.memory.record_parameters)))
+
+    def select_record(self, k: int) -> Objective:
+        """Restrict the objective to record k."""
+        memory = _Memory([self.memory.record_parameters[k]])
+        return replace(
+            self, records=self.records[k : k + 1], weights=self.weights[k : k + 1], memory=memory
+        )
+
+    def add_initial_states(self, k: int, start: FloatArray | None = None) -> Objective:
+        """Add initial states to record k, starting at `start` or at default values."""
+        record, record_parameters = (
+            replace(self.records[k], begins_in_motion=True),
+            list(self.memory.record_parameters),
+        )
+        biases = record_parameters[k][len(self.records[k].local) :]
+        record_parameters[k] = np.concatenate([record.start(), biases]) if start is None else start
+        records = (*self.records[:k], record, *self.records[k + 1 :])
+        return replace(self, records=records, memory=_Memory(record_parameters))
+
+    def correct_step_error(self, z: FloatArray) -> Objective:
+        """Correct the integrator step error of all records at z."""
+        evaluated, values = self.evaluate(z), self.space.values(z)
+
+        def corrected(k: int, record: Dataset) -> Dataset:
+            return record.correct_step_error(
+                values, self.memory.record_parameters[k][: len(record.local)]
+            )
+
+        records = tuple(self._map_records(corrected))
+        pairs = zip(evaluated, records, self.records, strict=True)
+        shifted = [
+            replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
+            for e, n, o in pairs
+        ]
+        memory = _Memory(list(self.memory.record_parameters), (z.tobytes(), shifted))
+        return replace(self, records=records, memory=memory)
+
+    def lengthen_steps(self, z: FloatArray) -> Objective:
+        """Lengthen the integrator steps, with the same rows, weights and residuals at z.
+
+        The step error at z is subtracted from each row, so near z only the derivatives have the
+        error of the longer steps. Returns the objective itself if the arm cannot be simulated in
+        longer steps.
+        """
+        cached = self.memory.long_steps
+        if cached is not None and cached[0] == z.tobytes() and cached[1] is self.weights:
+            return cached[2]
+        rows = self.rows(z)
+        record_parameters = [row.evaluated.record_parameters + row.step for row in rows]
+
+        def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluation]:
+            long = lengthen_steps(record)
+            n_rows = len(long.time)
+            residual = (rows[k].residual * self.weights[k].stds)[:n_rows]
+            counted = None if record.is_counted is None else record.is_counted[:n_rows]
+            long = replace(long, step_error_correction=np.zeros_like(residual), is_counted=counted)
+            evaluated = self._evaluate_from(long, z, record_parameters[k])
+            if not np.isfinite(evaluated.columns).all():
+                raise NumericalFailure("the derivatives overflow in long steps")
+            long = replace(long, step_error_correction=residual - evaluated.difference)
+            return long, replace(evaluated, difference=residual)
+
+        try:
+            pairs = self._map_records(lengthened)
+        except (InvalidInput, NumericalFailure):
+            return self
+        records = tuple(record for record, _ in pairs)
+        memory = _Memory(record_parameters, (z.tobytes(), [evaluated for _, evaluated in pairs]))
+        long = replace(self, records=records, memory=memory)
+        self.memory.long_steps = z.tobytes(), self.weights, long
+        return long
+
+    def store_step_errors(self, z: FloatArray) -> Objective:
+        """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
+        values = self.space.values(z)
+
+        def stored(k: int, record: Dataset) -> Dataset:
+            return record.store_step_error(
+                values, self.memory.record_parameters[k][: len(record.local)]
+            )
+
+        return replace(self, records=tuple(self._map_records(stored)))
+
+    def replace_records(self, records: Sequence[Dataset]) -> Objective:
+        """Replace the rows of the records; weights and record parameters stay."""
+        return replace(
+            self, records=tuple(records), memory=_Memory(list(self.memory.record_parameters))
+        )
+
+    def blocks(self) -> list[IntArray]:
+        """Block number of each row, one array (n_rows,) per record, counted over all records."""
+        blocks = []
+        for k, record in enumerate(self.records):
+            n = len(record.time)
+            blocks.append(k * BLOCKS_PER_RECORD + np.arange(n) * BLOCKS_PER_RECORD // n)
+        return blocks
+
+    def fit_percentages(self, z: FloatArray) -> dict[str, dict[str, float]]:
+        """Fit percentage by record and channel, 100 (1 - |y - yhat| / |y - mean(y)|).
+
+        It is NaN for a channel that hardly exceeds its noise.
+        """
+        percentages = {}
+        for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
+            difference = np.linalg.norm(rows.residual * weights.stds, axis=0)
+            spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
+            is_at_rest = spread < _MIN_SIGNAL_TO_NOISE * record.noise * np.sqrt(len(record.time))
+            fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
+            names = [channel.name.replace("theta", "omega") for channel in record.channels]
+            percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
+        return percentages
+
+    def _map_evaluated(self, z: FloatArray, work: Callable[[int, Evaluation], T]) -> list[T]:
+        """Apply `work` to the evaluation of every record at z, which is cached."""
+        point, last = z.tobytes(), self.memory.last
+        cached = last[1] if last is not None and last[0] == point else None
+
+        def evaluate_and_apply(k: int, record: Dataset) -> tuple[Evaluation, T]:
+            evaluated = cached[k] if cached is not None else self._evaluate_record(k, record, z)
+            return evaluated, work(k, evaluated)
+
+        results = self._map_records(evaluate_and_apply)
+        self.memory.last = point, [evaluated for evaluated, _ in results]
+        return [result for _, result in results]
+
+    def _evaluate_record(self, k: int, record: Dataset, z: FloatArray) -> Evaluation:
+        """Evaluate record k at z, with optimal initial states if it begins in motion."""
+        if not record.begins_in_motion:
+            return self._evaluate_from(record, z, self.memory.record_parameters[k])
+        results: dict[bytes, Evaluation] = {}
+
+        def linearise(x: FloatArray) -> Linearised | None:
+            try:
+                results[x.tobytes()] = self._evaluate_from(record, z, x)
+            except (InvalidInput, NumericalFailure):
+                return None
+            return results[x.tobytes()].initial_state_problem(self.weights[k])
+
+        minimum = minimise(
+            linearise,
+            self.memory.record_parameters[k],
+            Flat(),
+            tolerance=_INITIAL_STATE_TOLERANCE,
+            relative=self.initial_state_tolerance,
+            max_evaluations=_MAX_INITIAL_STATE_EVALUATIONS,
+        )
+        if minimum is None:
+            raise NumericalFailure(f"{record.log.name} cannot be simulated from its initial state")
+        self.memory.record_parameters[k] = minimum.x
+        return results[minimum.x.tobytes()]
+
+    def _evaluate_from(
+        self, record: Dataset, z: FloatArray, record_parameters: FloatArray
+    ) -> Evaluation:
+        """Evaluate a record at z with given record parameters (n_own,)."""
+        n_begin, n = len(record.local), len(self.space.unknowns)
+        n_own = len(record_parameters)
+        values = self.space.values(z)
+        channels, tangent = record.linearised(values, record_parameters[:n_begin], self.space.keys)
+        shifts = _shifts(record)
+        columns = np.empty((*channels.shape, n_own + n))
+        columns[..., :n_begin] = tangent[..., n:]
+        columns[..., n_begin:n_own] = shifts
+        columns[..., n_own:] = tangent[..., :n] @ self.space.slope(z)
+        difference = channels + shifts @ record_parameters[n_begin:] - record.observed(values)
+        if record.is_counted is not None:  # zero rows carry no information
+            difference = difference * record.is_counted
+            columns *= record.is_counted[..., None]
+        return Evaluation(difference, columns, record_parameters.copy())
+
+    def simulated(self, z: FloatArray) -> list[FloatArray]:
+        """Simulated channels (n_rows, n_channels) of every record at z.
+
+        They exclude scale factors, biases and drifts.
+        """
+        values = self.space.values(z)
+        simulated = []
+        for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
+            shift = _shifts(record) @ evaluated.record_parameters[len(record.local) :]
+            channels = (
+                evaluated.difference - shift + record.observed(values) - record.drifts(values)
+            )
+            simulated.append(channels / record.sensor_scales(values))
+        return simulated
+
+    def factor_with_columns(
+        self,
+        z: FloatArray,
+        n_columns: int,
+        columns_of: Callable[[int, Evaluation], FloatArray],
+        prior_rows: FloatArray | None = None,
+    ) -> FloatArray:
+        """R of [unknowns, additional columns, residual], with optimal record parameters.
+
+        `z` (n_unknowns,) is the end of a search. `columns_of` returns the additional columns
+        (n_rows, n_channels, n_columns) for a record number and its evaluation. `prior_rows`
+        (n_prior, n_columns) are the rows of these columns in the prior, zero by default.
+
+        R has n_unknowns + n_columns + 1 columns. Its rows from n_unknowns on are the R of
+        [additional columns, residual] after elimination of the unknowns.
+        """
+        evaluated = self.evaluate(z)
+
+        def factor(k: int, _: Dataset) -> FloatArray:
+            columns = np.concatenate([evaluated[k].columns, columns_of(k, evaluated[k])], axis=2)
+            extended = replace(evaluated[k], columns=columns)
+            return extended.weigh(self.weights[k]).factor(MIN_CURVATURE_RATIO)
+
+        prior_columns, prior_residual = self.space.linearise_prior(z)
+        border = np.zeros((len(prior_columns), n_columns))
+        if prior_rows is not None:
+            border[: len(prior_rows)] = prior_rows
+        stacked = np.concatenate(
+            [*self._map_records(factor), np.column_stack([prior_columns, border, prior_residual])]
+        )
+        return np.asarray(np.linalg.qr(stacked, mode="r"))
+
+    def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
+        """Apply `work` to every record in parallel threads; simulations release the GIL."""
+        return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
+
+
+def _solve_weighted(
+    columns: FloatArray, target: FloatArray, weight: FloatArray, *, is_separable: bool
+) -> FloatArray:
+    """Weighted least squares.
+
+    With `is_separable`, no row has two nonzero columns, and each coefficient is a weighted mean.
+    """
+    if not is_separable:
+        root = np.sqrt(weight)
+        return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
+    weighted = columns * weight[:, None]
+    return np.asarray((target @ weighted) / np.einsum("ij,ij->j", columns, weighted))
+
+
+def _loss(residual: FloatArray, weights: Weights) -> float:
+    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / rows per independent error."""
+    return float(np.sum(_losses(residual, weights)))
+
+
+def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
+    """Soft L1 loss of each channel, (n_channels,)."""
+    loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
+    return np.asarray(loss / weights.rows_per_error)
+
+
+def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
+    """Weights (1 + r^2)^(-1/2) / rows per independent error (soft L1 loss)."""
+    return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.rows_per_error))
+
+
+def _shifts(record: Dataset) -> FloatArray:
+    """Columns (n_channels, n_biases) of the sensor biases, equal in every row."""
+    biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
+    columns = np.zeros((len(record.channels), len(biased)))
+    columns[biased, range(len(biased))] = 1.0
+    return columns
+
+
+def _robust_std(errors: FloatArray) -> FloatArray:
+    """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
+    typical = _STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
+    return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
+
+
+def estimate_rows_per_error(column: FloatArray) -> float:
+    """Rows per independent error of a series (n_rows,), from its autocorrelation."""
+    return rows_per_error(spectrum_and_autocovariance(column)[1][: len(column) // 2])
+
+
+def spectrum_and_autocovariance(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
+
+    Both are without the mean; the autocovariance starts at lag zero.
+    """
+    n = len(column)
+    spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
+    return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
+
+
+def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
+    """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
+
+    `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
+    zero.
+    """
+    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
+
+
+def filtered_rows_per_error(record: Dataset) -> FloatArray:
+    """Rows per independent error (n_channels,) of filtered white noise."""
+    kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
+    return np.array(
+        [rows_per_error(white_noise_autocovariance(k, record.kernels.step)) for k in kernels]
+    )
+
+
+def rows_per_error(covariance: FloatArray) -> float:
+    """Variance inflation factor: 1 + 2 sum of autocorrelations before the first negative one.
+
+    `covariance` (n_lags,) starts at lag zero.
+    """
+    if covariance[0] <= 0.0:
+        return 1.0
+    correlation = covariance / covariance[0]
+    negative = np.flatnonzero(correlation < 0.0)
+    n_lags = negative[0] if negative.size else len(correlation)
+    return float(1.0 + 2.0 * np.sum(correlation[1:n_lags]))

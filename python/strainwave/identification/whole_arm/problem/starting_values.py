@@ -1,0 +1,135 @@
+"""Starting values of the whole-arm fit, from the preceding stages or typical of such arms.
+
+A physically impossible estimate, such as negative gear damping, indicates an error in the data or
+the study. A typical value replaces it, with a warning, so that the fit can locate the error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from strainwave.domain import Diagnostic, JointModel, RigidModel
+from strainwave.domain.combinations import value_of
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.kinds import kind_of
+from strainwave.domain.kinds.starts import StageInertias, is_positive
+from strainwave.domain.parameters import unit_of
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
+
+VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
+COULOMB = "motor_coulomb_friction"
+OFFSET = "friction_offset"
+
+_MIN_FRICTION_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
+# typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz
+_TYPICAL_ANTI_RESONANCE_HZ = 15.0
+_TYPICAL_DAMPING_RATIO = 0.03  # typical damping ratio of strain-wave gears
+# range of starting damping ratios, as search ranges are relative to them
+_DAMPING_RATIO_RANGE = (0.01, 0.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Starts:
+    """Starting values, and the physically impossible estimates of preceding stages."""
+
+    values: Values
+    rejected: Mapping[Key, float]
+
+
+def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) -> Starts:
+    """Starting values of all parameters of an arm with linear gears.
+
+    `joints` has one model per joint. `model` may be None for a single joint without gravity. Raises
+    `NotIdentifiable` if a joint has no model, or if the rigid model lacks an estimate for which no
+    typical value exists.
+    """
+    models = _models_by_joint(joints, arm)
+    estimates = StageInertias(
+        motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
+        link={number: joint.values["link_inertia"] for number, joint in models.items()},
+        rigid={(p.name, p.joint): p.value for p in model.parameters} if model else {},
+    )
+    start, rejected = kind_of(arm).starting_inertias(arm, estimates)
+    if arm.gravity is not None:
+        for i in range(1, arm.n_joints + 1):
+            start[f"gravity_torque_{i}", None] = estimates.require_rigid(f"gravity_torque_{i}")
+    for number in sorted(models):
+        values = models[number].values
+        stiffness, damping = values["gear_stiffness"], values["gear_damping"]
+        link_inertia = value_of(arm.link_inertia(number), start)
+        if not is_positive(stiffness):
+            rejected["gear_stiffness", number] = stiffness
+            stiffness = (2.0 * np.pi * _TYPICAL_ANTI_RESONANCE_HZ) ** 2 * link_inertia
+        critical = 2.0 * float(np.sqrt(stiffness * link_inertia))
+        if not is_positive(damping):
+            rejected["gear_damping", number] = damping
+            damping = _TYPICAL_DAMPING_RATIO * critical
+        damping = min(
+            max(damping, _DAMPING_RATIO_RANGE[0] * critical), _DAMPING_RATIO_RANGE[1] * critical
+        )
+        friction = _friction(model, models[number], arm, number)
+        for name, value in friction.items():
+            start[name, number] = value
+        start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping
+    return Starts(start, rejected)
+
+
+def warn_rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
+    """Warn of each estimate that a typical value replaces."""
+    for (name, joint), value in starts.rejected.items():
+        place = name if joint is None else f"{name} of joint {joint}"
+        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
+        text = (
+            f"the estimate of the earlier stages, {value:.3g} {unit}, is physically impossible; the"
+        )
+        text += f" whole-arm fit starts from the typical value {starts.values[name, joint]:.3g}"
+        yield Diagnostic("start-rejected", place, text)
+
+
+def _friction(
+    model: RigidModel | None, joint: JointModel, arm: Arm, number: int
+) -> dict[str, float]:
+    """Viscous friction of the joint model; Coulomb friction and offset of the rigid model."""
+    values = _split_friction(joint.values, arm.joints[number - 1].gear_ratio)
+    friction = {name: values[name] for name in VISCOUS}
+    friction[OFFSET] = _rigid_estimate(model, OFFSET, number) or 0.0
+    coulomb = _rigid_estimate(model, COULOMB, number)  # some joint models have no Coulomb friction
+    return friction | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
+
+
+def _split_friction(values: Mapping[str, float], ratio: float) -> dict[str, float]:
+    """Split the total viscous friction so that neither motor nor link has a negative share."""
+    repaired = dict(values)
+    motor, link = (values[name] for name in VISCOUS)
+    minimum = _MIN_FRICTION_SHARE * abs(motor + ratio**2 * link)
+    if motor < minimum:
+        repaired[VISCOUS[0]] = minimum
+        repaired[VISCOUS[1]] = max(link + (motor - minimum) / ratio**2, minimum / ratio**2)
+    elif ratio**2 * link < minimum:
+        repaired[VISCOUS[1]] = minimum / ratio**2
+        repaired[VISCOUS[0]] = max(motor + ratio**2 * link - minimum, minimum)
+    return repaired
+
+
+def _models_by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointModel]:
+    """Models by joint number; raises `NotIdentifiable` if a joint has none."""
+    models = {joint.joint: joint for joint in joints}
+    for number, joint in enumerate(arm.joints, start=1):
+        if not joint.elastic or number not in models:
+            raise NotIdentifiable(
+                f"the whole-arm fit starts from a model of each elastic joint, and joint {number}"
+                ' has none: record it with use = "frequency"'
+            )
+    return models
+
+
+def _rigid_estimate(model: RigidModel | None, name: str, joint: int) -> float | None:
+    """Estimate of the rigid model; None if there is none."""
+    for parameter in model.parameters if model is not None else ():
+        if (parameter.name, parameter.joint) == (name, joint):
+            return parameter.value
+    return None

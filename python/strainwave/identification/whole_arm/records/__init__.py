@@ -1,0 +1,1 @@
+"""Records prepared for the comparison with simulations."""

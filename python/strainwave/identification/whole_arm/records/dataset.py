@@ -1,0 +1,555 @@
+"""A record prepared for the comparison of measured and simulated channels.
+
+The recorded voltages drive the simulated arm, so that the servo may be unknown. Angles are compared
+as velocities, because open-loop angles drift. The same linear-phase low-pass filters the measured
+and the simulated channels, which are then decimated to rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray, Log
+from strainwave.domain.keys import Key
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import (
+    bandwidth_of,
+    delay_of,
+    differentiate_rows,
+    drift_of,
+    is_bandwidth,
+    is_of_mount,
+    is_sensor_constant,
+    list_sensor_constants,
+    mount_of,
+    mount_resonance,
+    scale_of,
+)
+from strainwave.dynamics.mount_resonance import MountResonance
+from strainwave.dynamics.mounting import (
+    ACCELEROMETER_TILT,
+    Axis,
+    factors,
+    is_mounting,
+    is_scale_identifiable,
+    slopes,
+)
+from strainwave.dynamics.record_effects import RecordInputs, record_inputs
+from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
+from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
+from strainwave.numerics.filters import noise_std
+
+INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
+"""Unknown initial states of a record that begins in motion, one of each per joint."""
+
+INITIAL_INTERVAL = 0.02
+"""Time [s] from the start in which initial velocity and standstill are estimated."""
+
+_REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
+# steps per period of the cut-off (600 per resonance period): negligible error
+_REFINED_STEPS_PER_PERIOD = 120.0
+_RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
+# sensors with a bandwidth
+_SENSORS_WITH_BANDWIDTH = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One compared signal of one joint."""
+
+    name: str
+    joint: int  # from 1
+    quantity: Quantity
+    rate: bool  # True for an angle, which is compared as a velocity
+    shifted: bool  # whether it has an unknown bias
+    axis: Axis | None = None  # of a sensor of unknown mounting
+
+    @property
+    def sensor(self) -> str:
+        """Name of the sensor in the keys of its constants."""
+        return self.quantity if self.axis is None else self.axis.sensor
+
+    @property
+    def scaled(self) -> str:
+        """Name of the sensor or axis in the key of its scale factor."""
+        return self.quantity if self.axis is None else self.axis.scaled
+
+    @property
+    def reads(self) -> tuple[Quantity, ...]:
+        """Simulated quantities that the channel requires."""
+        return (self.quantity,) if self.axis is None else self.axis.quantities
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """A record with its simulation inputs and its filtered measured channels."""
+
+    log: Log
+    arm: Arm  # without encoder quantisation, so that the outputs are smooth in the parameters
+    cutoff_hz: float
+    drive: Drive
+    channels: tuple[Channel, ...]
+    kernels: Kernels
+    time: FloatArray  # (n_rows,) [s]
+    measured: FloatArray  # (n_rows, n_channels)
+    noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
+    counts: tuple[float, ...]  # resolution of each channel; zero if unknown
+    begins_in_motion: bool  # whether it begins in motion
+    max_time_step: float  # [s] of the integrator
+    step_error_correction: (
+        FloatArray  # (n_rows, n_channels) correction of the integrator step error
+    )
+    # (n_rows, n_channels) False where a row contains masked samples; None if none does
+    is_counted: BoolArray | None = field(default=None, kw_only=True)
+    # (n_rows, n_channels) step error at the last correction; None if there was none
+    step_error: FloatArray | None = field(default=None, kw_only=True)
+
+    @property
+    def local(self) -> tuple[tuple[str, int], ...]:
+        """Unknown initial states, (name, joint)."""
+        if not self.begins_in_motion:
+            return ()
+        return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
+
+    def start(self) -> FloatArray:
+        """Starting values (n_local,) of the initial states, with unloaded gears."""
+        if not self.begins_in_motion:
+            return np.zeros(0)
+        n, T = self.arm.n_joints, self.log.sample_time
+        n_first = max(2, round(INITIAL_INTERVAL / T))
+        ratios = np.array([joint.gear_ratio for joint in self.arm.joints])
+        angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:n_first] for i in range(n)])
+        slope, origin = np.polyfit(T * np.arange(n_first), angle, 1)
+        return np.concatenate([slope, ratios * origin, ratios * slope])
+
+    def run(
+        self,
+        values: Mapping[Key, float],
+        local: FloatArray,
+        record: Sequence[Quantity],
+    ) -> dict[Quantity, FloatArray]:
+        """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
+        inputs = self._inputs(values)
+        runs = simulate_arms(
+            self._arm_at(values),
+            [inputs.values],
+            inputs.shift_start(self._start_at(local)),
+            sample_time=self.log.sample_time,
+            samples=len(self.log),
+            record=record,
+            max_time_step=self.max_time_step,
+        )
+        return {name: run[0] for name, run in runs.items()}
+
+    def linearised(
+        self,
+        values: Mapping[Key, float],
+        local: FloatArray,
+        directions: Sequence[Key],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Simulated channels without biases (n_rows, n_channels), and their derivatives.
+
+        The derivatives (n_rows, n_channels, n_directions + n_local) are those with respect to the
+        `directions`, which are parameters and sensor constants, and then to the initial states.
+        """
+        inputs = self._inputs(values)
+        simulated = [key for key in directions if not is_sensor_constant(key)]
+        core_directions = inputs.directions(simulated)
+        resonates = self._has_resonant_mount(values)
+        runs = sensitivities(
+            self._arm_at(values),
+            inputs.values,
+            inputs.shift_start(self._start_at(local)),
+            [*core_directions, *self.local],
+            sample_time=self.log.sample_time,
+            samples=len(self.log),
+            record=self.quantities(),
+            max_time_step=self.max_time_step,
+            low_pass=None if resonates else self.low_pass(),
+        )
+        motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
+        to_channels = self.filtered_channels if resonates else self._stack_channels
+        channels, tangent = (
+            to_channels(motion, values) + self.step_error_correction,
+            to_channels(slopes, values),
+        )
+        tangent = inputs.by_parameters(tangent, core_directions, simulated)
+        scales = self.sensor_scales(values)
+        if np.any(scales != 1.0):
+            tangent = tangent * scales[:, None]
+        if len(simulated) < len(directions):
+            sensor_places = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
+            keys = [directions[k] for k in sensor_places]
+            by_sensors = self._sensor_tangent(channels, motion, values, local, keys)
+            columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
+            columns[..., np.delete(np.arange(columns.shape[2]), sensor_places)] = tangent
+            columns[..., sensor_places] = by_sensors
+            tangent = columns
+        return channels * scales + self.drifts(values), tangent
+
+    def _inputs(self, values: Mapping[Key, float]) -> RecordInputs:
+        """Inputs of the compiled core, with the effects that are realised through inputs."""
+        return record_inputs(
+            self.arm, dict(values), self.log.name, hanging=not self.begins_in_motion
+        )
+
+    def _arm_at(self, values: Mapping[Key, float]) -> Arm:
+        """The arm with the sensor bandwidths of `values`."""
+        bandwidths = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
+        return with_bandwidths(self.arm, bandwidths) if bandwidths else self.arm
+
+    def observed(self, values: Mapping[Key, float]) -> FloatArray:
+        """Measured channels (n_rows, n_channels), advanced by the delays of their sensors.
+
+        The first and the last sample extend the record.
+        """
+        delays = [
+            values.get(key, 0.0) if (key := delay_of(c.sensor, c.joint)) else 0.0
+            for c in self.channels
+        ]
+        if not any(delays):
+            return self.measured
+        T, channels = self.log.sample_time, self.measured.copy()
+        for k, (channel, delay) in enumerate(zip(self.channels, delays, strict=True)):
+            if not delay:
+                continue
+            n_delay = round(delay / T)
+            raw = self.log.channels[channel.name]
+            advanced = raw[np.clip(np.arange(len(raw)) + n_delay, 0, len(raw) - 1)]
+            kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_delay)
+            channels[:, k] = kernels.rows(advanced, rate=channel.rate)
+        return channels
+
+    def sensor_tangent(
+        self,
+        simulated: FloatArray,
+        values: Mapping[Key, float],
+        local: FloatArray,
+        keys: Sequence[Key],
+    ) -> FloatArray:
+        """Derivatives of simulated minus measured channels with respect to sensor constants.
+
+        s x(t) + r (t - t_m) - y(t + D) has the derivatives x with respect to s, t - t_m with
+        respect to r, and -y' with respect to D, approximated by -s x'. `simulated` (n_rows,
+        n_channels) is x, without scale factors; `local` (n_local,) are the initial states; `keys`
+        are sensor constants. Returns (n_rows, n_channels, n_keys).
+        """
+        motion: Mapping[Quantity, FloatArray] = {}
+        if any(is_mounting(key) or is_of_mount(key) for key in keys):
+            motion = self.run(values, local, self.quantities())
+            motion = motion if self._has_resonant_mount(values) else self._rows(motion)
+        return self._sensor_tangent(simulated, motion, values, local, keys)
+
+    def _sensor_tangent(
+        self,
+        simulated: FloatArray,
+        motion: Mapping[Quantity, FloatArray],
+        values: Mapping[Key, float],
+        local: FloatArray,
+        keys: Sequence[Key],
+    ) -> FloatArray:
+        """`sensor_tangent` for a given motion.
+
+        `motion` holds samples (n_samples, n_joints) if any mount resonates, otherwise rows
+        (n_rows, n_joints).
+        """
+        tangent, scales = np.zeros((*simulated.shape, len(keys))), self.sensor_scales(values)
+        row_time = self.kernels.step * self.log.sample_time
+        mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
+        for k, channel in enumerate(self.channels):
+            for at, key in enumerate(keys):
+                if key == scale_of(channel.scaled, channel.joint):
+                    tangent[:, k, at] = simulated[:, k]
+                elif key == drift_of(channel.scaled, channel.joint, self.log.name):
+                    tangent[:, k, at] = self.since_middle
+                elif key == delay_of(channel.sensor, channel.joint):
+                    tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
+            for key, slope in self._mount_slopes(channel, motion, values, keys).items():
+                tangent[:, k, keys.index(key)] = scales[k] * slope
+            if channel.axis is not None and mounting:
+                quantities = np.stack(
+                    [motion[name][:, channel.joint - 1] for name in channel.reads], 1
+                )
+                if self._has_resonant_mount(values):
+                    quantities = self.kernels.rows(
+                        self._filter_by_mount(channel, quantities, values), rate=False
+                    )
+                by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
+                tangent[:, k, mounting] += scales[k] * quantities @ by
+        bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
+        if bandwidths:
+            wider = {
+                keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
+            }
+            runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
+            wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
+            for k, channel in enumerate(self.channels):
+                for at in bandwidths:
+                    if keys[at] == bandwidth_of(channel.sensor, channel.joint):
+                        by = (wider_rows[:, k] - nominal[:, k]) / (
+                            _RELATIVE_BANDWIDTH_STEP * values[keys[at]]
+                        )
+                        tangent[:, k, at] = scales[k] * by
+        return tangent
+
+    def _mount_slopes(
+        self,
+        channel: Channel,
+        motion: Mapping[Quantity, FloatArray],
+        values: Mapping[Key, float],
+        keys: Sequence[Key],
+    ) -> dict[Key, FloatArray]:
+        """Derivatives of a channel's rows by its mount constants, without scale factors."""
+        mount, names = self._mount_of(channel, values), mount_of(channel.sensor, channel.joint)
+        if mount is None or names is None or not any(name in keys for name in names):
+            return {}
+        slopes = mount.slopes(self._reading(channel, motion, values), self.log.sample_time)
+        pairs = zip(names, slopes, strict=True)
+        return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
+
+    def sensor_constants(self) -> list[Key]:
+        """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
+        constants = list(list_sensor_constants((c.sensor, c.joint) for c in self.channels))
+        axes = self._axes()
+        for axis in axes:
+            joint_axes = [one for one in axes if one.joint == axis.joint]
+            scale = scale_of(axis.scaled, axis.joint)
+            is_separate = is_scale_identifiable(axis, joint_axes, self.arm)
+            if scale is not None and is_separate and scale not in constants:
+                constants.append(scale)
+            if scale in constants and not is_separate:
+                constants.remove(scale)
+            if axis.kind == "tangential":
+                constants.append((ACCELEROMETER_TILT, axis.joint))
+        drifts = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels if c.shifted)
+        return [*constants, *(key for key in drifts if key is not None)]
+
+    def tables(self, values: Mapping[Key, float], axes: Sequence[Axis]) -> list[FloatArray]:
+        """For each axis, the simulated quantities that it combines and, last, its reading.
+
+        Each table (n_rows, n_quantities + 1) has zero column means. The simulation starts from the
+        initial states of `start`. The table of an axis that the record lacks has no rows.
+        """
+        rows = self._rows(self.run(values, self.start(), self.quantities()))
+        at = {channel.axis: k for k, channel in enumerate(self.channels)}
+        tables = []
+        for axis in axes:
+            parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
+            table = np.zeros((0, len(axis.quantities) + 1))
+            if axis in at:
+                table = np.column_stack([*parts, self.measured[:, at[axis]]])
+                table = table - table.mean(axis=0)
+            tables.append(table)
+        return tables
+
+    def _axes(self) -> list[Axis]:
+        """Sensor axes of unknown mounting."""
+        return [channel.axis for channel in self.channels if channel.axis is not None]
+
+    def sensor_scales(self, values: Mapping[Key, float]) -> FloatArray:
+        """Scale factors (n_channels,), one where a sensor has none."""
+        keys = (scale_of(channel.scaled, channel.joint) for channel in self.channels)
+        return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
+
+    def drifts(self, values: Mapping[Key, float]) -> FloatArray:
+        """Contribution (n_rows, n_channels) of the sensor drifts to the channels."""
+        keys = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels)
+        rates = [0.0 if key is None else values.get(key, 0.0) for key in keys]
+        return np.outer(self.since_middle, rates)
+
+    @property
+    def since_middle(self) -> FloatArray:
+        """Time (n_rows,) [s] minus its mean, so that a drift does not change the mean."""
+        return np.asarray(self.time - np.mean(self.time))
+
+    def correct_step_error(self, values: Mapping[Key, float], local: FloatArray) -> Dataset:
+        """Correct the integrator step error and the noise estimate at the given parameters.
+
+        The step error changes little near these parameters, so a search can continue in long steps.
+        The noise estimate excludes the simulated motion.
+        """
+        exact, error = self._step_error(values, local)
+        noise = np.minimum(self.noise, self._residual_noise(exact, values))
+        correction = (
+            error
+            if self.step_error is None
+            else self.step_error_correction + error - self.step_error
+        )
+        return replace(self, step_error_correction=correction, noise=noise, step_error=error)
+
+    def store_step_error(self, values: Mapping[Key, float], local: FloatArray) -> Dataset:
+        """Store the step error for a record whose `lacking` already contains it."""
+        return replace(self, step_error=self._step_error(values, local)[1])
+
+    def _step_error(
+        self, values: Mapping[Key, float], local: FloatArray
+    ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
+        """Simulation in shorter steps, and its channels minus those in the steps of the record."""
+        step = min(
+            self.max_time_step / _REFINEMENT_FACTOR,
+            1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
+        )
+        refined = replace(self, max_time_step=step)
+        exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
+        return exact, self.filtered_channels(exact, values) - self.filtered_channels(coarse, values)
+
+    def _residual_noise(
+        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
+    ) -> FloatArray:
+        """Filtered sensor noise (n_channels,) from the residuals of the unfiltered samples.
+
+        This is an upper bound. It is tighter than that of the samples alone if the motion is fast
+        relative to the sampling rate.
+        """
+        scales = self.sensor_scales(values)
+        residuals = [
+            self.log.channels[c.name]
+            - scale * self._filter_by_mount(c, self._reading(c, runs, values), values)
+            for c, scale in zip(self.channels, scales, strict=True)
+        ]
+        return noise_behind(self.channels, residuals, self.kernels, self.counts)
+
+    def _start_at(self, local: FloatArray) -> Drive:
+        """Inputs of the simulation with initial states (n_local,)."""
+        if not self.begins_in_motion:
+            return self.drive
+        parts = local.reshape(len(INITIAL_STATES), -1).tolist()
+        velocity, link, link_velocity = (tuple(part) for part in parts)
+        return replace(
+            self.drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity
+        )
+
+    def quantities(self) -> list[Quantity]:
+        """Simulated quantities that the channels require."""
+        return list(dict.fromkeys(name for channel in self.channels for name in channel.reads))
+
+    def low_pass(self) -> LowPass:
+        """Low-pass taps of each simulated quantity."""
+        taps = {name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.reads}
+        return LowPass(taps, self.kernels.step)
+
+    def filtered_channels(
+        self,
+        runs: Mapping[Quantity, FloatArray],
+        values: Mapping[Key, float] | None = None,
+    ) -> FloatArray:
+        """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
+
+        `values` must contain the mountings of sensors of unknown mounting.
+        """
+        known_values = values or {}
+        if not self._has_resonant_mount(known_values):
+            return self._stack_channels(self._rows(runs), known_values)
+        readings = [
+            self._filter_by_mount(c, self._reading(c, runs, known_values), known_values)
+            for c in self.channels
+        ]
+        pairs = zip(readings, self.channels, strict=True)
+        return np.stack([self.kernels.rows(x, rate=c.rate) for x, c in pairs], axis=1)
+
+    def mount_tangent(
+        self,
+        values: Mapping[Key, float],
+        local: FloatArray,
+        mounts: Mapping[tuple[Key, Key], Sequence[MountResonance]],
+    ) -> FloatArray:
+        """Change of the channels by candidate mount resonances, one at a time.
+
+        `local` (n_local,) are the initial states. `mounts` maps the frequency and damping keys of a
+        sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of the
+        mapping.
+        """
+        runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
+        tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
+        changes = np.zeros((len(self.time), len(self.channels), len(tested)))
+        for k, channel in enumerate(self.channels):
+            reading = self._reading(channel, runs, values)
+            for at, (names, mount) in enumerate(tested):
+                if names == mount_of(channel.sensor, channel.joint):
+                    change = mount.read(reading, self.log.sample_time) - reading
+                    changes[:, k, at] = scales[k] * self.kernels.rows(change, rate=channel.rate)
+        return changes
+
+    def _mount_of(self, channel: Channel, values: Mapping[Key, float]) -> MountResonance | None:
+        """Mount resonance of a channel's sensor; None if it has none."""
+        return mount_resonance(channel.sensor, channel.joint, values)
+
+    def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
+        """Whether any sensor mount resonates, which requires samples instead of rows."""
+        return any(self._mount_of(channel, values) for channel in self.channels)
+
+    def _filter_by_mount(
+        self,
+        channel: Channel,
+        samples: FloatArray,
+        values: Mapping[Key, float],
+    ) -> FloatArray:
+        """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
+        mount = self._mount_of(channel, values)
+        return samples if mount is None else mount.read(samples, self.log.sample_time)
+
+    def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
+        """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
+        kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.reads)
+        return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
+
+    def _stack_channels(
+        self,
+        rows: Mapping[Quantity, FloatArray],
+        values: Mapping[Key, float],
+    ) -> FloatArray:
+        """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
+        return np.stack([self._reading(c, rows, values) for c in self.channels], axis=1)
+
+    def _reading(
+        self,
+        channel: Channel,
+        of: Mapping[Quantity, FloatArray],
+        values: Mapping[Key, float],
+    ) -> FloatArray:
+        """Reading (n, ...) of one channel from (n, n_joints, ...) of each quantity."""
+        at = channel.joint - 1
+        if channel.axis is None:
+            return of[channel.quantity][:, at]
+        weights = factors(channel.axis, self.arm, values)
+        parts = zip(weights, channel.reads, strict=True)
+        return np.asarray(sum(weight * of[name][:, at] for weight, name in parts))
+
+
+def noise_behind(
+    channels: Sequence[Channel],
+    samples: Sequence[FloatArray],
+    kernels: Kernels,
+    counts: Sequence[float],
+) -> FloatArray:
+    """Standard deviation (n_channels,) of the filtered noise, from the top of the spectra.
+
+    `samples` holds one array (n_samples,) per channel. `counts` are the resolutions of the
+    channels; the noise is at least that of rounding, count / sqrt(12).
+    """
+    stds = [noise_std(x) for x in samples]
+    gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
+    return np.asarray(np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain)
+
+
+def with_bandwidths(arm: Arm, values: Mapping[Key, float]) -> Arm:
+    """Set the sensor bandwidths [Hz] of an arm; other `values` are ignored."""
+    joints = []
+    for i, joint in enumerate(arm.joints, start=1):
+        bandwidths = {
+            f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS_WITH_BANDWIDTH
+        }
+        given = {key: hz for key, hz in bandwidths.items() if hz is not None}
+        tangential = joint.accelerometer_distance is None
+        imu = joint.imu
+        if imu is not None:
+            inner = {k[len("imu_") :]: hz for k, hz in given.items() if k.startswith("imu_")}
+            if tangential and "accelerometer_hz" in given:
+                inner.setdefault("accelerometer_hz", given["accelerometer_hz"])
+            imu = replace(imu, **inner)  # type: ignore[arg-type]
+        outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
+        joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
+    return arm.with_joints(joints)

@@ -1,0 +1,44 @@
+"""Torques of the gears in the records, by simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from strainwave.domain import FloatArray, TorqueHistogram
+from strainwave.domain.keys import Key
+from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.numerics.parallel import run_parallel
+
+HISTOGRAM_BINS = 60
+
+
+def gear_torques(records: Sequence[Dataset], values: dict[Key, float]) -> FloatArray:
+    """Largest torque of each gear (n_joints,) [N m], at the 99.9 % quantile of a record."""
+    return largest_of(gear_torque_samples(records, values))
+
+
+def gear_torque_samples(records: Sequence[Dataset], values: dict[Key, float]) -> list[FloatArray]:
+    """Absolute torque of each gear in each record: arrays (n_samples, n_joints) [N m]."""
+
+    def of_record(record: Dataset) -> FloatArray:
+        return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
+
+    return run_parallel([partial(of_record, r) for r in records])
+
+
+def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
+    """The largest of each gear, but for one sample in a thousand of a record: (n_joints,) [N m]."""
+    return np.asarray(np.max([np.quantile(torque, 0.999, axis=0) for torque in gear_loads], axis=0))
+
+
+def histograms_of(gear_loads: Sequence[FloatArray]) -> tuple[TorqueHistogram, ...]:
+    """Share of samples by torque of each gear, over all records."""
+    together = np.concatenate(gear_loads)
+    histograms = []
+    for joint, torque in enumerate(together.T, start=1):
+        count, edges = np.histogram(torque, bins=HISTOGRAM_BINS, range=(0.0, float(torque.max())))
+        histograms.append(TorqueHistogram(joint, edges, count / len(torque)))
+    return tuple(histograms)

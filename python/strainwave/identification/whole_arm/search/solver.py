@@ -1,0 +1,221 @@
+"""Iteratively reweighted least squares: a coarse search, then a fine search."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import replace
+from functools import partial
+from itertools import count
+
+import numpy as np
+
+from strainwave.domain import FloatArray, TuningOptions
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.numerics.trust_region import Linearised, minimise
+
+# predicted cost reduction at which a coarse search ends, absolute and relative to the cost
+COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3
+# the same: absolute for the fine search, relative for a search with initial weights
+_FINE_TOLERANCE, _INITIAL_RELATIVE_TOLERANCE = 1e-2, 2e-2
+_MAX_WEIGHT_UPDATES = 4  # maximum updates of the weights; the third rarely changes the result
+_MAX_COARSE_UPDATES = 8  # maximum updates of the weights in the coarse search
+# maximum change of log standard deviations at which the weights have converged
+_WEIGHT_TOLERANCE = 0.2
+# ratio of new to old standard deviations below which another search follows
+_MAX_DECREASED_RATIO = 0.7
+_NEAR_DAMPING = 1e-8  # initial damping near the minimum
+
+
+Progress = Callable[[int, int], None]
+"""Callback with the number of the evaluation and the maximum number of evaluations."""
+_progress: ContextVar[Progress] = ContextVar(
+    "_progress", default=lambda _evaluation, _maximum: None
+)
+
+
+@contextmanager
+def report_progress(progress: Progress | None) -> Iterator[None]:
+    """Report the progress of all searches in this context to `progress`."""
+    if progress is None:
+        yield
+        return
+    token = _progress.set(progress)
+    try:
+        yield
+    finally:
+        _progress.reset(token)
+
+
+def coarse_search(objective: Objective, start: FloatArray, options: TuningOptions) -> Fit:
+    """Search from `start` (n_unknowns,) with initial weights, then with updated weights.
+
+    Large initial errors give small weights, and with these a search may end too early. The weights
+    are updated as long as the errors decrease markedly.
+    """
+    fit = search_minimum(
+        objective,
+        start,
+        0,
+        options,
+        tolerance=COARSE_TOLERANCE,
+        relative=_INITIAL_RELATIVE_TOLERANCE,
+    )
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return replace(fit, converged=False)
+    return _reweight(fit, options)
+
+
+def resumed_coarse_search(
+    objective: Objective, z: FloatArray, n_evaluations: int, options: TuningOptions
+) -> Fit:
+    """Continue a coarse search from `z` (n_unknowns,) after a change of records or unknowns.
+
+    `n_evaluations` is the number of evaluations so far.
+    """
+    return _reweight(
+        search_minimum(objective, z, n_evaluations, options, tolerance=COARSE_TOLERANCE), options
+    )
+
+
+def _reweight(fit: Fit, options: TuningOptions) -> Fit:
+    """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
+    fit = replace(fit, objective=fit.objective.update_weights(fit.z))
+    search = partial(
+        search_minimum,
+        options=options,
+        tolerance=COARSE_TOLERANCE,
+        relative=COARSE_RELATIVE_TOLERANCE,
+    )
+    for _ in range(_MAX_COARSE_UPDATES):
+        fit = search(fit.objective, fit.z, fit.iterations)
+        updated = fit.objective.update_weights(fit.z)
+        is_finished = not fit.converged or fit.iterations >= options.max_iterations
+        if is_finished or not _has_decreased(fit.objective, updated):
+            break
+        fit = replace(fit, objective=updated)
+    return fit
+
+
+def fine_search(
+    objective: Objective, z: FloatArray, n_evaluations: int, options: TuningOptions
+) -> Fit:
+    """Alternate least squares and weight updates until the weights converge.
+
+    `z` (n_unknowns,) is near the minimum, and `n_evaluations` is the number of evaluations so far.
+    The step error of the integrator is corrected after the first search and again near the minimum.
+    Call `polish` to complete the search.
+    """
+    fit = search_minimum(
+        objective,
+        z,
+        n_evaluations,
+        options,
+        tolerance=_FINE_TOLERANCE,
+        relative=_INITIAL_RELATIVE_TOLERANCE,
+    )
+    if n_evaluations >= options.max_iterations:  # no evaluations are left; only the cost is new
+        return replace(fit, iterations=n_evaluations, converged=False)
+    if fit.converged and fit.iterations < options.max_iterations:
+        fit = refine(_update_corrections(fit), options, tolerance=_FINE_TOLERANCE)
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return replace(fit, converged=False)
+    return refine(_update_corrections(fit), options)  # with the step error at the end of the search
+
+
+def _update_corrections(fit: Fit) -> Fit:
+    """Update the step error correction and the weights at the current iterate."""
+    return replace(fit, objective=fit.objective.correct_step_error(fit.z).update_weights(fit.z))
+
+
+def refine(fit: Fit, options: TuningOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
+    """Run the last rounds of `fine_search` from a point near the minimum.
+
+    The step error correction is not updated. With the default tolerance the result is within one
+    standard deviation of the minimum, which is sufficient for the model selection.
+    """
+    search = partial(search_minimum, options=options, tolerance=tolerance)
+    for _ in range(_MAX_WEIGHT_UPDATES):
+        if fit.iterations >= options.max_iterations:
+            return replace(fit, converged=False)
+        fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR_DAMPING)
+        updated = fit.objective.update_weights(fit.z)
+        if not fit.converged or _has_converged(fit.objective, updated):
+            break
+        fit = replace(fit, objective=updated)
+    return fit
+
+
+def polish(fit: Fit, options: TuningOptions) -> Fit:
+    """Complete the search for the minimum with the weights of a refined fit."""
+    if not fit.converged or fit.iterations >= options.max_iterations:
+        return fit
+    return search_minimum(
+        fit.objective,
+        fit.z,
+        fit.iterations,
+        options,
+        tolerance=_FINE_TOLERANCE,
+        damping=_NEAR_DAMPING,
+    )
+
+
+def search_minimum(
+    objective: Objective,
+    z: FloatArray,
+    n_evaluations: int,
+    options: TuningOptions,
+    *,
+    tolerance: float,
+    relative: float = 0.0,
+    damping: float = 1e-3,
+    max_evaluations: int | None = None,
+) -> Fit:
+    """Minimise the objective with its current weights, from `z` (n_unknowns,).
+
+    `n_evaluations` is the number of evaluations so far, and `max_evaluations` limits those of this
+    search. See `minimise` for `tolerance`, `relative` and `damping`. Raises `NotIdentifiable` if
+    the arm cannot be simulated at `z`.
+    """
+    n_remaining = options.max_iterations - n_evaluations
+    evaluation = count(n_evaluations + 1)
+
+    def linearise(x: FloatArray) -> Linearised | None:
+        _progress.get()(next(evaluation), options.max_iterations)
+        return objective.linearise(x)
+
+    minimum = minimise(
+        linearise,
+        z,
+        objective.space,
+        tolerance=tolerance,
+        relative=relative,
+        damping=damping,
+        max_evaluations=max(
+            1, n_remaining if max_evaluations is None else min(n_remaining, max_evaluations)
+        ),
+    )
+    if minimum is None:
+        raise NotIdentifiable("the whole-arm fit cannot simulate the arm at the start values")
+    return Fit(
+        objective,
+        minimum.x,
+        minimum.at.cost,
+        n_evaluations + minimum.evaluations,
+        minimum.converged,
+    )
+
+
+def _has_converged(old: Objective, new: Objective) -> bool:
+    """Whether the weights have converged."""
+    pairs = zip(old.weights, new.weights, strict=True)
+    return all(np.max(np.abs(np.log(b.stds / a.stds))) < _WEIGHT_TOLERANCE for a, b in pairs)
+
+
+def _has_decreased(old: Objective, new: Objective) -> bool:
+    """Whether the error of any channel has decreased markedly."""
+    pairs = zip(old.weights, new.weights, strict=True)
+    return any(np.min(b.stds / a.stds) < _MAX_DECREASED_RATIO for a, b in pairs)

@@ -1,0 +1,162 @@
+"""Choose between several starts of the whole-arm fit by short searches.
+
+Without link sensors the earlier stages may return several sets of gears, or none. The sets of
+lowest initial cost get a few evaluations each, in long integrator steps. Sets of much larger cost
+are dropped, and the others continue until all searches have converged or one set remains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import JointModel, TuningOptions
+from strainwave.domain.gear_laws import STIFFNESS, gear_parameters, is_slope
+from strainwave.domain.keys import Values
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.search.solver import COARSE_TOLERANCE, search_minimum
+
+MAX_SEARCHED_SETS = 4
+EVALUATIONS_PER_ROUND = 8  # of the search from each set
+MAX_ROUNDS = 4  # of these searches
+MAX_COST_RATIO = 3.0  # to the least cost; a set of larger cost is dropped
+LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
+
+
+@dataclass(frozen=True, slots=True)
+class SelectedCandidate:
+    """A set of joints and the result of the search from it."""
+
+    joints: Sequence[JointModel]
+    end_values: Values | None  # (name, joint) -> value; None if there is only one set
+
+
+def select_candidate(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: TuningOptions,
+) -> SelectedCandidate:
+    """The set of joints from which a short search reaches the lowest cost.
+
+    If a search drives a stiffness to the limit of its range, the range is centred there.
+    `objective_of` returns the objective of a set of joints, whose start is at zero coordinates.
+    Raises `NotIdentifiable` if no arm near any set can be simulated.
+    """
+    if len(candidates) == 1:
+        return SelectedCandidate(candidates[0], None)
+    starts: list[tuple[float, int, Objective]] = []
+    failure: NotIdentifiable | None = None
+    for k, joints in enumerate(candidates):
+        try:
+            objective = objective_of(joints)
+        except NotIdentifiable as error:
+            failure = error
+            continue
+        at_start = objective.linearise(np.zeros(len(objective.space.unknowns)))
+        if at_start is not None:
+            starts.append((at_start.cost, k, objective))
+    if not starts:
+        raise failure or NotIdentifiable(
+            "the arm cannot be simulated with any start values of the earlier stages"
+        )
+    searches = [
+        _SearchState(
+            candidates[k], Fit(objective, np.zeros(len(objective.space.unknowns)), cost, 0, False)
+        )
+        for cost, k, objective in sorted(starts, key=lambda start: start[:2])[:MAX_SEARCHED_SETS]
+    ]
+    for _ in range(MAX_ROUNDS):
+        continued = [_continue_search(search, objective_of, options) for search in searches]
+        searches = [search for search in continued if search is not None]
+        if not searches:
+            raise NotIdentifiable(
+                "the arm cannot be simulated near any start values of the earlier stages"
+            )
+        min_cost = min(search.fit.cost for search in searches)
+        searches = [s for s in searches if s.fit.cost <= MAX_COST_RATIO * min_cost]
+        if all(search.is_finished for search in searches):
+            break
+        if len(searches) == 1 and not searches[0].is_limited:
+            break
+    best = min(searches, key=lambda search: search.fit.cost)
+    return SelectedCandidate(best.joints, best.fit.objective.space.values(best.fit.z))
+
+
+@dataclass(frozen=True, slots=True)
+class _SearchState:
+    """A set of joints and the state of the search from it."""
+
+    joints: Sequence[JointModel]
+    fit: Fit
+
+    @property
+    def is_limited(self) -> bool:
+        """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
+        space, z = self.fit.objective.space, self.fit.z
+        is_near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
+            space.upper - space.lower
+        )
+        slopes_at_limit: dict[int | None, list[bool]] = {}
+        for (name, joint), is_at_limit in zip(space.keys, is_near, strict=True):
+            if is_slope(name):
+                slopes_at_limit.setdefault(joint, []).append(bool(is_at_limit))
+        return any(all(slopes) for slopes in slopes_at_limit.values())
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the search has converged inside its ranges."""
+        return self.fit.converged and not self.is_limited
+
+
+def _continue_search(
+    search: _SearchState,
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+    options: TuningOptions,
+) -> _SearchState | None:
+    """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
+    if search.is_finished:
+        return search
+    try:
+        joints, fit = search.joints, search.fit
+        if search.is_limited:
+            joints = _recentre(search)
+            objective = objective_of(joints)
+            fit = replace(
+                fit,
+                objective=objective,
+                z=objective.space.coordinates(_values_with_start_springs(fit, objective)),
+            )
+        fit = search_minimum(
+            fit.objective,
+            fit.z,
+            0,
+            options,
+            tolerance=COARSE_TOLERANCE,
+            max_evaluations=EVALUATIONS_PER_ROUND,
+        )
+    except NotIdentifiable:
+        return None
+    return _SearchState(joints, replace(fit, iterations=0))
+
+
+def _recentre(search: _SearchState) -> list[JointModel]:
+    """The joints with the stiffnesses of the search, so that the ranges are centred there."""
+    estimates = search.fit.objective.space.values(search.fit.z)
+    arm, recentred = search.fit.objective.records[0].arm, []
+    for joint in search.joints:
+        stiffness = arm.joints[joint.joint - 1].law.linearised_by
+        values = {**joint.values, STIFFNESS: estimates[stiffness, joint.joint]}
+        recentred.append(replace(joint, values=values))
+    return recentred
+
+
+def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
+    """The values of the search, with the springs at their starts."""
+    space = objective.space
+    start_values = space.values(np.zeros(len(space.unknowns)))
+    gear_names, estimates = gear_parameters(), fit.objective.space.values(fit.z)
+    return {**start_values, **{key: x for key, x in estimates.items() if key[0] not in gear_names}}

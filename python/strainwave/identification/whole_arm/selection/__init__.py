@@ -1,0 +1,1 @@
+"""Selection of optional parameters and effects."""

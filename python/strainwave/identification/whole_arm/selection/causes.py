@@ -1,0 +1,395 @@
+"""Find the effect that the model most likely lacks by fits of the best score tests.
+
+A score test is one linear step. Effects with similar score tests can be told apart by fits, which
+use the shapes and limits of their laws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, TuningOptions
+from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.parameter_table import base_name
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit, parameters_of
+from strainwave.identification.whole_arm.inference.score_tests import (
+    TestedEffect,
+    is_relevant,
+    lengthen_steps,
+    score_tests_of,
+    shifts,
+)
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    NamedEffect,
+    add_effects,
+    effects_in,
+    named_effects,
+    set_record_effects,
+)
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.records.gear_torques import gear_torques
+from strainwave.identification.whole_arm.records.largest_loads import Loads, loads_of
+from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
+from strainwave.identification.whole_arm.selection.candidate import Selection
+from strainwave.numerics.distributions import chi_square_limit
+
+MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
+MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little
+MIN_EXPLAINED_SHARE = 0.25  # of the cost; below, further effects of the joint are fitted
+MIN_RIVAL_GAIN_SHARE = 0.4  # of the best effect's linear gain
+MAX_REFIT_EVALUATIONS = 12  # of each search; nearly all converge in 4 to 9
+RIVAL_ROWS = 600_000
+"""Budget of fits with one additional effect, in evaluated residual rows: 62 evaluations of a study
+of 9,700 rows, about half a minute of one core."""
+REFIT_GAIN_TOLERANCE = 0.1  # predicted cost reduction at which a search ends
+MIN_ACHIEVED_GAIN_SHARE = 0.5  # share of the linear gain below which a second start is tried
+MAX_AUTO_EFFECTS = 4  # effects that a fit adds
+MAX_NAMED_PARAMETERS = 3  # in a warning, of the effect and of the arm
+MIN_UNEXPLAINED_SHARE = 1e-9  # of the cost; keeps the logarithm finite
+MIN_SUFFICIENT_SHARE = 0.5  # of the cost; below, the warning says that more is missing
+
+
+@dataclass(frozen=True, slots=True)
+class Refit:
+    """A fit with one additional effect."""
+
+    named_effect: NamedEffect
+    fit: Fit
+    gain: float  # cost reduction minus its expectation if the residuals are noise
+    share: float  # of the cost that the effect explains
+    evidence: float  # decrease of Schwarz's criterion
+    shifts: tuple[ParameterShift, ...]
+
+
+def schwarz_decrease(share: float, parameters: int, cost: float) -> float:
+    """Decrease of Schwarz's criterion by an effect: n ln(1 / (1 - share)) - p ln n.
+
+    `share` is the share of the cost that the effect explains, p the number of its `parameters`, and
+    n the `cost` without it, which the weights make the number of independent errors. An effect with
+    several sizes must therefore explain more than one with a single size.
+    """
+    n = max(cost, 1.0)
+    return -n * math.log(max(1.0 - share, MIN_UNEXPLAINED_SHARE)) - parameters * math.log(n)
+
+
+@dataclass(frozen=True, slots=True)
+class Refits:
+    """Fits with one additional effect each, and the effects that the budget excluded."""
+
+    fits: tuple[Refit, ...]  # the significant ones, the most likely first
+    excluded: tuple[NamedEffect, ...]
+    evaluations: int  # budget that was given, in evaluations of the fit's objective
+
+
+@dataclass(frozen=True, slots=True)
+class _StepFits:
+    """A fit in long integrator steps and in its own steps."""
+
+    long: Fit
+    short: Fit
+
+    @classmethod
+    def of(cls, fit: Fit) -> _StepFits:
+        long = lengthen_steps(fit)
+        if long is not fit:
+            long = replace(long, objective=long.objective.store_step_errors(fit.z))
+        return cls(long, fit)
+
+
+class _Budget:
+    """Evaluations available for fits with one additional effect."""
+
+    def __init__(self, fit: Fit, options: TuningOptions) -> None:
+        n_rows = sum(len(record.time) for record in fit.objective.records)
+        self.evaluations = int(options.rival_effort * RIVAL_ROWS / n_rows)
+        self.remaining = self.evaluations
+        self.excluded: list[NamedEffect] = []
+
+    @property
+    def next_limit(self) -> int:
+        """Maximum evaluations of the next search."""
+        return min(MAX_REFIT_EVALUATIONS, self.remaining)
+
+
+def fit_missing_effects(
+    fit: Fit, tested: Sequence[TestedEffect], arm: Arm, options: TuningOptions
+) -> Refits:
+    """Fit each of the most significant effects, within a budget of evaluations.
+
+    No effect is fitted unless one is promising. `fit` is at its minimum, and `tested` is in order
+    of significance.
+    """
+    named = named_effects(arm)
+    promising = [one for one in tested if one.is_promising and one.named_effect not in named]
+    if not promising:
+        return Refits((), (), 0)
+    min_gain = MIN_RIVAL_GAIN_SHARE * max(map(_predicted_gain, promising))
+    rivals = sorted(
+        (
+            one
+            for one in tested
+            if _predicted_gain(one) >= min_gain and one.named_effect not in named
+        ),
+        key=lambda one: -_predicted_gain(one),
+    )
+    budget = _Budget(fit, options)
+    fits = _StepFits.of(fit)
+    refits = _fit_rivals(fits, rivals[:MAX_RIVAL_EFFECTS], arm, options, budget)
+    if not refits or not _is_sufficient(refits[0]):
+        # a linear step underrates some effects; an effect by record can replace many others
+        joint = refits[0].named_effect[0] if refits else promising[0].test.joint
+        others = [
+            one for one in tested if one.test.joint == joint and one.named_effect not in named
+        ]
+        others = [one for one in others if one not in rivals[:MAX_RIVAL_EFFECTS]]
+        others.sort(key=_predicted_gain, reverse=True)
+        refits += _fit_rivals(fits, others[:MAX_OTHER_EFFECTS], arm, options, budget)
+    return Refits(tuple(_sort_by_evidence(refits)), tuple(budget.excluded), budget.evaluations)
+
+
+def _is_sufficient(refit: Refit) -> bool:
+    """Whether the effect explains so much that no further effects need a fit."""
+    is_by_record = effect_named(refit.named_effect[1]).by_record
+    return refit.share >= MIN_EXPLAINED_SHARE and not is_by_record
+
+
+def _sort_by_evidence(refits: Iterable[Refit]) -> list[Refit]:
+    """Refits in order of decreasing evidence."""
+    return sorted(refits, key=lambda one: -one.evidence)
+
+
+def _fit_rivals(
+    fits: _StepFits,
+    rivals: Sequence[TestedEffect],
+    arm: Arm,
+    options: TuningOptions,
+    budget: _Budget,
+) -> list[Refit]:
+    """Fit each effect; keep those significant beyond chance, the most likely first."""
+    refits = []
+    for one in rivals:
+        if not budget.next_limit:
+            budget.excluded.append(one.named_effect)
+            continue
+        refit = _refit(fits.long, one, arm, options, budget)
+        if refit is None and fits.short is not fits.long:  # too stiff an effect for long steps
+            refit = _refit(fits.short, one, arm, options, budget)
+        if refit is not None and _is_significant(refit, one.chance):
+            refits.append(refit)
+    return _sort_by_evidence(refits)
+
+
+def _predicted_gain(tested: TestedEffect) -> float:
+    """Cost reduction by the linear step, alone or with the more significant effects included."""
+    return max(tested.alone, tested.test.gain if tested.is_promising else 0.0)
+
+
+def _refit(
+    fit: Fit, tested: TestedEffect, arm: Arm, options: TuningOptions, budget: _Budget
+) -> Refit | None:
+    """Fit with one additional effect; None if no such arm can be simulated.
+
+    The search starts at the result of the linear step. If it gains much less than the linear step
+    predicts, a second search starts from the fit without the effect.
+    """
+    n = len(fit.objective.space.unknowns)
+    estimates = fit.objective.space.values(fit.z)
+    sizes = {key: value for key, value in tested.values.items() if key not in estimates}
+    loads = loads_of(fit.objective.records, estimates)
+    best: Fit | None = None
+    for start in (tested.values, estimates | sizes):
+        limited = replace(options, max_iterations=budget.next_limit)
+        if not budget.next_limit:
+            break
+        other = _search_with_effect(fit, tested.named_effect, start, loads, arm, limited)
+        budget.remaining -= (
+            budget.next_limit if other is None else min(other.iterations, budget.remaining)
+        )
+        if other is not None and (best is None or other.cost < best.cost):
+            best = other
+        if (
+            best is not None
+            and fit.cost - tested.rigid - best.cost > MIN_ACHIEVED_GAIN_SHARE * tested.alone
+        ):
+            break
+    if best is None:
+        return None
+    gain = fit.cost - tested.rigid - best.cost
+    parameter_shifts = tuple(shifts(fit, best.objective.space.values(best.z)))
+    n_added = len(best.objective.space.unknowns) - n
+    share = gain / max(fit.cost, 1e-300)
+    evidence = schwarz_decrease(share, n_added, fit.cost)
+    return Refit(tested.named_effect, best, gain - n_added, share, evidence, parameter_shifts)
+
+
+def _search_with_effect(
+    fit: Fit,
+    one: NamedEffect,
+    start: Values,
+    loads: Loads,
+    arm: Arm,
+    options: TuningOptions,
+) -> Fit | None:
+    """Search briefly with one additional effect, correct the step error, and search again."""
+    space = fit.objective.space
+    extended, begin = add_effects(space, [one], arm, start, loads, fit.records)
+    objective = replace(
+        fit.objective.replace_unknowns(extended),
+        records=set_record_effects(
+            fit.objective.records, _with_possible_effect(arm, one), extended.keys
+        ),
+    )
+    try:
+        intermediate = search_minimum(objective, begin, 0, options, tolerance=REFIT_GAIN_TOLERANCE)
+        objective = intermediate.objective.correct_step_error(intermediate.z)
+        return search_minimum(
+            objective,
+            intermediate.z,
+            intermediate.iterations,
+            options,
+            tolerance=REFIT_GAIN_TOLERANCE,
+        )
+    except (InvalidInput, NotIdentifiable, NumericalFailure):
+        return None
+
+
+def _in_short_steps(fit: Fit, refit: Refit, arm: Arm) -> tuple[Objective, FloatArray]:
+    """The objective of a refit in the steps of the fit, and the point of the refit."""
+    space = refit.fit.objective.space
+    records = set_record_effects(
+        fit.objective.records, _with_possible_effect(arm, refit.named_effect), space.keys
+    )
+    return replace(fit.objective.replace_unknowns(space), records=records), refit.fit.z
+
+
+def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
+    """The arm with one additional possible effect."""
+    number, effect = one
+    return arm.with_joints(
+        replace(joint, effects=tuple(dict.fromkeys((*joint.possible_effects, effect))))
+        if k == number
+        else joint
+        for k, joint in enumerate(arm.joints, start=1)
+    )
+
+
+def _is_significant(refit: Refit, chance: float) -> bool:
+    """Whether a fitted effect is significant and relevant."""
+    degrees = len(_effect_parameters(refit))
+    significant = refit.gain + degrees > chi_square_limit(chance, degrees)
+    return significant and refit.evidence > 0.0 and is_relevant(refit.share, refit.shifts)
+
+
+def _effect_parameters(refit: Refit) -> set[Key]:
+    """The parameters of the refit's effect."""
+    joint, effect = refit.named_effect
+    names = effect_named(effect).names
+    keys = refit.fit.objective.space.keys
+    return {key for key in keys if key[1] == joint and base_name(key[0]) in names}
+
+
+def list_causes(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
+    """The published record of each refit."""
+    for refit in refits:
+        joint, effect = refit.named_effect
+        values = refit.fit.objective.space.values(refit.fit.z)
+        largest = gear_torques(refit.fit.objective.records, values).tolist()
+        parameters, _ = parameters_of(
+            refit.fit, _with_possible_effect(arm, refit.named_effect), largest
+        )
+        yield Cause(
+            joint,
+            effect,
+            tuple(p for p in parameters if (p.name, p.joint) in _effect_parameters(refit)),
+            refit.gain,
+            refit.share,
+            refit.shifts,
+        )
+
+
+def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
+    """Add the significant effects, for joints with effects = "auto".
+
+    Effects are added one at a time, the most likely first, until none is significant. If the
+    residuals are noise, the probability of adding any is `FALSE_ALARMS`.
+    """
+    arm = selection.arm
+    if not any(joint.selects_effects for joint in arm.joints):
+        return fit
+    for _ in range(MAX_AUTO_EFFECTS):
+        tested = [
+            one
+            for one in score_tests_of(fit, arm)
+            if arm.joints[one.test.joint - 1].selects_effects
+        ]
+        refits = fit_missing_effects(fit, tested, arm, selection.options)
+        if not refits.fits:
+            break
+        selection.renew(fit)
+        objective, z = _in_short_steps(fit, refits.fits[0], arm)
+        fit = fine_search(objective, z, fit.iterations, selection.options)
+    return fit
+
+
+def warn_unfitted_effects(refits: Refits) -> Iterator[Diagnostic]:
+    """Warn about effects that were excluded because the budget was exhausted."""
+    if refits.excluded:
+        names = ", ".join(f"{effect} of joint {joint}" for joint, effect in refits.excluded)
+        text = f"{names} might explain the residuals but were not fitted: the budget of"
+        text += (
+            f" {refits.evaluations} evaluations for fits with one more effect was exhausted. The"
+        )
+        text += " true cause may be one of them; raise tuning.rival_effort to fit them"
+        yield Diagnostic("causes-not-fitted", "tuning", text)
+
+
+def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
+    """Warn about the most likely cause: what it explains, what it changes, how to confirm it.
+
+    Only the first cause gets a warning, because the gain of the others is only known with the first
+    one in the model.
+    """
+    for cause in causes[:1]:
+        effect = effect_named(cause.effect)
+        estimates = [p for p in cause.parameters if p.value is not None and p.std is not None]
+        sizes = ", ".join(
+            f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip()
+            for p in estimates[:MAX_NAMED_PARAMETERS]
+        )
+        text = f"{cause.effect} would explain {100.0 * cause.share:.2g} % of the residuals"
+        text += f" ({sizes})"
+        if cause.shifts:
+            text += f" and change {_shift_text(cause.shifts)}"
+        rivals = [f"{other.effect} of joint {other.joint}" for other in causes[1:]]
+        if rivals:
+            text += f"; less likely causes are {' and '.join(rivals)}"
+        if cause.share < MIN_SUFFICIENT_SHARE:
+            text += "; most of the residuals remain unexplained"
+        text += f'; to fit it, give the joint effects = ["{cause.effect}"] or "auto";'
+        text += f" to confirm it, {effect.experiment}"
+        yield Diagnostic(effect.warning_code, f"joint {cause.joint}", text)
+
+
+def _shift_text(moves: Sequence[ParameterShift]) -> str:
+    """The parameters that an effect changes most, as text."""
+    return ", ".join(
+        f"{move.name}{'' if move.joint is None else f' of joint {move.joint}'} by"
+        f" {100.0 * move.shift / move.without:+.2g} %"
+        for move in moves[:MAX_NAMED_PARAMETERS]
+        if move.without
+    )
+
+
+def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
+    """Warn about the effects that the fit added."""
+    for number, name in effects_in(fit.objective.space, arm):
+        if arm.joints[number - 1].selects_effects:
+            effect = effect_named(name)
+            text = f"{name}, {effect.description}, was added to the model: without it"
+            text += f" {effect.consequence}; to confirm it, {effect.experiment}"
+            yield Diagnostic("effect-taken-up", f"joint {number}", text)

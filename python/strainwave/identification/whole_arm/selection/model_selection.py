@@ -1,0 +1,77 @@
+"""Selection of the optional parameters of the model.
+
+The coarse stage, in long integrator steps, only adds parameters. The fine stage also removes
+parameters that are not significant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
+from strainwave.identification.whole_arm.selection.causes import add_significant_effects
+from strainwave.identification.whole_arm.selection.initial_motion import (
+    add_significant_initial_motion,
+)
+from strainwave.identification.whole_arm.selection.mountings import (
+    add_significant_tilts,
+    improve_mountings,
+)
+from strainwave.identification.whole_arm.selection.named_effects import (
+    add_named_effects,
+    remove_insignificant_effects,
+)
+from strainwave.identification.whole_arm.selection.sensor_constants import (
+    add_sensor_bandwidths,
+    add_significant_sensor_constants,
+    remove_insignificant_sensor_constants,
+)
+from strainwave.identification.whole_arm.selection.sensor_mounts import add_mount_resonances
+from strainwave.identification.whole_arm.selection.settling_times import (
+    add_settling_times,
+    remove_insignificant_settling_times,
+)
+from strainwave.identification.whole_arm.selection.stiffness_restarts import (
+    restart_coarse_fit,
+    restart_fine_fit,
+)
+from strainwave.identification.whole_arm.selection.stiffness_terms import (
+    remove_insignificant_stiffness_terms,
+)
+
+COARSE: tuple[Candidate, ...] = (
+    add_significant_initial_motion,
+    improve_mountings,
+    restart_coarse_fit,
+    partial(add_significant_sensor_constants, coarse=True),
+    partial(add_sensor_bandwidths, coarse=True),
+    add_settling_times,
+    add_named_effects,
+)
+"""Candidates of a coarse fit, in the order of their trials."""
+
+FINE: tuple[Candidate, ...] = (
+    restart_fine_fit,
+    remove_insignificant_stiffness_terms,
+    remove_insignificant_effects,
+    partial(add_significant_sensor_constants, coarse=False),
+    partial(add_sensor_bandwidths, coarse=False),
+    add_mount_resonances,
+    add_significant_tilts,
+    remove_insignificant_sensor_constants,
+    remove_insignificant_settling_times,
+    add_significant_effects,
+)
+"""Candidates of the fine fit, in the order of their trials."""
+
+
+def select_model(fit: Fit, candidates: Sequence[Candidate], selection: Selection) -> Fit:
+    """Select the model that the data support.
+
+    Each of the `candidates` starts from the result of the candidate before it.
+    """
+    for candidate in candidates:
+        fit = candidate(fit, selection)
+    return fit

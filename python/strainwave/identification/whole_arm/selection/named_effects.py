@@ -1,0 +1,87 @@
+"""Effects that the study names, kept in the model if they are significant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.effect_unknowns import (
+    NamedEffect,
+    add_effects,
+    insignificant_effects,
+    named_effects,
+    remove_effects,
+    set_record_effects,
+)
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.identification.whole_arm.search.solver import (
+    COARSE_TOLERANCE,
+    fine_search,
+    search_minimum,
+)
+from strainwave.identification.whole_arm.selection.candidate import Selection, select_better
+
+MAX_TRIAL_EVALUATIONS = 30  # effects have several parameters each
+
+
+def add_named_effects(fit: Fit, selection: Selection) -> Fit:
+    """The coarse fit with the effects that the study names, unless they gain too little."""
+    arm = selection.arm
+    if not named_effects(arm):
+        return fit
+    selection.grant(selection.budget)  # as many as the fit without them
+    values = fit.objective.space.values(fit.z)
+    loads = loads_of(fit.objective.records, values)
+    space, begin = add_effects(
+        fit.objective.space, named_effects(arm), arm, values, loads, fit.records
+    )
+    extended = search_minimum(
+        _with_space(fit.objective, space, arm),
+        begin,
+        fit.iterations,
+        selection.options,
+        tolerance=COARSE_TOLERANCE,
+        max_evaluations=MAX_TRIAL_EVALUATIONS,
+    )
+    return select_better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
+
+
+def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
+    """Cost reduction due to the lower trust in the rigid step that the effects require."""
+    parameters = fit.objective.space.parameters(fit.z)
+
+    def cost(prior: Prior) -> float:
+        left = prior.rows[:, : len(parameters)] @ parameters - prior.target
+        return float(np.sum(left**2))
+
+    return cost(fit.objective.space.prior) - cost(space.prior)
+
+
+def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
+    """Remove effects that are not significant and refit, until all are significant."""
+    arm = selection.arm
+    if not named_effects(arm):
+        return fit
+    while gone := _insignificant_effects(fit):
+        values = fit.objective.space.values(fit.z)
+        space = remove_effects(fit.objective.space, gone, arm)
+        objective = _with_space(fit.objective, space, arm)
+        fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
+    return fit
+
+
+def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
+    """The insignificant effects among the unknowns."""
+    covariance = fit.confidence.cautious
+    return set(insignificant_effects(fit.objective.space, fit.z, covariance))
+
+
+def _with_space(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
+    """The objective for other unknowns, with their effects in the arm."""
+    records = set_record_effects(objective.records, arm, space.keys)
+    return replace(objective.replace_unknowns(space), records=records)

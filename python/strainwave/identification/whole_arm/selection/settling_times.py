@@ -1,0 +1,66 @@
+"""Selection of friction settling times."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.parameter_space import (
+    SETTLING,
+    SETTLING_START,
+    add_settling_unknowns,
+)
+from strainwave.identification.whole_arm.search.solver import fine_search
+from strainwave.identification.whole_arm.selection.candidate import (
+    MAX_CANDIDATE_EVALUATIONS,
+    MIN_SIGNIFICANCE_STDS,
+    Selection,
+    run_trial,
+    select_better,
+)
+
+# share of the lower bound of its logarithm from which a settling time is zero
+_ZERO_BOUND_SHARE = 0.99
+
+
+def add_settling_times(fit: Fit, selection: Selection) -> Fit:
+    """Add a friction settling time to each joint of a coarse fit.
+
+    Keeps them if the options require them or the cost decreases significantly.
+    """
+    required = selection.options.settling
+    if required is False or fit.iterations >= selection.max_evaluations:
+        return fit
+    values = fit.objective.space.values(fit.z)
+    space = add_settling_unknowns(fit.objective.space)
+    start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
+    objective = fit.objective.replace_unknowns(space)
+    max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS
+    extended = run_trial(fit, objective, start, selection, max_evaluations)
+    return select_better(fit, extended) if required is None else extended
+
+
+def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
+    """Repeat the fit without settling times that are not significant.
+
+    The friction of those joints acts instantly.
+    """
+    if selection.options.settling or all(name != SETTLING for name, _ in fit.objective.space.keys):
+        return fit
+    values = fit.objective.space.values(fit.z)
+    stds = np.sqrt(np.diag(fit.confidence.cautious))
+    at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.objective.space.lower
+    insignificant = {
+        key: 0.0
+        for key, std, is_at_bound in zip(
+            fit.objective.space.keys, stds, at_lower_bound, strict=True
+        )
+        if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
+    }
+    if not insignificant:
+        return fit
+    space = fit.objective.space.fix_values(insignificant)
+    start = space.coordinates(values)
+    return fine_search(
+        fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
+    )

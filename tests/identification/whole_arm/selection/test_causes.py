@@ -1,0 +1,191 @@
+"""Likely effect that the model lacks: distinction from rival effects, and automatic addition."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+
+from effect_runs import ALIKE, EVERY, OF_THE_CORE, SHARES, tuned
+from strainwave.domain import ArmModel
+from strainwave.domain.effects import KnownJoint, all_effects, effect_named
+from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.whole_arm.inference.effect_columns import (
+    EffectColumns,
+    Hypothesis,
+    Shapes,
+)
+from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
+from strainwave.identification.whole_arm.selection.causes import schwarz_decrease
+from tuning_runs import truth
+
+MENDED = ("motor_inertia", "motor_coulomb_friction", STIFFNESS, "gear_damping")
+
+
+def added_effects(model: ArmModel) -> list[str]:
+    return [w.message.split(",")[0] for w in model.warnings if w.code == "effect-taken-up"]
+
+
+@pytest.mark.parametrize("name", OF_THE_CORE)
+def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
+    """The effect has the correct size, and the predicted shifts equal the actual ones."""
+    model = tuned((name,), ())
+    assert model.criticism is not None
+    cause = model.criticism.causes[0]
+    if cause.effect in ALIKE.get(name, ()):
+        return
+    assert (cause.joint, cause.effect) == (1, name)
+    assert cause.share > SHARES.get(name, 0.1)
+    true_values = truth()[1]
+    for parameter in cause.parameters:
+        if parameter.name in effect_named(name).sizes:
+            assert parameter.value == pytest.approx(EVERY[parameter.name, 1], rel=0.1), parameter
+    for move in cause.shifts:
+        if move.name in MENDED and abs(move.deviations) > 5.0:
+            true = true_values[move.name, move.joint]
+            error = abs(move.without + move.shift - true)
+            assert error < max(0.2 * abs(move.without - true), 0.01 * true), move
+
+
+@pytest.mark.parametrize("name", OF_THE_CORE)
+def test_a_significant_effect_is_added(name: str) -> None:
+    """With few rival fits: the test above tells the effects apart."""
+    model = tuned((name,), "auto", effort=0.1)
+    assert added_effects(model) == [name]
+    assert model.status == "converged"
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
+            parameter
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "value"),
+    [
+        ("flexible-link", "flexible_frequency", 15.0),
+        ("flexible-link", "flexible_frequency", 60.0),
+        ("torque-ripple", "torque_ripple_order", 4.0),
+        ("kinematic-error", "kinematic_error_order", 4.0),
+    ],
+    ids=["a mode below", "a mode above", "another order", "another order of the gear"],
+)
+def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float) -> None:
+    model = tuned((name,), (), shapes=(((shape, 1), value),))
+    assert model.criticism is not None
+    first = model.criticism.score_tests[0]
+    assert first.evident
+    assert (first.joint, first.effect) == (1, name)
+    cause = model.criticism.causes[0]
+    assert (cause.joint, cause.effect) == (1, name)
+    true_values = EVERY | {(shape, 1): value}
+    for parameter in cause.parameters:
+        assert parameter.value == pytest.approx(true_values[parameter.name, 1], rel=0.1), parameter
+
+
+def test_an_effect_of_unusual_shape_is_added() -> None:
+    model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
+    assert added_effects(model) == ["flexible-link"]
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
+            parameter
+        )
+
+
+POSSIBLE = [
+    (joint, effect.name)
+    for joint in (1, 2)
+    for effect in all_effects()
+    if joint == 1 or not effect.first_joint_only
+]
+"""Joint and effect of each possible hypothesis."""
+
+
+@pytest.fixture
+def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
+    """Counts how many sets of shapes of each effect are tested from here on."""
+    columns_of, numbers = EffectColumns.of, Counter[NamedEffect]()
+
+    def counted(fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> EffectColumns:
+        numbers.update(hypothesis.named_effect for hypothesis in tested)
+        return columns_of(fit, arm, tested)
+
+    monkeypatch.setattr(EffectColumns, "of", counted)
+    return numbers
+
+
+def test_of_noise_each_effect_is_tested_once(counts: Counter[NamedEffect]) -> None:
+    tuned((), (), most=59)
+    assert counts == dict.fromkeys(POSSIBLE, 1)
+
+
+@pytest.mark.parametrize(
+    ("cutoff_hz", "below"),
+    [(50.0, {"flexible-link": 5, "soft-base": 4}), (80.0, {"flexible-link": 6, "soft-base": 5})],
+)
+def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
+    counts: Counter[NamedEffect], cutoff_hz: float, below: dict[str, int]
+) -> None:
+    tuned(("hysteresis",), (), cutoff_hz=cutoff_hz)
+    joint_parameters = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
+    numbers = {effect.name: len(effect.tested_shapes(joint_parameters)) for effect in all_effects()}
+    numbers |= below
+    assert counts == {(joint, name): numbers[name] for joint, name in POSSIBLE}
+
+
+def test_two_effects_are_added_one_after_the_other() -> None:
+    model = tuned(("hysteresis", "load-friction"), "auto")
+    assert sorted(added_effects(model)) == ["hysteresis", "load-friction"]
+    for parameter in MENDED:
+        assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.01), (
+            parameter
+        )
+
+
+def test_an_arm_without_effects_takes_up_none() -> None:
+    model, reference = tuned((), "auto"), tuned((), ())
+    assert added_effects(model) == []
+    assert model.values == reference.values
+    assert model.criticism is not None
+    assert model.criticism.causes == ()
+
+
+def test_the_parameter_shifts_of_a_cause_are_sorted() -> None:
+    model = tuned(("hysteresis",), ())
+    assert model.criticism is not None
+    for cause in model.criticism.causes:
+        shift_sizes = [abs(move.deviations) for move in cause.shifts]
+        assert shift_sizes == sorted(shift_sizes, reverse=True)
+        assert np.all(np.isfinite(shift_sizes))
+
+
+def test_rivals_are_fitted_within_their_budget() -> None:
+    """With zero effort no rival effect is fitted, and a warning lists the effects."""
+    named = tuned(("hysteresis",), ())
+    assert named.criticism is not None
+    assert named.criticism.causes
+    assert not [w for w in named.warnings if w.code == "causes-not-fitted"]
+    unfitted = tuned(("hysteresis",), (), effort=0.0)
+    assert unfitted.criticism is not None
+    assert unfitted.criticism.causes == ()
+    (warning,) = [w for w in unfitted.warnings if w.code == "causes-not-fitted"]
+    assert "hysteresis of joint 1" in warning.message
+    assert "rival_effort" in warning.message
+    assert unfitted.values == named.values
+
+
+@pytest.mark.parametrize(
+    ("many", "one", "more_likely"),
+    [(0.052, 0.044, "one"), (0.30, 0.10, "many"), (0.10, 0.10, "one")],
+)
+def test_many_sizes_must_explain_more_than_one(many: float, one: float, more_likely: str) -> None:
+    evidence = {"many": schwarz_decrease(many, 6, 4000.0), "one": schwarz_decrease(one, 1, 4000.0)}
+    assert max(evidence, key=lambda name: evidence[name]) == more_likely
+
+
+def test_an_effect_without_cost_reduction_has_negative_evidence() -> None:
+    assert schwarz_decrease(0.0, 1, 4000.0) < 0.0
+    assert np.isfinite(schwarz_decrease(1.0, 1, 4000.0))
