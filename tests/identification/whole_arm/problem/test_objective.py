@@ -117,7 +117,7 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
     objective, z = near_truth(spring)
     h = 1e-6
     for k, (record, rows) in enumerate(zip(objective.records, objective.rows(z), strict=True)):
-        local = objective.memory.record_parameters[k][: len(record.local)]
+        local = objective.memory.record_parameters[k][: len(record.initial_states)]
         for i, parameter in enumerate(objective.space.unknowns):
             step = h * np.eye(len(z))[i]
             up, down = (

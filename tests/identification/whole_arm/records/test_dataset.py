@@ -117,7 +117,7 @@ def test_the_true_arm_repeats_its_record(
     for log in logs:
         dataset = dataset_of(log, Arm.of(study.arm), CUTOFF)
         assert not dataset.begins_in_motion
-        assert dataset.local == ()
+        assert dataset.initial_states == ()
         assert len(dataset.start()) == 0
         difference = simulated(dataset, values, dataset.start()) - dataset.measured
         assert np.all(np.abs(difference) < off * np.std(dataset.measured, axis=0))
@@ -248,7 +248,7 @@ def test_a_record_that_begins_in_motion() -> None:
     cut = later(log, 400)
     dataset = dataset_of(cut, Arm.of(study.arm), CUTOFF)
     assert dataset.begins_in_motion
-    assert dataset.local == tuple((name, i) for name in INITIAL_STATES for i in (1, 2))
+    assert dataset.initial_states == tuple((name, i) for name in INITIAL_STATES for i in (1, 2))
     initial_state = beginning(study, values, log, 400)
     error = simulated(dataset, values, initial_state) - dataset.measured
     # the initial motor torque is unknown; it decays with the time constant of the electronics, 0.16
@@ -291,7 +291,7 @@ def test_derivatives_are_those_of_the_rows(spring: str) -> None:
         expected /= 2e-6
         derivative = tangent[..., len(directions) + k]
         assert np.max(np.abs(derivative - expected)) < 2e-4 * np.max(np.abs(expected)), (
-            record.local[k]
+            record.initial_states[k]
         )
 
 

@@ -211,7 +211,7 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
     def column(k: int, evaluated: Evaluation) -> FloatArray:
         """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
         record = objective.records[k]
-        own = evaluated.record_parameters[: len(record.local)]
+        own = evaluated.record_parameters[: len(record.initial_states)]
         ends = [
             replace(record, arm=replace(record.arm, link_length=length * factor)).linearised(
                 values, own, ()

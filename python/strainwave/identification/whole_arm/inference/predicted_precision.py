@@ -104,7 +104,7 @@ def _information_of(
     """Fisher information of one record, and covariance of its gradient due to sensor noise."""
     channels, tangent = record.linearised(values, record.start(), keys)
     n_rows, n_channels = channels.shape
-    n_initial, n = len(record.local), len(keys)
+    n_initial, n = len(record.initial_states), len(keys)
     biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
     n_own = n_initial + len(biased)
     columns = np.zeros((n_rows, n_channels, n_own + n))

@@ -167,7 +167,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         extended = _with_candidates(record, arm, candidates)
-        n_begin, n_own = len(record.local), len(rows.step)
+        n_begin, n_own = len(record.initial_states), len(rows.step)
         initial_states = (rows.evaluated.record_parameters + rows.step)[:n_begin]
         readings, tangent = extended.linearised(
             values, initial_states, [keys[k] for k in parameter_places]

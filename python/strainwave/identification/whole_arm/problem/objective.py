@@ -213,7 +213,7 @@ class Objective:
         def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
             rows = evaluated.weigh(self.weights[k])
             self.memory.store_biases(
-                k, len(self.records[k].local), evaluated.record_parameters + rows.step
+                k, len(self.records[k].initial_states), evaluated.record_parameters + rows.step
             )
             return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
 
@@ -272,7 +272,7 @@ class Objective:
             replace(self.records[k], begins_in_motion=True),
             list(self.memory.record_parameters),
         )
-        biases = record_parameters[k][len(self.records[k].local) :]
+        biases = record_parameters[k][len(self.records[k].initial_states) :]
         record_parameters[k] = np.concatenate([record.start(), biases]) if start is None else start
         records = (*self.records[:k], record, *self.records[k + 1 :])
         return replace(self, records=records, memory=_Memory(record_parameters))
@@ -283,7 +283,7 @@ class Objective:
 
         def corrected(k: int, record: Dataset) -> Dataset:
             return record.correct_step_error(
-                values, self.memory.record_parameters[k][: len(record.local)]
+                values, self.memory.record_parameters[k][: len(record.initial_states)]
             )
 
         records = tuple(self._map_records(corrected))
@@ -336,7 +336,7 @@ class Objective:
 
         def stored(k: int, record: Dataset) -> Dataset:
             return record.store_step_error(
-                values, self.memory.record_parameters[k][: len(record.local)]
+                values, self.memory.record_parameters[k][: len(record.initial_states)]
             )
 
         return replace(self, records=tuple(self._map_records(stored)))
@@ -413,7 +413,7 @@ class Objective:
         self, record: Dataset, z: FloatArray, record_parameters: FloatArray
     ) -> Evaluation:
         """Evaluate a record at z with given record parameters (n_own,)."""
-        n_begin, n = len(record.local), len(self.space.unknowns)
+        n_begin, n = len(record.initial_states), len(self.space.unknowns)
         n_own = len(record_parameters)
         values = self.space.values(z)
         channels, tangent = record.linearised(values, record_parameters[:n_begin], self.space.keys)
@@ -436,7 +436,7 @@ class Objective:
         values = self.space.values(z)
         simulated = []
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
-            shift = _shifts(record) @ evaluated.record_parameters[len(record.local) :]
+            shift = _shifts(record) @ evaluated.record_parameters[len(record.initial_states) :]
             channels = (
                 evaluated.difference - shift + record.observed(values) - record.drifts(values)
             )

@@ -108,14 +108,14 @@ class Dataset:
     step_error: FloatArray | None = field(default=None, kw_only=True)
 
     @property
-    def local(self) -> tuple[tuple[str, int], ...]:
+    def initial_states(self) -> tuple[tuple[str, int], ...]:
         """Unknown initial states, (name, joint)."""
         if not self.begins_in_motion:
             return ()
         return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
 
     def start(self) -> FloatArray:
-        """Starting values (n_local,) of the initial states, with unloaded gears."""
+        """Starting values (n_initial,) of the initial states, with unloaded gears."""
         if not self.begins_in_motion:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time
@@ -128,7 +128,7 @@ class Dataset:
     def run(
         self,
         values: Mapping[Key, float],
-        local: FloatArray,
+        initial: FloatArray,
         record: Sequence[Quantity],
     ) -> dict[Quantity, FloatArray]:
         """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
@@ -136,7 +136,7 @@ class Dataset:
         runs = simulate_arms(
             self._arm_at(values),
             [inputs.values],
-            inputs.shift_start(self._start_at(local)),
+            inputs.shift_start(self._start_at(initial)),
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=record,
@@ -147,12 +147,12 @@ class Dataset:
     def linearised(
         self,
         values: Mapping[Key, float],
-        local: FloatArray,
+        initial: FloatArray,
         directions: Sequence[Key],
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
-        The derivatives (n_rows, n_channels, n_directions + n_local) are those with respect to the
+        The derivatives (n_rows, n_channels, n_directions + n_initial) are those with respect to the
         `directions`, which are parameters and sensor constants, and then to the initial states.
         """
         inputs = self._inputs(values)
@@ -162,8 +162,8 @@ class Dataset:
         runs = sensitivities(
             self._arm_at(values),
             inputs.values,
-            inputs.shift_start(self._start_at(local)),
-            [*core_directions, *self.local],
+            inputs.shift_start(self._start_at(initial)),
+            [*core_directions, *self.initial_states],
             sample_time=self.log.sample_time,
             samples=len(self.log),
             record=self.quantities(),
@@ -183,7 +183,7 @@ class Dataset:
         if len(simulated) < len(directions):
             sensor_places = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
             keys = [directions[k] for k in sensor_places]
-            by_sensors = self._sensor_tangent(channels, motion, values, local, keys)
+            by_sensors = self._sensor_tangent(channels, motion, values, initial, keys)
             columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
             columns[..., np.delete(np.arange(columns.shape[2]), sensor_places)] = tangent
             columns[..., sensor_places] = by_sensors
@@ -227,28 +227,28 @@ class Dataset:
         self,
         simulated: FloatArray,
         values: Mapping[Key, float],
-        local: FloatArray,
+        initial: FloatArray,
         keys: Sequence[Key],
     ) -> FloatArray:
         """Derivatives of simulated minus measured channels with respect to sensor constants.
 
         s x(t) + r (t - t_m) - y(t + D) has the derivatives x with respect to s, t - t_m with
         respect to r, and -y' with respect to D, approximated by -s x'. `simulated` (n_rows,
-        n_channels) is x, without scale factors; `local` (n_local,) are the initial states; `keys`
-        are sensor constants. Returns (n_rows, n_channels, n_keys).
+        n_channels) is x, without scale factors; `initial` (n_initial,) are the initial states;
+        `keys` are sensor constants. Returns (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
         if any(is_mounting(key) or is_of_mount(key) for key in keys):
-            motion = self.run(values, local, self.quantities())
+            motion = self.run(values, initial, self.quantities())
             motion = motion if self._has_resonant_mount(values) else self._rows(motion)
-        return self._sensor_tangent(simulated, motion, values, local, keys)
+        return self._sensor_tangent(simulated, motion, values, initial, keys)
 
     def _sensor_tangent(
         self,
         simulated: FloatArray,
         motion: Mapping[Quantity, FloatArray],
         values: Mapping[Key, float],
-        local: FloatArray,
+        initial: FloatArray,
         keys: Sequence[Key],
     ) -> FloatArray:
         """`sensor_tangent` for a given motion.
@@ -284,7 +284,9 @@ class Dataset:
             wider = {
                 keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
             }
-            runs = (self.run(at, local, self.quantities()) for at in ({**values, **wider}, values))
+            runs = (
+                self.run(at, initial, self.quantities()) for at in ({**values, **wider}, values)
+            )
             wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
@@ -365,13 +367,13 @@ class Dataset:
         """Time (n_rows,) [s] minus its mean, so that a drift does not change the mean."""
         return np.asarray(self.time - np.mean(self.time))
 
-    def correct_step_error(self, values: Mapping[Key, float], local: FloatArray) -> Dataset:
+    def correct_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
         """Correct the integrator step error and the noise estimate at the given parameters.
 
         The step error changes little near these parameters, so a search can continue in long steps.
         The noise estimate excludes the simulated motion.
         """
-        exact, error = self._step_error(values, local)
+        exact, error = self._step_error(values, initial)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
         correction = (
             error
@@ -380,12 +382,12 @@ class Dataset:
         )
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
-    def store_step_error(self, values: Mapping[Key, float], local: FloatArray) -> Dataset:
+    def store_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
         """Store the step error for a record whose `lacking` already contains it."""
-        return replace(self, step_error=self._step_error(values, local)[1])
+        return replace(self, step_error=self._step_error(values, initial)[1])
 
     def _step_error(
-        self, values: Mapping[Key, float], local: FloatArray
+        self, values: Mapping[Key, float], initial: FloatArray
     ) -> tuple[dict[Quantity, FloatArray], FloatArray]:
         """Simulation in shorter steps, and its channels minus those in the steps of the record."""
         step = min(
@@ -393,7 +395,7 @@ class Dataset:
             1.0 / (_REFINED_STEPS_PER_PERIOD * self.cutoff_hz),
         )
         refined = replace(self, max_time_step=step)
-        exact, coarse = (one.run(values, local, self.quantities()) for one in (refined, self))
+        exact, coarse = (one.run(values, initial, self.quantities()) for one in (refined, self))
         return exact, self.filtered_channels(exact, values) - self.filtered_channels(coarse, values)
 
     def _residual_noise(
@@ -412,11 +414,11 @@ class Dataset:
         ]
         return noise_behind(self.channels, residuals, self.kernels, self.counts)
 
-    def _start_at(self, local: FloatArray) -> Drive:
-        """Inputs of the simulation with initial states (n_local,)."""
+    def _start_at(self, initial: FloatArray) -> Drive:
+        """Inputs of the simulation with initial states (n_initial,)."""
         if not self.begins_in_motion:
             return self.drive
-        parts = local.reshape(len(INITIAL_STATES), -1).tolist()
+        parts = initial.reshape(len(INITIAL_STATES), -1).tolist()
         velocity, link, link_velocity = (tuple(part) for part in parts)
         return replace(
             self.drive, motor_velocity=velocity, link_angle=link, link_velocity=link_velocity
@@ -453,16 +455,16 @@ class Dataset:
     def mount_tangent(
         self,
         values: Mapping[Key, float],
-        local: FloatArray,
+        initial: FloatArray,
         mounts: Mapping[tuple[Key, Key], Sequence[MountResonance]],
     ) -> FloatArray:
         """Change of the channels by candidate mount resonances, one at a time.
 
-        `local` (n_local,) are the initial states. `mounts` maps the frequency and damping keys of a
-        sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of the
+        `initial` (n_initial,) are the initial states. `mounts` maps the frequency and damping keys
+        of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of the
         mapping.
         """
-        runs, scales = self.run(values, local, self.quantities()), self.sensor_scales(values)
+        runs, scales = self.run(values, initial, self.quantities()), self.sensor_scales(values)
         tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
         changes = np.zeros((len(self.time), len(self.channels), len(tested)))
         for k, channel in enumerate(self.channels):

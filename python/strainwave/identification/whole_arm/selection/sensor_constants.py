@@ -344,7 +344,7 @@ def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
 
     def tangent(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
-        local = objective.memory.record_parameters[k][: len(record.local)]
+        local = objective.memory.record_parameters[k][: len(record.initial_states)]
         return record.sensor_tangent(simulated[k], values, local, keys)
 
     n = len(objective.space.unknowns)

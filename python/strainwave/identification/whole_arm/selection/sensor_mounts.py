@@ -83,7 +83,7 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     def columns(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
         return record.mount_tangent(
-            values, objective.memory.record_parameters[k][: len(record.local)], tested
+            values, objective.memory.record_parameters[k][: len(record.initial_states)], tested
         )
 
     n_unknowns = len(objective.space.unknowns)
