@@ -13,10 +13,10 @@ from strainwave.domain import ArmModel, JointModel, Log, RigidModel, TuningOptio
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.inference.predicted_precision import predicted_parameters
 from strainwave.identification.whole_arm.problem.effect_unknowns import set_record_effects
 from strainwave.identification.whole_arm.problem.restrictions import expand_published_options
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     Progress,
     coarse_search,

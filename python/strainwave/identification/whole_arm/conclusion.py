@@ -21,11 +21,8 @@ from strainwave.identification.whole_arm.inference.agreement import (
 )
 from strainwave.identification.whole_arm.inference.bounds import at_bounds, parameters_at_bounds
 from strainwave.identification.whole_arm.inference.motor_side_limits import motor_side_limits
-from strainwave.identification.whole_arm.inference.parameter_estimates import (
-    Fit,
-    parameters_of,
-    warnings_of,
-)
+from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
+from strainwave.identification.whole_arm.inference.parameter_warnings import warnings_of
 from strainwave.identification.whole_arm.inference.residual_analysis import (
     residual_tests,
     residual_warnings,
@@ -41,6 +38,7 @@ from strainwave.identification.whole_arm.records.gear_torques import (
     histograms_of,
     largest_of,
 )
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.causes import (
     fit_missing_effects,

@@ -10,17 +10,15 @@ import pytest
 from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray
-from strainwave.identification.whole_arm.inference.covariance import (
-    Confidence,
-    confidence_of,
-    only_together,
-)
-from strainwave.identification.whole_arm.problem.objective import Objective, Weights
+from strainwave.identification.whole_arm.inference.covariance import Confidence, confidence_at
+from strainwave.identification.whole_arm.inference.parameter_warnings import only_together
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import (
     ParameterSpace,
     Prior,
     Unknown,
 )
+from strainwave.identification.whole_arm.problem.weighted_rows import Weights
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from tuning_runs import linear_record, linear_search
 
@@ -83,7 +81,7 @@ def test_the_local_covariance_is_the_closed_form() -> None:
     tables = [table_of(0), table_of(1, 400)]
     prior = Prior(np.array([[30.0, 10.0, 0.0]]), np.array([50.0]), np.eye(1))
     errors = [np.zeros((N, 1)), np.zeros((400, 1))]
-    confidence = confidence_of(objective_of(tables, errors, 0.1, prior=prior), TRUTH)
+    confidence = confidence_at(objective_of(tables, errors, 0.1, prior=prior), TRUTH)
     information = sum(t.reshape(-1, 3).T @ t.reshape(-1, 3) for t in tables) / 0.1**2
     information = information + prior.rows.T @ prior.rows
     np.testing.assert_allclose(confidence.local, np.linalg.inv(information), rtol=1e-9)
@@ -92,7 +90,7 @@ def test_the_local_covariance_is_the_closed_form() -> None:
 def test_a_records_own_constants_cost_certainty() -> None:
     """The constants of a record act like additional unknowns."""
     table = table_of(2) + np.array([1.0, 0.0, 0.3])
-    confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1, shifted=True), TRUTH)
+    confidence = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.1, shifted=True), TRUTH)
     regressor = np.column_stack([np.ones(N), table.reshape(-1, 3)]) / 0.1
     expected = np.linalg.inv(regressor.T @ regressor)[1:, 1:]
     np.testing.assert_allclose(confidence.local, expected, rtol=1e-8)
@@ -112,7 +110,7 @@ def test_weights_and_scales_are_taken_into_account() -> None:
     record = linear_record(table, table @ p + error, noise=1e9)
     weights = Weights(np.array([0.1]), np.array([3.0]))
     objective = replace(Objective.of(space, [record]), weights=(weights,))
-    confidence = confidence_of(objective, z)
+    confidence = confidence_at(objective, z)
     weight = 1.0 / np.sqrt(1.0 + (error / 0.1) ** 2) / 3.0 / 0.1**2
     flat = table.reshape(-1, 3)
     np.testing.assert_allclose(confidence.local, np.linalg.inv(flat.T @ (weight * flat)), rtol=1e-8)
@@ -127,7 +125,7 @@ def draws(pole: float, n: int, deviation: float, size: float) -> tuple[FloatArra
         objective = objective_of([table], [coloured(rng, 3 * N, pole, size)], deviation)
         z = solved(objective)
         fits.append(z)
-        sandwiches.append(confidence_of(objective, z).sandwich)
+        sandwiches.append(confidence_at(objective, z).sandwich)
     return np.cov(np.array(fits).T), np.mean(sandwiches, axis=0)
 
 
@@ -137,7 +135,7 @@ def test_the_sandwich_knows_of_errors_that_go_on() -> None:
     ratio = np.sqrt(np.diag(sandwich) / np.diag(true))
     assert np.all((ratio > 0.75) & (ratio < 1.15)), ratio
     objective = objective_of([table_of(4, 3 * N)], [np.zeros((3 * N, 1))], 0.1)
-    local_variance = np.diag(confidence_of(objective, TRUTH).local)
+    local_variance = np.diag(confidence_at(objective, TRUTH).local)
     # slow errors affect slow columns: the closed form for independent rows is far too small
     assert np.all(np.diag(true) > 4.0 * local_variance)
 
@@ -164,7 +162,7 @@ def test_the_steady_covariance_knows_how_quick_errors_are() -> None:
     for _ in range(150):
         objective = objective_of([table], [quick(rng, N, 0.1)], 0.1)
         fits.append(solved(objective))
-        confidences.append(confidence_of(objective, fits[-1]))
+        confidences.append(confidence_at(objective, fits[-1]))
     true = np.cov(np.array(fits).T)
     steady = np.mean([confidence.steady for confidence in confidences], axis=0)
     ratio = np.sqrt(np.diag(steady) / np.diag(true))
@@ -181,7 +179,7 @@ def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
     error = quick(np.random.default_rng(15), N, 0.1)
 
     def steady(noise: float, deviation: float = FAR * 0.1) -> FloatArray:
-        confidence = confidence_of(
+        confidence = confidence_at(
             objective_of([table_of(15)], [error], deviation, noise=noise), TRUTH
         )
         return confidence.steady - 1e-3 * confidence.local
@@ -201,7 +199,7 @@ def test_errors_count_as_no_smaller_than_the_sensors_noise() -> None:
 def test_at_standstill_errors_are_the_sensors_noise() -> None:
     """Without residuals, the noise counts as white, which gives the closed form."""
     table = table_of(19)
-    confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
+    confidence = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.5, noise=0.1), TRUTH)
     flat = table.reshape(-1, 3)
     expected = 0.1**2 * np.linalg.inv(flat.T @ flat)
     np.testing.assert_allclose(confidence.steady - 1e-3 * confidence.local, expected, rtol=1e-6)
@@ -213,7 +211,7 @@ def test_rigid_estimates_are_weighted_by_their_reported_errors() -> None:
     table[..., 2] = 0.0
     assumed, errors = 0.1, np.array([[0.25]])
     prior = Prior(np.array([[0.0, 0.0, 1.0 / assumed]]), TRUTH[2:] / assumed, errors)
-    confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
+    confidence = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.1, prior=prior), TRUTH)
     assert np.sqrt(confidence.local[2, 2]) == pytest.approx(assumed)
     assert np.sqrt(confidence.combined[2, 2]) == pytest.approx(0.5 * assumed, rel=0.01)
 
@@ -230,7 +228,7 @@ def test_a_rigid_step_that_the_records_contradict_counts_for_less() -> None:
         target = (TRUTH[[0, 2]] + [prior_error, 0.0]) / assumed
         prior = Prior(rows, target, np.diag((reported / assumed) ** 2))
         objective = objective_of([table], [error], 0.01, prior=prior)
-        confidences.append(confidence_of(objective, solved(objective)))
+        confidences.append(confidence_at(objective, solved(objective)))
     assert np.sqrt(confidences[0].combined[2, 2]) == pytest.approx(reported[1], rel=0.05)
     # one of two residuals is ten standard deviations: the rms value is sqrt(50)
     assert np.sqrt(confidences[1].combined[2, 2]) == pytest.approx(
@@ -245,7 +243,7 @@ def test_local_deviations_hold_for_white_errors() -> None:
     for _ in range(200):
         objective = objective_of([table], [rng.normal(0.0, 0.1, (N, 1))], 0.1)
         fits.append(solved(objective))
-    local = confidence_of(objective, fits[-1]).local
+    local = confidence_at(objective, fits[-1]).local
     ratio = np.sqrt(np.diag(local)) / np.std(fits, axis=0)
     # the robust weights make the interval slightly too wide
     assert np.all((ratio > 0.9) & (ratio < 1.25)), ratio
@@ -260,10 +258,10 @@ def test_records_with_errors_of_their_own_scatter() -> None:
         errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
         objective = objective_of(tables, errors, FAR)
         fits.append(solved(objective))
-        scatters.append(np.diag(confidence_of(objective, fits[-1]).scatter))
+        scatters.append(np.diag(confidence_at(objective, fits[-1]).scatter))
     ratio = np.sqrt(np.mean(scatters, axis=0)) / np.std(fits, axis=0)
     assert np.all((ratio > 0.8) & (ratio < 1.2)), ratio
-    local = np.diag(confidence_of(objective, fits[-1]).local) * (0.01 / FAR) ** 2
+    local = np.diag(confidence_at(objective, fits[-1]).local) * (0.01 / FAR) ** 2
     assert np.all(local < 0.01 * np.var(fits, axis=0))
 
 
@@ -276,7 +274,7 @@ def test_records_of_the_true_model_scatter_as_the_local_covariance() -> None:
     ratios = []
     for _ in range(40):
         objective = objective_of(tables, [rng.normal(0.0, 0.01, (200, 1)) for _ in tables], 0.01)
-        confidence = confidence_of(objective, solved(objective))
+        confidence = confidence_at(objective, solved(objective))
         ratios.append(np.diag(confidence.scatter) / np.diag(confidence.local))
     ratio = np.sqrt(np.mean(ratios, axis=0))
     assert np.all(ratio < 1.2), ratio
@@ -285,7 +283,7 @@ def test_records_of_the_true_model_scatter_as_the_local_covariance() -> None:
 
 def test_two_records_do_not_scatter() -> None:
     tables = [table_of(k) for k in (1, 2)]
-    confidence = confidence_of(objective_of(tables, [np.zeros((N, 1))] * 2, 0.1), TRUTH)
+    confidence = confidence_at(objective_of(tables, [np.zeros((N, 1))] * 2, 0.1), TRUTH)
     assert np.all(np.isnan(confidence.scatter))
     assert np.all(np.isfinite(confidence.combined))
 
@@ -301,7 +299,7 @@ def test_deviations_count_stretches_and_scatter() -> None:
     for pole in (0.0, 0.97):
         errors = [coloured(rng, 200, pole, 0.1) for _ in tables]
         objective = objective_of(tables, errors, 0.1)
-        confidence = confidence_of(objective, solved(objective))
+        confidence = confidence_at(objective, solved(objective))
         local_std, sandwich_std, scatter_std = deviations(confidence)
         reported = np.sqrt(np.diag(confidence.combined))
         assert np.all(reported**2 >= 0.5 * local_std**2)
@@ -328,7 +326,7 @@ def test_intervals_hold_where_few_records_have_errors_of_their_own() -> None:
         errors = [0.1 * (t @ rng.normal(size=3)) + rng.normal(0.0, 0.01, (200, 1)) for t in tables]
         objective = objective_of(tables, errors, 0.1, noise=1e9).update_weights(TRUTH)
         z = solved(objective)
-        half_width = 1.96 * np.sqrt(np.diag(confidence_of(objective, z).combined))
+        half_width = 1.96 * np.sqrt(np.diag(confidence_at(objective, z).combined))
         is_inside.append(np.abs(z - TRUTH) < half_width)
     coverage = np.mean(is_inside, axis=0)
     assert np.all((coverage > 0.88) & (coverage <= 1.0)), coverage
@@ -340,13 +338,13 @@ def test_errors_beyond_the_sensors_noise_raise_deviations() -> None:
     error = rng.normal(0.0, 0.1, (N, 1))
     explained = objective_of([table], [error], 0.1, noise=0.1)
     z = solved(explained)
-    quiet = confidence_of(explained, z)
+    quiet = confidence_at(explained, z)
     larger = np.maximum(np.diag(quiet.sandwich), np.diag(quiet.steady))
     np.testing.assert_allclose(np.diag(quiet.combined), larger)
     unexplained = replace(
         explained, records=(replace(explained.records[0], noise=np.ones(1) / 40.0),)
     )
-    high_variance = confidence_of(unexplained, z)
+    high_variance = confidence_at(unexplained, z)
     raised = np.sqrt(np.diag(high_variance.combined) / np.diag(quiet.combined))
     # noise explains 1 / 40^2 of the variance; 0.8 of the unexplained share is added
     residual = (table @ z)[:, :, None] - (table @ TRUTH)[:, :, None] - error[..., None]
@@ -371,7 +369,7 @@ def test_an_error_below_the_noise_counts_in_the_band_of_a_parameter() -> None:
     def shares(errors: Sequence[FloatArray]) -> FloatArray:
         objective = objective_of([table] * 4, errors, 0.1, noise=0.1)
         records = tuple(replace(record, kernels=kernels) for record in objective.records)
-        confidence = confidence_of(replace(objective, records=records), TRUTH)
+        confidence = confidence_at(replace(objective, records=records), TRUTH)
         variance = np.maximum(np.diag(confidence.sandwich), np.diag(confidence.steady))
         variance = np.maximum(variance, np.diag(confidence.scatter))
         return np.asarray(np.diag(confidence.combined) / variance)
@@ -389,7 +387,7 @@ def test_a_common_error_of_all_records_is_not_reduced_by_averaging(n: int) -> No
     error = rng.normal(0.0, 1.0, (200, 1))
     tables, errors = [table_of(12, 200)] * n, [0.1 * error / np.std(error)] * n
     confidences = [
-        confidence_of(objective_of(tables, errors, 0.1, noise=noise), TRUTH)
+        confidence_at(objective_of(tables, errors, 0.1, noise=noise), TRUTH)
         for noise in (0.0999, 1e-9)
     ]
     raised = np.diag(confidences[1].combined) / np.diag(confidences[0].combined)
@@ -399,7 +397,7 @@ def test_a_common_error_of_all_records_is_not_reduced_by_averaging(n: int) -> No
 def test_a_parameter_without_information_has_a_large_variance() -> None:
     table = table_of(10)
     table[..., 2] = 0.0
-    confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
+    confidence = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.1), TRUTH)
     flat = table.reshape(-1, 3)[:, :2] / 0.1
     np.testing.assert_allclose(confidence.local[:2, :2], np.linalg.inv(flat.T @ flat), rtol=1e-8)
     assert not confidence.combined[2, 2] < 1e12
@@ -413,7 +411,7 @@ def test_a_pair_that_is_reported_only_together() -> None:
     table = table_of(11)
     # the second column is nearly equal to the third
     table[..., 1] = table[..., 2] + 1e-3 * rng.normal(size=(N, 1))
-    confidence = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.2), TRUTH)
+    confidence = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.2), TRUTH)
     groups = list(only_together(["a", "b", "c"], TRUTH, confidence.combined))
     assert [names for names, _ in groups] == [("b", "c")]
     # the direction increases b and decreases c by the same amount
@@ -422,7 +420,7 @@ def test_a_pair_that_is_reported_only_together() -> None:
     assert groups[0][1] == pytest.approx(relative_std)
     # a prior on their sum removes the group
     prior = Prior(np.array([[0.0, 1.0, 0.0]]) * 1e3, np.array([-1e3]), np.eye(1))
-    with_prior = confidence_of(objective_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
+    with_prior = confidence_at(objective_of([table], [np.zeros((N, 1))], 0.2, prior=prior), TRUTH)
     assert list(only_together(["a", "b", "c"], TRUTH, with_prior.combined)) == []
 
 

@@ -18,8 +18,8 @@ from strainwave.identification.whole_arm.inference.effect_columns import (
     Hypothesis,
     Shapes,
 )
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.effect_unknowns import NamedEffect
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.causes import schwarz_decrease
 from tuning_runs import truth
 

@@ -23,13 +23,14 @@ from strainwave.domain.keys import Key
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     body_parameters,
     friction_parameters,
 )
-from strainwave.identification.whole_arm.problem.objective import Evaluation
 from strainwave.identification.whole_arm.problem.parameter_space import COULOMB, OFFSET
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.distributions import chi_square_tail
 
 Scope = Literal["all", "inertias", "friction"]
@@ -61,7 +62,7 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     correlation. `fit` is at its minimum. Values without information in the fast records are
     omitted. The result is empty without a rigid model.
     """
-    prior, confidence = fit.objective.space.prior, fit.confidence
+    prior, confidence = fit.objective.space.prior, confidence_of(fit)
     F = prior.factor
     difference = F @ confidence.prior_residual
     std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
@@ -93,7 +94,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     `fit` is at its minimum. The result is empty without a rigid model, or if the records contain no
     information on its values.
     """
-    prior, confidence = fit.objective.space.prior, fit.confidence
+    prior, confidence = fit.objective.space.prior, confidence_of(fit)
     F = prior.factor
     _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
     std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])

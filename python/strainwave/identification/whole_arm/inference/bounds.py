@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.parameter_space import SETTLING
+from strainwave.identification.whole_arm.search.fit import Fit
 
 _BOUND_TOLERANCE = (
     0.01  # distance to a bound, relative to half the range, that counts as at the bound

@@ -31,22 +31,18 @@ error can thus exceed the noise many times although its share in the total power
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from strainwave.domain import FloatArray, IntArray
+from strainwave.domain import FloatArray
 from strainwave.domain.estimates import CI95_STDS
-from strainwave.identification.whole_arm.problem.objective import (
-    BLOCKS_PER_RECORD,
-    Objective,
-    Rows,
-    spectrum_and_autocovariance,
-    white_noise_autocovariance,
-)
-from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.inference.gradient_evidence import Evidence, evidence_of
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import run_parallel
 
@@ -58,18 +54,9 @@ Residuals contain no errors of parameters that no record identifies.
 
 _MIN_INFORMATION = 1e-30  # information of a parameter that no record depends on
 _MIN_VARIANCE_RATIO = 1e-6  # lower limit of a variance of prior residuals, relative to the prior
-_HERMITE_SHARES = {1: 0.927, 3: 0.056, 5: 0.017}
-"""Hermite degree -> share of the variance of r (1 + r^2)^(-1/2) for standard normal r.
-
-The last entry includes all higher degrees. The gradient of the loss slightly whitens the noise.
-"""
 _NOISE_TOLERANCE = 0.2  # relative uncertainty of the sensor-noise part of a variance
 _MIN_RECORDS = 3  # minimum number of records for the scatter
 _MIN_REMAINING = 1e-3  # lower limit of 1 - leverage; near 0, one record identifies a parameter
-_MAX_RELATIVE_STD = 0.1  # relative standard deviation above which a direction is poorly identified
-# minimum ratio of marginal to conditional standard deviation for a group to be reported
-_MIN_STD_RATIO = 5.0
-_MIN_COMPONENT = 0.2  # minimum component of a group member, relative to the largest component
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,8 +85,18 @@ class Confidence:
         return np.asarray(self.combined * np.outer(raised, raised))
 
 
-def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
-    """Compute the covariances of the fitted parameters.
+_computed: WeakKeyDictionary[Fit, Confidence] = WeakKeyDictionary()
+
+
+def confidence_of(fit: Fit) -> Confidence:
+    """Covariances of the unknowns of a fit, computed once."""
+    if fit not in _computed:
+        _computed[fit] = confidence_at(fit.objective, fit.z)
+    return _computed[fit]
+
+
+def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
+    """Covariances of the unknowns at a minimum.
 
     `z`, (n_unknowns,), minimises `objective`.
     """
@@ -108,7 +105,7 @@ def confidence_of(objective: Objective, z: FloatArray) -> Confidence:
         for record, weights in zip(objective.records, objective.weights, strict=True)
     ]
     each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
-    records = run_parallel([partial(_evidence, *one) for one in each])
+    records = run_parallel([partial(evidence_of, *one) for one in each])
     space, prior = objective.space, objective.space.prior
     slope = space.slope(z)
     rows, unknown_rows = prior.rows @ slope, space.own_prior[0] @ slope
@@ -182,97 +179,6 @@ def _scatter_increment(
     return np.asarray(np.maximum((scattered - own) * weight, own * (pooled - 1.0) * quantile_ratio))
 
 
-@dataclass(frozen=True, slots=True)
-class _Evidence:
-    """Gradients and information of one record."""
-
-    gradients: FloatArray  # (n_segments, n_unknowns) of the loss
-    product: FloatArray  # (n_unknowns, n_unknowns) contribution to J'J
-    curvature: FloatArray  # (n_unknowns, n_unknowns) second derivative of the loss
-    steady: FloatArray  # (n_unknowns, n_unknowns) of the gradient, stationary errors
-    noise: FloatArray  # (n_unknowns, n_unknowns) of the gradient, sensor noise only
-
-
-def _evidence(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray) -> _Evidence:
-    """Compute gradients and information of one record, minimised over its own unknowns.
-
-    `noise` is the sensor noise in weighted standard deviations. The gradient of the soft L1 loss
-    has the weights (1 + r^2)^(-1/2), its second derivative (1 + r^2)^(-3/2).
-    """
-    n_own, width = len(rows.step), rows.residual.shape[1]
-    table = rows.evaluated.columns * (rows.root / rows.stds)[..., None]
-    flat = table.reshape(-1, table.shape[2])
-    local, shared = flat[:, :n_own], flat[:, n_own:]
-    n = shared.shape[1]
-    coefficients = np.linalg.lstsq(local, shared)[0]
-    shared = shared - local @ coefficients  # orthogonal to the record's own unknowns
-    gradients = shared * (rows.residual * rows.root).reshape(-1, 1)
-    labels, segment = np.unique(np.repeat(block, width), return_inverse=True)
-    sums = np.zeros((len(labels), n))
-    np.add.at(sums, segment, gradients)
-    robust_scale = np.sqrt(1.0 + rows.residual**2)
-    scaled = shared / robust_scale.reshape(-1, 1)
-    columns = shared.reshape(-1, width, n) * (rows.root * robust_scale)[..., None]
-    steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
-    for k, channel in enumerate(record.channels):
-        errors = _autocovariance(rows.residual[:, k], float(noise[k]))
-        own_noise = np.zeros_like(errors)
-        filtered = white_noise_autocovariance(
-            record.kernels.taps(rate=channel.rate), record.kernels.step
-        )[:rows_in]
-        share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
-        own_noise[: len(filtered)] = (
-            errors[0] * share * _loss_autocorrelation(filtered / filtered[0])
-        )
-        covariances = gradient_covariances(columns[:, k], (errors, own_noise))
-        steady, of_noise = steady + covariances[0], of_noise + covariances[1]
-    return _Evidence(sums, shared.T @ shared, scaled.T @ scaled, steady, of_noise)
-
-
-def _loss_autocorrelation(correlation: FloatArray) -> FloatArray:
-    """Autocorrelation of r (1 + r^2)^(-1/2) for normal r with this one, by Hermite expansion."""
-    return np.asarray(sum(weight * correlation**k for k, weight in _HERMITE_SHARES.items()))
-
-
-def gradient_covariances(
-    columns: FloatArray, autocovariances: Sequence[FloatArray]
-) -> list[FloatArray]:
-    """Covariances of columns' e for stationary errors e; columns is (n_rows, n_unknowns).
-
-    Each autocovariance, (n_rows,) from lag zero, is tapered to the length of a segment (Newey and
-    West, 1987). The covariance is the spectrum of the columns, weighted by the power spectrum of
-    the errors. Returns one (n_unknowns, n_unknowns) for each autocovariance.
-    """
-    n = len(columns)
-    max_lag = max(1, n // BLOCKS_PER_RECORD)
-    n_fft = 2 * ((n + max_lag + 1) // 2)
-    taper = 1.0 - np.arange(max_lag) / max_lag
-    multiplicity = np.full(n_fft // 2 + 1, 2.0)  # positive and negative frequencies
-    multiplicity[[0, -1]] = 1.0
-    lines = np.fft.rfft(columns, n_fft, axis=0)
-    covariances = []
-    for autocovariance in autocovariances:
-        lags = np.zeros(n_fft)
-        lags[:max_lag] = taper * autocovariance[:max_lag]
-        lags[n_fft - max_lag + 1 :] = lags[1:max_lag][::-1]
-        power = np.maximum(np.fft.rfft(lags).real, 0.0)
-        weighted = lines * np.sqrt(multiplicity * power / n_fft)[:, None]
-        covariances.append(weighted.real.T @ weighted.real + weighted.imag.T @ weighted.imag)
-    return covariances
-
-
-def _autocovariance(residual: FloatArray, noise: float) -> FloatArray:
-    """Autocovariance of the gradient of the loss, (n_rows,), with the sensor noise as lower limit.
-
-    At standstill, the residuals of a quantised angle are smaller than the noise of its encoder.
-    """
-    n, variance, noise_variance = len(residual), float(np.var(residual)), noise**2
-    if variance == 0.0:
-        return np.asarray(noise_variance * np.eye(1, n)[0])
-    _, products = spectrum_and_autocovariance(residual / np.sqrt(1.0 + residual**2))
-    return np.asarray(products / n * max(1.0, noise_variance / variance))
-
-
 def _prior_scale(
     errors: FloatArray, left: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
 ) -> float:
@@ -302,7 +208,7 @@ def residual_covariance(
     return np.asarray(remaining @ errors @ remaining.T + answer @ meat @ answer.T)
 
 
-def _unexplained_share(answer: FloatArray, records: Sequence[_Evidence]) -> FloatArray:
+def _unexplained_share(answer: FloatArray, records: Sequence[Evidence]) -> FloatArray:
     """Share of the variance of each parameter that sensor noise does not explain.
 
     `answer`, (n_unknowns, n_unknowns), is the derivative of the parameters by the gradient.
@@ -316,7 +222,7 @@ def _unexplained_share(answer: FloatArray, records: Sequence[_Evidence]) -> Floa
 
 
 def _scatter(
-    whole: FloatArray, known: FloatArray, records: Sequence[_Evidence]
+    whole: FloatArray, known: FloatArray, records: Sequence[Evidence]
 ) -> tuple[FloatArray, float]:
     """Covariance of the fit from the gradients of whole records, and the pooled excess.
 
@@ -362,30 +268,3 @@ def inverse_information(information: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     values = np.maximum(values, 1e-13 * values[-1])
     return np.asarray((vectors / values) @ vectors.T / np.outer(scale, scale))
-
-
-def only_together(
-    names: Sequence[str], values: FloatArray, covariance: FloatArray
-) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield groups of parameters of which the data identify only a combination.
-
-    `values` is (n,), `covariance` is (n, n). Yields the names of each group, and the relative
-    standard deviation of the unidentified combination.
-    """
-    scale = np.where(values == 0.0, 1.0, np.abs(values))
-    relative = covariance / np.outer(scale, scale)
-    variances, directions = np.linalg.eigh(relative)
-    for variance, direction in zip(variances[::-1], directions.T[::-1], strict=True):
-        std = float(np.sqrt(max(variance, 0.0)))
-        if std < _MAX_RELATIVE_STD:
-            return
-        is_member = np.abs(direction) > _MIN_COMPONENT * np.max(np.abs(direction))
-        members = np.flatnonzero(is_member)
-        if len(members) < 2:
-            continue
-        # marginal and conditional standard deviation, others unknown and fixed
-        information = np.linalg.pinv(relative[np.ix_(members, members)], hermitian=True)
-        marginal = np.sqrt(np.diag(relative)[members])
-        conditional = 1.0 / np.sqrt(np.diag(information))
-        if np.min(marginal / conditional) > _MIN_STD_RATIO:
-            yield tuple(names[int(k)] for k in members), std

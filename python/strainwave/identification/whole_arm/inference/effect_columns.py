@@ -12,7 +12,6 @@ from strainwave.domain.effects import effect_named, names
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     body_parameters,
@@ -20,8 +19,9 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
     sizes_of,
 )
-from strainwave.identification.whole_arm.problem.objective import Evaluation
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.records.dataset import Dataset
+from strainwave.identification.whole_arm.search.fit import Fit
 
 COLUMN_ROUNDING = 1e-7  # of a column's norm; a smaller projection is rounding
 

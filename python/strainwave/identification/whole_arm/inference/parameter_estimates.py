@@ -4,66 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from strainwave.domain import (
-    Diagnostic,
     FloatArray,
     Parameter,
-    Place,
 )
 from strainwave.domain.estimates import CI95_STDS
-from strainwave.domain.gear_laws import is_by_load, is_slope
+from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import is_hidden, is_mounting, reported
-from strainwave.identification.whole_arm.inference.covariance import (
-    Confidence,
-    confidence_of,
-    only_together,
-)
-from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.dynamics.mounting import is_mounting, reported
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.parameter_space import (
-    SETTLING,
     VISCOUS,
     combination,
 )
+from strainwave.identification.whole_arm.search.fit import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
 _MOUNTING_STEP = 1e-6  # step of mounting unknowns for central differences [m or rad]
-_NOT_REACHED = (
-    "not-reached",
-    "no record loads the gear so far that it shows; use a larger amplitude, or hold the link",
-)
-_NOT_APART = (
-    "not-identifiable",
-    "the records do not show whether the gear bends there; record more motion at small torques",
-)
-
-
-@dataclass(frozen=True)
-class Fit:
-    """Final iterate of the whole-arm fit."""
-
-    objective: Objective
-    z: FloatArray  # (n_unknowns,)
-    cost: float  # objective with the final weights; infinite before the first iteration
-    iterations: int
-    converged: bool
-
-    @property
-    def records(self) -> list[str]:
-        """Names of the records."""
-        return [record.log.name for record in self.objective.records]
-
-    @cached_property
-    def confidence(self) -> Confidence:
-        """Covariances of the unknowns."""
-        return confidence_of(self.objective, self.z)
 
 
 def parameters_of(
@@ -78,7 +41,7 @@ def parameters_of(
     keys = space.keys
     names = list(keys)
     units = [unknown.unit for unknown in space.unknowns]
-    identified = _identified_curves(fit, fit.confidence.combined, arm, largest_torque)
+    identified = _identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
     weights = [combination(keys, {identified.get(key) or key: 1.0}) for key in keys]
     constants = [0.0] * len(keys)
     for (name, number), parts in arm.reported.items():
@@ -88,7 +51,7 @@ def parameters_of(
         units.append(unit_of(name, arm.joints[number - 1]))
         weights.append(combination(keys, parts))
         constants.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
-    for name, number in _vanished_parameters(fit, arm):
+    for name, number in vanished_parameters(fit, arm):
         names.append((name, number))
         units.append(unit_of(name, arm.joints[number - 1]))
         weights.append(combination(keys, {}))
@@ -102,7 +65,7 @@ def parameters_of(
         units += mountings.units
         W = np.vstack([W, mountings.slopes])
         values = np.concatenate([values, mountings.values])
-    covariance = W @ fit.confidence.combined @ W.T
+    covariance = W @ confidence_of(fit).combined @ W.T
     variance = np.diag(covariance)
     stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
     stds[[identified.get(name, name) is None for name in names]] = np.inf
@@ -161,7 +124,7 @@ def mountings_of(fit: Fit) -> Mountings:
     return mountings
 
 
-def _vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
+def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
     """Yield gear parameters that the fit fixes to zero."""
     for number, joint in enumerate(arm.joints, start=1):
         for name in joint.law.may_vanish:
@@ -200,73 +163,3 @@ def _parameter(name: str, joint: int | None, unit: str, value: float, std: float
     return Parameter(
         name, joint, value, std, unit, "tuned", (value - half_width, value + half_width)
     )
-
-
-def _curve_reason(place: int, parameters: Sequence[Parameter]) -> tuple[str, str]:
-    """Code and text of the reason why a slope or knee has no value.
-
-    A slope or knee at higher torque can have a value.
-    """
-    parameter = parameters[place]
-    has_value_beyond = any(
-        p.joint == parameter.joint
-        and p.value is not None
-        and is_slope(p.name) == is_slope(parameter.name)
-        for p in parameters[place + 1 :]
-        if is_by_load(p.name)
-    )
-    return _NOT_APART if has_value_beyond else _NOT_REACHED
-
-
-def warnings_of(
-    fit: Fit, is_at_bound: Sequence[bool], parameters: Sequence[Parameter]
-) -> Iterator[Diagnostic]:
-    """Yield the warnings about the parameters of a fit.
-
-    `is_at_bound` states for each unknown whether it is at a bound of its range.
-    """
-    space = fit.objective.space
-    values = space.parameters(fit.z)
-    stds = np.sqrt(np.diag(fit.confidence.combined))
-    for k, (unknown, at_bound) in enumerate(zip(space.unknowns, is_at_bound, strict=True)):
-        place = Place(joint=unknown.joint, parameter=unknown.name)
-        if at_bound and unknown.name != SETTLING:
-            text = f"the estimate is at the limit of its range, {values[k]:.3g} {unknown.unit}:"
-            text += " the data contradict the model or do not determine the value"
-            yield Diagnostic.at("at-bounds", place, text)
-        if parameters[k].value is not None:
-            continue
-        if is_by_load(unknown.name):
-            code, text = _curve_reason(k, parameters[: len(space.unknowns)])
-            yield Diagnostic.at(code, place, text)
-            continue
-        message = f"the data give only {values[k]:.3g} +- {stds[k]:.2g} {unknown.unit}"
-        if unknown.name in VISCOUS:
-            message += "; only the total viscous friction is well determined"
-        yield Diagnostic.at("not-identifiable", place, message)
-    arm = fit.objective.records[0].arm
-    for name, number in _vanished_parameters(fit, arm):
-        simpler = arm.joints[number - 1].law.simpler
-        text = f"the gear is {simpler} within its errors; use a larger amplitude or set"
-        yield Diagnostic("not-reached", f"{name} of joint {number}", f'{text} spring = "{simpler}"')
-    for unknown, value in zip(space.unknowns, values, strict=True):
-        if unknown.name == SETTLING:
-            text = f"Coulomb friction reverses over {1e6 * value:.3g} us instead of instantly; the"
-            text += " model includes this settling time"
-            yield Diagnostic("friction-settles", str(unknown), text)
-    combinable = [
-        k
-        for k, unknown in enumerate(space.unknowns)
-        if not is_hidden(unknown.key)
-        and unknown.prior_std is None  # deviations from a prior at zero are not combined
-    ]
-    names = [str(space.unknowns[k]) for k in combinable]
-    covariance = fit.confidence.combined[np.ix_(combinable, combinable)]
-    for group, spread in only_together(names, values[combinable], covariance):
-        text = "only a combination of these parameters is identified: they can change together by"
-        text += f" {100.0 * spread:.2g} %; use the combination, not the single values"
-        yield Diagnostic("only-together", " and ".join(group), text)
-    if not fit.converged:
-        text = f"the fit did not converge within {fit.iterations} iterations; raise"
-        text += " tuning.max_iterations or use longer records"
-        yield Diagnostic("iteration-limit", "tuning", text)

@@ -16,14 +16,14 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.inference.covariance import (
     MIN_VARIANCE_SHARE,
-    gradient_covariances,
     inverse_information,
 )
-from strainwave.identification.whole_arm.problem.objective import (
-    MIN_ERROR_SHARE,
+from strainwave.identification.whole_arm.inference.gradient_evidence import gradient_covariances
+from strainwave.identification.whole_arm.problem.error_correlation import (
     filtered_rows_per_error,
     white_noise_autocovariance,
 )
+from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.parameter_space import (
     COULOMB,
     OFFSET,

@@ -16,12 +16,11 @@ from strainwave.domain import (
     Place,
     ResidualTest,
 )
-from strainwave.identification.whole_arm.problem.objective import (
-    Objective,
-    Rows,
-    Weights,
+from strainwave.identification.whole_arm.problem.error_correlation import (
     spectrum_and_autocovariance,
 )
+from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.correlations import correlate_residuals
 from strainwave.numerics.parallel import run_parallel

@@ -20,12 +20,12 @@ from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.effect_columns import (
     EffectColumns,
     Hypothesis,
     Shapes,
 )
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.inference.residual_analysis import has_excess_residuals
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
@@ -34,6 +34,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 )
 from strainwave.identification.whole_arm.problem.parameter_space import OFFSET, SETTLING, VISCOUS
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.distributions import chi_square_limit
 
 FALSE_ALARMS = 1e-4
@@ -257,7 +258,7 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     and only sums of viscous frictions are identifiable.
     """
     estimates = fit.objective.space.values(fit.z)
-    stds = np.sqrt(np.diag(fit.confidence.combined))
+    stds = np.sqrt(np.diag(confidence_of(fit).combined))
     parameter_shifts = []
     for (name, joint), std in zip(fit.objective.space.keys, stds.tolist(), strict=True):
         if _is_primary((name, joint)) and std > 0.0:

@@ -18,15 +18,16 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.dynamics.simulation import Quantity, SensorNoise
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.covariance import inverse_information
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
-from strainwave.identification.whole_arm.problem.objective import (
-    MIN_ERROR_SHARE,
-    Rows,
-    filtered_rows_per_error,
+from strainwave.identification.whole_arm.inference.covariance import (
+    confidence_of,
+    inverse_information,
 )
+from strainwave.identification.whole_arm.problem.error_correlation import filtered_rows_per_error
+from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.parameter_space import combination
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
 
@@ -82,7 +83,7 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     W = np.array([_weights(p, space.keys, arm) for p in reported]) @ slope
     present, *extended = [sum(own, prior_information) for own in zip(*parts, strict=True)]
     own = np.linalg.inv(space.slope(fit.z))
-    meat = present @ own @ fit.confidence.combined @ own.T @ present
+    meat = present @ own @ confidence_of(fit).combined @ own.T @ present
     local = _variances(W, inverse_information(present))
     gains = []
     for candidate, information in zip(candidates, extended, strict=True):

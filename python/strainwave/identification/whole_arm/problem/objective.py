@@ -15,9 +15,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, FloatArray, IntArray
+from strainwave.domain import FloatArray, IntArray
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import lengthen_steps
 from strainwave.numerics.linalg import triangular_factor
@@ -37,10 +39,6 @@ _MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a 
 _INITIAL_ERROR_SHARE = 0.1  # initial standard deviation of residuals, as a share of the channel's
 _STD_PER_MEDIAN = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
-# maximum updates of the robust weights in the solution for record parameters
-_MAX_WEIGHT_UPDATES = 6
-# change of residuals, in standard deviations, at which these updates end
-_ROBUST_WEIGHT_TOLERANCE = 1e-3
 # predicted cost reduction at which the search for initial states ends
 _INITIAL_STATE_TOLERANCE = 0.1
 ROUGH_INITIAL_STATE_TOLERANCE = 0.2
@@ -51,113 +49,6 @@ MIN_CURVATURE_RATIO = 0.5
 """Minimum curvature of the loss relative to its weights, which is near zero far from a minimum."""
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class Weights:
-    """Scales of the residuals of a record."""
-
-    stds: FloatArray  # (n_channels,) standard deviations of the residuals
-    rows_per_error: FloatArray  # (n_channels,) rows per independent residual
-
-
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """Unweighted residuals of one record at one point, with derivatives."""
-
-    difference: FloatArray  # (n_rows, n_channels) simulated minus measured
-    columns: FloatArray  # (n_rows, n_channels, n_own + n_unknowns): record parameters, then shared
-    record_parameters: FloatArray  # (n_own,)
-
-    @property
-    def n_own(self) -> int:
-        """Number of record parameters."""
-        return len(self.record_parameters)
-
-    @property
-    def local(self) -> FloatArray:
-        """Derivatives with respect to the record parameters: (n_rows, n_channels, n_own)."""
-        return self.columns[..., : self.n_own]
-
-    @property
-    def shared(self) -> FloatArray:
-        """Derivatives with respect to the coordinates: (n_rows, n_channels, n_unknowns)."""
-        return self.columns[..., self.n_own :]
-
-    def initial_state_problem(self, weights: Weights) -> Linearised:
-        """Cost and least squares problem in the record parameters only."""
-        residual = self.difference / weights.stds
-        root = np.sqrt(_robust_weight(residual, weights))
-        table = np.concatenate([self.local / weights.stds[:, None], residual[..., None]], axis=2)
-        table = table * root[..., None]
-        factor = triangular_factor(table.reshape(-1, table.shape[2]))
-        return Linearised(_loss(residual, weights), factor)
-
-    def weigh(self, weights: Weights) -> Rows:
-        """Weighted rows, with optimal record parameters."""
-        initial_residual = self.difference / weights.stds
-        columns = (self.local / weights.stds[:, None]).reshape(initial_residual.size, -1)
-        residual, weight = initial_residual, _robust_weight(initial_residual, weights)
-        step = np.zeros(self.n_own)
-        is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
-        for _ in range(_MAX_WEIGHT_UPDATES if self.n_own else 0):
-            step = _solve_weighted(
-                columns, -initial_residual.ravel(), weight.ravel(), is_separable=is_separable
-            )
-            previous, residual = (
-                residual,
-                initial_residual + (columns @ step).reshape(initial_residual.shape),
-            )
-            weight = _robust_weight(residual, weights)
-            if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
-                break
-        return Rows(residual, np.sqrt(weight), self, weights.stds, step)
-
-
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Weighted rows of one record with optimal record parameters."""
-
-    residual: FloatArray  # (n_rows, n_channels) in standard deviations
-    root: FloatArray  # (n_rows, n_channels) square roots of the robust weights
-    evaluated: Evaluation
-    stds: FloatArray  # (n_channels,)
-    step: FloatArray  # (n_own,) of the record parameters to their optimum
-
-    @property
-    def local(self) -> FloatArray:
-        """Scaled derivatives by the record parameters: (n_rows, n_channels, n_own)."""
-        return np.asarray(self.evaluated.local / self.stds[:, None])
-
-    @property
-    def shared(self) -> FloatArray:
-        """Scaled derivatives by the coordinates: (n_rows, n_channels, n_unknowns)."""
-        return np.asarray(self.evaluated.shared / self.stds[:, None])
-
-    def factor(self, min_curvature_ratio: float) -> FloatArray:
-        """R of [shared, residual] after elimination of the record parameters.
-
-        R reproduces the gradient of the loss and its mean curvature. The curvature is less than the
-        weights (1 + r^2)^(-1/2) of the gradient, with which steps would be a third too short.
-        `min_curvature_ratio` is its minimum relative to the weights.
-        """
-        square = self.root**2
-        curvature = np.sum(square / (1.0 + self.residual**2), axis=0) / np.sum(square, axis=0)
-        curvature = np.sqrt(np.maximum(curvature, min_curvature_ratio))
-        columns, n = self.evaluated.columns, len(self.step)
-        table = np.empty((*self.residual.shape, columns.shape[2] + 1))
-        scale = self.root * (curvature / self.stds)
-        np.multiply(columns, scale[..., None], out=table[..., :-1])
-        np.multiply(self.residual, self.root / curvature, out=table[..., -1])
-        return triangular_factor(table.reshape(-1, table.shape[2]))[n:, n:]
-
-    def cost(self, weights: Weights) -> float:
-        """Soft L1 loss of the record."""
-        return _loss(self.residual, weights)
-
-    def costs(self, weights: Weights) -> FloatArray:
-        """Soft L1 loss of each channel, (n_channels,)."""
-        return _losses(self.residual, weights)
 
 
 @dataclass
@@ -480,36 +371,6 @@ class Objective:
         return run_parallel([partial(work, k, record) for k, record in enumerate(self.records)])
 
 
-def _solve_weighted(
-    columns: FloatArray, target: FloatArray, weight: FloatArray, *, is_separable: bool
-) -> FloatArray:
-    """Weighted least squares.
-
-    With `is_separable`, no row has two nonzero columns, and each coefficient is a weighted mean.
-    """
-    if not is_separable:
-        root = np.sqrt(weight)
-        return np.asarray(np.linalg.lstsq(columns * root[:, None], target * root)[0])
-    weighted = columns * weight[:, None]
-    return np.asarray((target @ weighted) / np.einsum("ij,ij->j", columns, weighted))
-
-
-def _loss(residual: FloatArray, weights: Weights) -> float:
-    """Soft L1 loss: sum of 2 (sqrt(1 + r^2) - 1) / rows per independent error."""
-    return float(np.sum(_losses(residual, weights)))
-
-
-def _losses(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Soft L1 loss of each channel, (n_channels,)."""
-    loss = np.sum(2.0 * (np.sqrt(1.0 + residual**2) - 1.0), axis=0)
-    return np.asarray(loss / weights.rows_per_error)
-
-
-def _robust_weight(residual: FloatArray, weights: Weights) -> FloatArray:
-    """Weights (1 + r^2)^(-1/2) / rows per independent error (soft L1 loss)."""
-    return np.asarray(1.0 / (np.sqrt(1.0 + residual**2) * weights.rows_per_error))
-
-
 def _shifts(record: Dataset) -> FloatArray:
     """Columns (n_channels, n_biases) of the sensor biases, equal in every row."""
     biased = [k for k, channel in enumerate(record.channels) if channel.shifted]
@@ -522,48 +383,3 @@ def _robust_std(errors: FloatArray) -> FloatArray:
     """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
     typical = _STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))
-
-
-def estimate_rows_per_error(column: FloatArray) -> float:
-    """Rows per independent error of a series (n_rows,), from its autocorrelation."""
-    return rows_per_error(spectrum_and_autocovariance(column)[1][: len(column) // 2])
-
-
-def spectrum_and_autocovariance(column: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """Zero-padded spectrum (n + 1,) and autocovariance times n (n,) of a series (n,).
-
-    Both are without the mean; the autocovariance starts at lag zero.
-    """
-    n = len(column)
-    spectrum = np.asarray(np.fft.rfft(column - column.mean(), 2 * n))
-    return spectrum, np.fft.irfft(np.abs(spectrum) ** 2, 2 * n)[:n]
-
-
-def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
-    """Autocovariance (n_lags,) of filtered and decimated white noise of unit variance.
-
-    `taps` (n_taps,) are those of the filter; a row follows every `step` samples. The first lag is
-    zero.
-    """
-    return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
-
-
-def filtered_rows_per_error(record: Dataset) -> FloatArray:
-    """Rows per independent error (n_channels,) of filtered white noise."""
-    kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
-    return np.array(
-        [rows_per_error(white_noise_autocovariance(k, record.kernels.step)) for k in kernels]
-    )
-
-
-def rows_per_error(covariance: FloatArray) -> float:
-    """Variance inflation factor: 1 + 2 sum of autocorrelations before the first negative one.
-
-    `covariance` (n_lags,) starts at lag zero.
-    """
-    if covariance[0] <= 0.0:
-        return 1.0
-    correlation = covariance / covariance[0]
-    negative = np.flatnonzero(correlation < 0.0)
-    n_lags = negative[0] if negative.size else len(correlation)
-    return float(1.0 + 2.0 * np.sum(correlation[1:n_lags]))

@@ -461,8 +461,8 @@ class Dataset:
         """Change of the channels by candidate mount resonances, one at a time.
 
         `initial` (n_initial,) are the initial states. `mounts` maps the frequency and damping keys
-        of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of the
-        mapping.
+        of a sensor's mount to candidates. Returns (n_rows, n_channels, n_mounts) in the order of
+        the mapping.
         """
         runs, scales = self.run(values, initial, self.quantities()), self.sensor_scales(values)
         tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]

@@ -13,8 +13,8 @@ import numpy as np
 
 from strainwave.domain import FloatArray, TuningOptions
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.trust_region import Linearised, minimise
 
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost

@@ -16,8 +16,8 @@ from strainwave.domain import JointModel, TuningOptions
 from strainwave.domain.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import COARSE_TOLERANCE, search_minimum
 
 MAX_SEARCHED_SETS = 4

@@ -7,8 +7,8 @@ from typing import Protocol
 
 from strainwave.domain import FloatArray, TuningOptions
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_RELATIVE_TOLERANCE,
     COARSE_TOLERANCE,

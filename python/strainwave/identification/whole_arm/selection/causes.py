@@ -16,7 +16,7 @@ from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit, parameters_of
+from strainwave.identification.whole_arm.inference.parameter_estimates import parameters_of
 from strainwave.identification.whole_arm.inference.score_tests import (
     TestedEffect,
     is_relevant,
@@ -34,6 +34,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.gear_torques import gear_torques
 from strainwave.identification.whole_arm.records.largest_loads import Loads, loads_of
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.numerics.distributions import chi_square_limit

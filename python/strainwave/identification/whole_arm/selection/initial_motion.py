@@ -12,11 +12,11 @@ from functools import partial
 
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.objective import (
     ROUGH_INITIAL_STATE_TOLERANCE,
     Objective,
 )
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.numerics.parallel import run_parallel

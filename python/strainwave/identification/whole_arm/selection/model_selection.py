@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.candidate import Candidate, Selection
 from strainwave.identification.whole_arm.selection.causes import add_significant_effects
 from strainwave.identification.whole_arm.selection.initial_motion import (

@@ -22,9 +22,9 @@ from strainwave.dynamics.mounting import (
     unknowns_of,
 )
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_TOLERANCE,
     refine,

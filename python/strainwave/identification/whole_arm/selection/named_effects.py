@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
     add_effects,
@@ -19,6 +19,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_TOLERANCE,
     fine_search,
@@ -77,7 +78,7 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
 
 def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
     """The insignificant effects among the unknowns."""
-    covariance = fit.confidence.cautious
+    covariance = confidence_of(fit).cautious
     return set(insignificant_effects(fit.objective.space, fit.z, covariance))
 
 

@@ -46,14 +46,13 @@ from strainwave.dynamics.mounting import (
     is_hidden,
     is_mounting,
 )
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
-from strainwave.identification.whole_arm.problem.objective import (
-    Evaluation,
-    Objective,
-    estimate_rows_per_error,
-)
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import is_held
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import refine, resumed_coarse_search
 from strainwave.identification.whole_arm.selection.candidate import Selection
 
@@ -224,7 +223,7 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
     optional = [key for key in space.keys if is_optional(key) and not is_of_mount(key)]
     if not optional:
         return {}
-    stds = np.sqrt(np.diag(fit.confidence.cautious))
+    stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     within_range = (fit.z > _BOUND_SHARE * space.lower) & (fit.z < _BOUND_SHARE * space.upper)
     rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
     distances = {

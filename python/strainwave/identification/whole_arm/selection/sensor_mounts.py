@@ -18,10 +18,10 @@ from strainwave.domain.keys import Key
 from strainwave.dynamics.link_sensors import is_of_mount, mount_of
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
-from strainwave.identification.whole_arm.problem.objective import Evaluation
 from strainwave.identification.whole_arm.problem.restrictions import is_held
+from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.parameter_space import (
     SETTLING,
     SETTLING_START,
     add_settling_unknowns,
 )
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
@@ -48,7 +49,7 @@ def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
     if selection.options.settling or all(name != SETTLING for name, _ in fit.objective.space.keys):
         return fit
     values = fit.objective.space.values(fit.z)
-    stds = np.sqrt(np.diag(fit.confidence.cautious))
+    stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.objective.space.lower
     insignificant = {
         key: 0.0

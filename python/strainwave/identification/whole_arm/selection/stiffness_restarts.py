@@ -8,8 +8,8 @@ from dataclasses import replace
 from strainwave.domain.gear_laws import GearLaw
 from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
 from strainwave.identification.whole_arm.records.gear_torques import gear_torques
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,

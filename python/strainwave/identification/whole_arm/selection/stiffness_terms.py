@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from strainwave.domain.keys import Key
-from strainwave.identification.whole_arm.inference.parameter_estimates import Fit
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import MIN_SIGNIFICANCE_STDS, Selection
 
@@ -37,7 +38,7 @@ def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:
         places = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
         if places:
             estimate = fit.objective.space.parameters(fit.z)[places]
-            covariance = fit.confidence.cautious[np.ix_(places, places)]
+            covariance = confidence_of(fit).cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant += [keys[k] for k in places]
     return insignificant
