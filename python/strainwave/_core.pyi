@@ -32,6 +32,7 @@ class Arm:
         springs: Sequence[str],
         gear_ratio: Sequence[float],
         *,
+        motion: str = "revolute",
         torque_per_volt: Sequence[float] | None = None,
         link_length: float = 0.0,
         gravity: float = 0.0,
@@ -150,6 +151,28 @@ class Arm:
         acceleration: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         """Link-side torques per inertial parameter: (n_samples, n_joints, n_base)."""
+    def link_motion(
+        self,
+        angle: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Motion of each link in its own frame: (n_samples, n_joints, 9).
+
+        Angular velocity [rad/s], angular acceleration [rad/s^2], and specific force a - g [m/s^2]
+        of the frame's origin. Frames as in `serial_chain`; a planar arm moves in the x-y plane,
+        along x if it is prismatic, and gravity acts against y.
+        """
+    def link_motion_derivatives(
+        self,
+        angle: NDArray[np.float64],
+        velocity: NDArray[np.float64],
+        acceleration: NDArray[np.float64],
+    ) -> list[NDArray[np.float64]]:
+        """Derivatives of `link_motion` by angles, velocities and accelerations.
+
+        Three arrays (n_samples, n_joints, 9, n_joints), by link, entry and moved joint.
+        """
     def inverse_dynamics(
         self,
         parameters: NDArray[np.float64],

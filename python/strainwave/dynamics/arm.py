@@ -57,6 +57,7 @@ class Arm(ArmDescription):
             self.kind,
             [joint.law.core_name for joint in joints],
             [joint.gear_ratio for joint in joints],
+            motion=joints[0].motion,
             torque_per_volt=self.torque_per_volt.tolist(),
             link_length=self.link_length or 0.0,
             gravity=self.gravity or 0.0,
@@ -160,6 +161,20 @@ class Arm(ArmDescription):
         """Torques of the links per base parameter, (S2): (n_samples, n_joints, n_base)."""
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.base_regressor(*motion)
+
+    def link_motion(
+        self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> FloatArray:
+        """Rates, angular accelerations, specific forces of the links: (n_samples, n_joints, 9)."""
+        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
+        return self.core.link_motion(*motion)
+
+    def link_motion_derivatives(
+        self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
+    ) -> list[FloatArray]:
+        """Derivatives of `link_motion` by angle, velocity and acceleration of each joint."""
+        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
+        return self.core.link_motion_derivatives(*motion)
 
     def link_torques(
         self,

@@ -4,7 +4,7 @@
 //! of numbers are flat, with a row of joints for each sample or tick.
 
 use crate::actuation::{PiPosition, PiVelocity, Servo};
-use crate::arm::{Arm, Name};
+use crate::arm::{Arm, Kinematics, Name};
 use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Source, Task};
 use crate::plant::config::{Config, InvalidParameter};
 use crate::plant::rigid;
@@ -140,6 +140,8 @@ pub trait CompiledArm: Send + Sync {
         decimation: Option<&Decimation>,
     ) -> Result<Derivatives, Diverged>;
 
+    /// Motion of the links.
+    fn kinematics(&self) -> &Kinematics;
     /// Link-side torques [N m] per base parameter: samples times joints times base parameters.
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64>;
     /// Motor torques [N m] of a motion with rigid gears, (5): samples times joints.
@@ -251,6 +253,7 @@ fn row<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
 /// An arm, its constants and its programs.
 struct Compiled<A: 'static, const N: usize> {
     config: Config<A, N>,
+    kinematics: Kinematics,
     programs: Programs<A, N>,
     width: Width,
 }
@@ -270,6 +273,7 @@ pub fn compiled<A: Arm<N>, const N: usize>(
     );
     Box::new(Compiled {
         config,
+        kinematics: config.arm.chain().into(),
         programs,
         width,
     })
@@ -320,6 +324,10 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
                 .collect(),
             tangents: sensitivities.tangents,
         })
+    }
+
+    fn kinematics(&self) -> &Kinematics {
+        &self.kinematics
     }
 
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64> {

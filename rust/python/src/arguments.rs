@@ -66,11 +66,7 @@ impl Joints {
 pub fn chain_joints(joints: &[JointPlacement], distances: &[f64]) -> PyResult<Vec<ChainJoint>> {
     let placed = |((name, position, attitude, axis), &distance): (&JointPlacement, &f64)| {
         Ok(ChainJoint {
-            joint_type: match name.as_str() {
-                "revolute" => JointType::Revolute,
-                "prismatic" => JointType::Prismatic,
-                _ => return Err(PyValueError::new_err(format!("no joint of type {name:?}"))),
-            },
+            joint_type: joint_type(name)?,
             position: *position,
             attitude: *attitude,
             axis: *axis,
@@ -78,6 +74,14 @@ pub fn chain_joints(joints: &[JointPlacement], distances: &[f64]) -> PyResult<Ve
         })
     };
     joints.iter().zip(distances).map(placed).collect()
+}
+
+pub fn joint_type(name: &str) -> PyResult<JointType> {
+    match name {
+        "revolute" => Ok(JointType::Revolute),
+        "prismatic" => Ok(JointType::Prismatic),
+        _ => Err(PyValueError::new_err(format!("no joint of type {name:?}"))),
+    }
 }
 
 /// A value for each of an arm's joints.

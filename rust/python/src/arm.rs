@@ -1,11 +1,11 @@
 //! Python class of an arm.
 
-use numpy::{PyArray1, PyArray2, PyArray3, PyArrayMethods, PyReadonlyArray1};
+use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyArray1};
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use strainwave_arms::{Drives, serial_chain, with_drives};
-use strainwave_core::arm::{OneLink, TwoLink};
+use strainwave_core::arm::{Kinematics, OneLink, TwoLink};
 use strainwave_core::compiled::{
     CompiledArm, Derivatives, Experiment, InitialState, LinkMotion, ServoGains,
 };
@@ -15,8 +15,8 @@ use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    JointPlacement, Joints, Matrix, chain_joints, check_clock, of_joints, per_joint, quantities,
-    rows, same_rows, value_error,
+    JointPlacement, Joints, Matrix, chain_joints, check_clock, joint_type, of_joints, per_joint,
+    quantities, rows, same_rows, value_error,
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -35,14 +35,15 @@ pub struct Arm(Box<dyn CompiledArm>);
 #[pymethods]
 impl Arm {
     #[new]
-    #[pyo3(signature = (kind, springs, gear_ratio, *, torque_per_volt=None, link_length=0.0,
-        gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
+    #[pyo3(signature = (kind, springs, gear_ratio, *, motion="revolute", torque_per_volt=None,
+        link_length=0.0, gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
         accelerometer_hz=None, gyro_hz=None, imu_accelerometer_hz=None, imu_gyro_hz=None,
         effects=None, gear_corner=gear::CORNER))]
     fn new(
         kind: &str,
         springs: Vec<String>,
         gear_ratio: Vec<f64>,
+        motion: &str,
         torque_per_volt: Option<Vec<f64>>,
         link_length: f64,
         gravity: f64,
@@ -91,6 +92,7 @@ impl Arm {
             "single-joint" => {
                 let [accelerometer_distance] = of_joints(&distance)?;
                 let arm = OneLink {
+                    joint_type: joint_type(motion)?,
                     gravity,
                     accelerometer_distance,
                 };
@@ -315,6 +317,39 @@ impl Arm {
         let regressor = py.detach(|| self.0.base_regressor(&motion));
         let shape = [q.len() / n, n, self.0.base_parameters()];
         PyArray1::from_vec(py, regressor).reshape(shape)
+    }
+
+    fn link_motion<'py>(
+        &self,
+        py: Python<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+    ) -> PyResult<Bound<'py, PyArray3<f64>>> {
+        let n = self.n_joints();
+        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
+        let motion = py.detach(|| self.0.kinematics().link_motion(&q, &dq, &ddq));
+        PyArray1::from_vec(py, motion).reshape([q.len() / n, n, Kinematics::ENTRIES])
+    }
+
+    fn link_motion_derivatives<'py>(
+        &self,
+        py: Python<'py>,
+        angle: Matrix<'py>,
+        velocity: Matrix<'py>,
+        acceleration: Matrix<'py>,
+    ) -> PyResult<[Bound<'py, PyArray4<f64>>; 3]> {
+        let n = self.n_joints();
+        let [q, dq, ddq] = same_rows([&angle, &velocity, &acceleration], n)?;
+        let differentiate = || self.0.kinematics().link_motion_derivatives(&q, &dq, &ddq);
+        let [by_angle, by_velocity, by_acceleration] = py.detach(differentiate);
+        let shape = [q.len() / n, n, Kinematics::ENTRIES, n];
+        let array = |list| PyArray1::from_vec(py, list).reshape(shape);
+        Ok([
+            array(by_angle)?,
+            array(by_velocity)?,
+            array(by_acceleration)?,
+        ])
     }
 
     fn inverse_dynamics<'py>(

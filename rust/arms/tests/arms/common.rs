@@ -51,6 +51,7 @@ impl BuiltIn for TwoLink<true> {
 impl BuiltIn for OneLink {
     fn built_in() -> Self {
         Self {
+            joint_type: JointType::Revolute,
             gravity: 9.81,
             accelerometer_distance: 0.3,
         }

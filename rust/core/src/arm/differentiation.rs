@@ -96,7 +96,7 @@ fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: us
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arm::{OneLink, TwoLink};
+    use crate::arm::{JointType, OneLink, TwoLink};
     use proptest::prelude::*;
 
     /// Compares closed forms with forward differentiation, relative to numbers of about ten.
@@ -144,7 +144,7 @@ mod tests {
             check(&TwoLink::<false> { link_length, gravity, accelerometer_distance }, &values, &motion);
             check(&TwoLink::<true> { link_length, gravity, accelerometer_distance }, &values, &motion);
             let (motion, accelerometer_distance) = (motion.map(|[first, _]| [first]), 0.3);
-            check(&OneLink { gravity, accelerometer_distance }, &values[..2], &motion);
+            check(&OneLink { joint_type: JointType::Revolute, gravity, accelerometer_distance }, &values[..2], &motion);
         }
     }
 }

@@ -14,7 +14,7 @@ mod sine_cosine;
 mod two_link;
 
 pub use one_link::OneLink;
-pub use serial_chain::{ChainJoint, JointType, SerialChain};
+pub use serial_chain::{ChainJoint, JointType, Kinematics, SerialChain};
 pub use two_link::TwoLink;
 
 use crate::parameter::Parameter;
@@ -64,6 +64,9 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn base<R: Real>(&self, values: &[R]) -> Self::Base<R>;
     /// The base parameters converted by a function.
     fn map_base<R: Real, L: Real>(base: &Self::Base<R>, to: impl Fn(R) -> L) -> Self::Base<L>;
+
+    /// The same joints and gravity as a chain.
+    fn chain(&self) -> SerialChain<N>;
 
     /// Sines and cosines of a posture.
     fn posture<R: Real>(&self, q: &[R; N]) -> Self::Posture<R>;

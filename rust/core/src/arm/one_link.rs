@@ -2,13 +2,15 @@
 
 use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
 use super::sine_cosine::SineCosine;
-use super::{Arm, Name, Slopes, has_gravity};
+use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
 /// One link on one joint, revolute or prismatic.
 #[derive(Clone, Copy, Debug)]
 pub struct OneLink {
+    /// Kind of motion.
+    pub joint_type: JointType,
     /// g [m/s^2] in the plane of motion. At zero the gravity torque has no effect.
     pub gravity: f64,
     /// l_a [m], distance of the accelerometer from the axis.
@@ -86,6 +88,11 @@ impl Arm<1> for OneLink {
             inertia: to(base.inertia),
             g1: to(base.g1),
         }
+    }
+
+    fn chain(&self) -> SerialChain<1> {
+        let joint = ChainJoint::planar(self.joint_type, 0.0);
+        SerialChain::planar(&[joint], self.gravity)
     }
 
     #[inline(always)]

@@ -2,7 +2,7 @@
 
 use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
 use super::sine_cosine::SineCosine;
-use super::{Arm, Name, Slopes, has_gravity};
+use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
 use crate::scalar::Real;
 
@@ -135,6 +135,12 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
             g1: to(base.g1),
             g2: to(base.g2),
         }
+    }
+
+    fn chain(&self) -> SerialChain<2> {
+        let length = self.link_length;
+        let joints = [0.0, length].map(|x| ChainJoint::planar(JointType::Revolute, x));
+        SerialChain::planar(&joints, self.gravity)
     }
 
     #[inline(always)]

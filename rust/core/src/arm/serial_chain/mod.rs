@@ -1,18 +1,19 @@
 //! A chain of rigid links on revolute or prismatic joints placed anywhere in space.
 
+mod kinematics;
 mod placement;
 mod recursion;
 mod vector;
 
-pub use placement::{ChainJoint, JointType};
+pub use kinematics::Kinematics;
+pub use placement::{ChainJoint, JointPosture, JointType};
 
 use super::link_signals::LINK_SIGNALS;
-use super::sine_cosine::SineCosine;
 use super::{Arm, Name};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::{Real, Work, run_out_of_line};
 use placement::Placement;
-use vector::{Matrix, cross, dot, plus, scaled, splat, times};
+use vector::{cross, dot, plus, scaled, splat, times};
 
 /// Number of inertial parameters of a link.
 const LINK_PARAMETER_COUNT: usize = 10;
@@ -132,45 +133,14 @@ impl<const N: usize> SerialChain<N> {
         Ok(Self { joints, gravity })
     }
 
-    /// Rotates the frames by the joint angles.
-    #[inline(always)]
-    fn rotated<R: Real>(&self, turn: [SineCosine<R>; N], shift: [R; N]) -> Posture<R, N> {
-        let zero = R::splat(0.0);
-        let mut rotation = [[[zero; 3]; 3]; N];
-        for i in 0..N {
-            let placed = &self.joints[i];
-            for k in 0..3 {
-                let fixed = scaled(
-                    turn[i].sin,
-                    &splat(&placed.sin[k]),
-                    &splat(&placed.fixed[k]),
-                );
-                rotation[i][k] = scaled(turn[i].cos, &splat(&placed.cos[k]), &fixed);
-            }
-        }
-        Posture {
-            turn,
-            shift,
-            rotation,
-        }
-    }
-
-    #[inline(always)]
-    fn revolute(&self, i: usize) -> bool {
-        self.joints[i].joint_type == JointType::Revolute
+    /// A planar arm whose gravity [m/s^2] acts against y.
+    pub(super) fn planar(joints: &[ChainJoint; N], gravity: f64) -> Self {
+        Self::new(joints, [0.0, -gravity, 0.0]).expect("every axis has a direction")
     }
 }
 
 /// Joint positions.
-#[derive(Clone, Copy)]
-pub struct Posture<R, const N: usize> {
-    /// Sines and cosines of revolute joints.
-    turn: [SineCosine<R>; N],
-    /// Displacements [m] of prismatic joints.
-    shift: [R; N],
-    /// Rotation of each link's frame relative to the preceding link.
-    rotation: [Matrix<R>; N],
-}
+type Posture<R, const N: usize> = [JointPosture<R>; N];
 
 /// Torques per inertial parameter, link by link.
 pub struct Regressor<R, const N: usize>([[[R; N]; LINK_PARAMETER_COUNT]; N]);
@@ -239,45 +209,21 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
 
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
-        let zero = R::splat(0.0);
-        let mut turn = [SineCosine::of(zero); N];
-        for i in 0..N {
-            if self.revolute(i) {
-                turn[i] = SineCosine::of(q[i]);
-            }
-        }
-        self.rotated(turn, *q)
+        std::array::from_fn(|i| self.joints[i].posture(q[i]))
     }
 
     #[inline(always)]
     fn near<R: Real>(&self, from: &Posture<R, N>, increment: &[R; N]) -> Posture<R, N> {
-        let (mut turn, mut shift) = (from.turn, from.shift);
-        for i in 0..N {
-            if self.revolute(i) {
-                turn[i] = turn[i].plus_small_angle(increment[i]);
-            }
-            shift[i] = shift[i] + increment[i];
-        }
-        self.rotated(turn, shift)
+        std::array::from_fn(|i| self.joints[i].near(&from[i], increment[i]))
     }
 
     #[inline(always)]
     fn map_posture<R: Real, L: Real>(at: &Posture<R, N>, to: impl Fn(R) -> L) -> Posture<L, N> {
-        let mut all = Posture {
-            turn: [at.turn[0].map(&to); N],
-            shift: [to(at.shift[0]); N],
-            rotation: [[[to(at.shift[0]); 3]; 3]; N],
-        };
-        for i in 0..N {
-            all.turn[i] = at.turn[i].map(&to);
-            all.shift[i] = to(at.shift[i]);
-            for row in 0..3 {
-                for column in 0..3 {
-                    all.rotation[i][row][column] = to(at.rotation[i][row][column]);
-                }
-            }
-        }
-        all
+        std::array::from_fn(|i| at[i].map(&to))
+    }
+
+    fn chain(&self) -> Self {
+        *self
     }
 
     #[inline(always)]
@@ -321,8 +267,8 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         for i in (0..N).rev() {
             let [link_mass, x, y, z, ..] = base[i];
             mass = mass + link_mass;
-            let rotated = times(&at.rotation[i], &plus(&moment, &[x, y, z]));
-            moment = scaled(mass, &self.origin(at, i), &rotated);
+            let rotated = times(&at[i].rotation, &plus(&moment, &[x, y, z]));
+            moment = scaled(mass, &self.joints[i].origin(&at[i]), &rotated);
         }
         -dot(&splat(&self.gravity), &moment)
     }
@@ -335,7 +281,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
             .enumerate()
         {
             let placed = &self.joints[i];
-            reading[i] = if self.revolute(i) {
+            reading[i] = if placed.is_revolute() {
                 let zero = [R::splat(0.0); 3];
                 let distance = R::splat(placed.accelerometer_distance);
                 let position = scaled(distance, &splat(&placed.x), &zero);

@@ -1,6 +1,8 @@
 //! Positions and motions of the joints of a chain.
 
-use super::vector::{Matrix, Vector, cross, dot, times};
+use super::vector::{Matrix, Vector, cross, dot, scaled, splat, times};
+use crate::arm::sine_cosine::SineCosine;
+use crate::scalar::Real;
 
 /// Kind of motion of a joint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -27,6 +29,23 @@ pub struct ChainJoint {
     pub axis: [f64; 3],
     /// l_a [m], distance of the link's accelerometer from the axis; see [`super::SerialChain`].
     pub accelerometer_distance: f64,
+}
+
+impl ChainJoint {
+    /// A joint of a planar arm at this distance along the preceding link: it rotates in the plane,
+    /// or moves along x.
+    pub(crate) fn planar(joint_type: JointType, distance: f64) -> Self {
+        Self {
+            joint_type,
+            position: [distance, 0.0, 0.0],
+            attitude: [0.0; 3],
+            axis: match joint_type {
+                JointType::Revolute => [0.0, 0.0, 1.0],
+                JointType::Prismatic => [1.0, 0.0, 0.0],
+            },
+            accelerometer_distance: 1.0,
+        }
+    }
 }
 
 /// Constants of a joint.
@@ -91,6 +110,76 @@ impl Placement {
             y: cross(&axis, &x),
             accelerometer_distance: joint.accelerometer_distance,
         })
+    }
+}
+
+impl Placement {
+    #[inline(always)]
+    pub(super) fn is_revolute(&self) -> bool {
+        self.joint_type == JointType::Revolute
+    }
+
+    #[inline(always)]
+    pub(super) fn posture<R: Real>(&self, q: R) -> JointPosture<R> {
+        let angle = if self.is_revolute() { q } else { R::splat(0.0) };
+        self.rotated(SineCosine::of(angle), q)
+    }
+
+    #[inline(always)]
+    pub(super) fn near<R: Real>(&self, from: &JointPosture<R>, increment: R) -> JointPosture<R> {
+        let mut turn = from.turn;
+        if self.is_revolute() {
+            turn = turn.plus_small_angle(increment);
+        }
+        self.rotated(turn, from.shift + increment)
+    }
+
+    #[inline(always)]
+    fn rotated<R: Real>(&self, turn: SineCosine<R>, shift: R) -> JointPosture<R> {
+        let mut rotation = [[R::splat(0.0); 3]; 3];
+        for k in 0..3 {
+            let fixed = scaled(turn.sin, &splat(&self.sin[k]), &splat(&self.fixed[k]));
+            rotation[k] = scaled(turn.cos, &splat(&self.cos[k]), &fixed);
+        }
+        JointPosture {
+            turn,
+            shift,
+            rotation,
+        }
+    }
+
+    /// The joint's origin in the frame of the preceding link.
+    #[inline(always)]
+    pub(super) fn origin<R: Real>(&self, at: &JointPosture<R>) -> Vector<R> {
+        let position = splat(&self.position);
+        if self.is_revolute() {
+            position
+        } else {
+            scaled(at.shift, &splat(&self.slide), &position)
+        }
+    }
+}
+
+/// Position of one joint.
+#[derive(Clone, Copy)]
+pub struct JointPosture<R> {
+    /// Sine and cosine of a revolute joint.
+    turn: SineCosine<R>,
+    /// Displacement [m] of a prismatic joint.
+    shift: R,
+    /// Rotation of the link's frame relative to the preceding link.
+    pub(super) rotation: Matrix<R>,
+}
+
+impl<R: Real> JointPosture<R> {
+    #[inline(always)]
+    pub(super) fn map<L>(&self, to: &impl Fn(R) -> L) -> JointPosture<L> {
+        let row = |row: Vector<R>| row.map(to);
+        JointPosture {
+            turn: self.turn.map(to),
+            shift: to(self.shift),
+            rotation: self.rotation.map(row),
+        }
     }
 }
 

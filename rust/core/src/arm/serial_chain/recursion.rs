@@ -1,7 +1,7 @@
 //! Recursions along a chain, each link in its own frame: Newton and Euler's for torques, and joint
 //! twists for quantities that are linear in them.
 
-use super::placement::JointType;
+use super::placement::{JointPosture, Placement};
 use super::vector::{Matrix, Vector, cross, dot, plus, scaled, splat, times, times_transposed};
 use super::{LINK_PARAMETER_COUNT, Posture, SerialChain};
 use crate::scalar::Real;
@@ -15,6 +15,47 @@ pub(super) struct LinkMotion<R> {
     pub(super) turning: Vector<R>,
     /// Specific force [m/s^2] at its origin: acceleration minus gravity.
     pub(super) force: Vector<R>,
+}
+
+impl<R: Real> LinkMotion<R> {
+    /// The base at rest, under an acceleration of gravity [m/s^2].
+    #[inline(always)]
+    pub(super) fn of_base(gravity: &Vector<f64>) -> Self {
+        let zero = [R::splat(0.0); 3];
+        Self {
+            rate: zero,
+            turning: zero,
+            force: scaled(R::splat(-1.0), &splat(gravity), &zero),
+        }
+    }
+
+    /// Motion of the link behind the next joint.
+    #[inline(always)]
+    pub(super) fn of_next(&self, joint: &Placement, at: &JointPosture<R>, dq: R, ddq: R) -> Self {
+        let (turn, axis, origin) = (&at.rotation, splat(&joint.axis), joint.origin(at));
+        let carried = plus(
+            &cross(&self.turning, &origin),
+            &cross(&self.rate, &cross(&self.rate, &origin)),
+        );
+        let force = times_transposed(turn, &plus(&self.force, &carried));
+        let rate = times_transposed(turn, &self.rate);
+        let turning = times_transposed(turn, &self.turning);
+        // of the joint's own velocity: omega x a dq, once or twice
+        let whirl = cross(&rate, &axis);
+        if joint.is_revolute() {
+            Self {
+                rate: scaled(dq, &axis, &rate),
+                turning: scaled(ddq, &axis, &scaled(dq, &whirl, &turning)),
+                force,
+            }
+        } else {
+            Self {
+                rate,
+                turning,
+                force: scaled(ddq, &axis, &scaled(dq + dq, &whirl, &force)),
+            }
+        }
+    }
 }
 
 /// Angular and linear velocity per velocity of a joint.
@@ -68,18 +109,6 @@ impl<R: Real> Inertia<R> {
 }
 
 impl<const N: usize> SerialChain<N> {
-    /// The origin of link `i` in the frame of the preceding link.
-    #[inline(always)]
-    pub(super) fn origin<R: Real>(&self, at: &Posture<R, N>, i: usize) -> Vector<R> {
-        let placed = &self.joints[i];
-        match placed.joint_type {
-            JointType::Revolute => splat(&placed.position),
-            JointType::Prismatic => {
-                scaled(at.shift[i], &splat(&placed.slide), &splat(&placed.position))
-            }
-        }
-    }
-
     /// Outward recursion: motion of the links.
     #[inline(always)]
     pub(super) fn motions<R: Real>(
@@ -88,37 +117,10 @@ impl<const N: usize> SerialChain<N> {
         dq: &[R; N],
         ddq: &[R; N],
     ) -> [LinkMotion<R>; N] {
-        let zero = [R::splat(0.0); 3];
-        let mut motion = LinkMotion {
-            rate: zero,
-            turning: zero,
-            force: scaled(R::splat(-1.0), &splat(&self.gravity), &zero),
-        };
+        let mut motion = LinkMotion::of_base(&self.gravity);
         let mut all = [motion; N];
         for i in 0..N {
-            let (turn, axis) = (&at.rotation[i], splat(&self.joints[i].axis));
-            let (origin, rate) = (self.origin(at, i), &motion.rate);
-            let carried = plus(
-                &cross(&motion.turning, &origin),
-                &cross(rate, &cross(rate, &origin)),
-            );
-            let force = times_transposed(turn, &plus(&motion.force, &carried));
-            let rate = times_transposed(turn, rate);
-            let turning = times_transposed(turn, &motion.turning);
-            // of the joint's own velocity: omega x a dq, once or twice
-            let whirl = cross(&rate, &axis);
-            motion = match self.joints[i].joint_type {
-                JointType::Revolute => LinkMotion {
-                    rate: scaled(dq[i], &axis, &rate),
-                    turning: scaled(ddq[i], &axis, &scaled(dq[i], &whirl, &turning)),
-                    force,
-                },
-                JointType::Prismatic => LinkMotion {
-                    rate,
-                    turning,
-                    force: scaled(ddq[i], &axis, &scaled(dq[i] + dq[i], &whirl, &force)),
-                },
-            };
+            motion = motion.of_next(&self.joints[i], &at[i], dq[i], ddq[i]);
             all[i] = motion;
         }
         all
@@ -141,15 +143,14 @@ impl<const N: usize> SerialChain<N> {
             let [own_force, own_moment] = Inertia::of(&base[i]).wrench(&motions[i]);
             (force, moment) = (plus(&force, &own_force), plus(&moment, &own_moment));
             let axis = splat(&self.joints[i].axis);
-            torque[i] = match self.joints[i].joint_type {
-                JointType::Revolute => dot(&axis, &moment),
-                JointType::Prismatic => dot(&axis, &force),
+            torque[i] = if self.joints[i].is_revolute() {
+                dot(&axis, &moment)
+            } else {
+                dot(&axis, &force)
             };
-            force = times(&at.rotation[i], &force);
-            moment = plus(
-                &times(&at.rotation[i], &moment),
-                &cross(&self.origin(at, i), &force),
-            );
+            let (turn, origin) = (&at[i].rotation, self.joints[i].origin(&at[i]));
+            force = times(turn, &force);
+            moment = plus(&times(turn, &moment), &cross(&origin, &force));
         }
         torque
     }
@@ -158,16 +159,17 @@ impl<const N: usize> SerialChain<N> {
     /// joint's.
     #[inline(always)]
     fn extend<R: Real>(&self, at: &Posture<R, N>, i: usize, twists: &mut [Twist<R>; N]) {
-        let origin = self.origin(at, i);
+        let (turn, origin) = (&at[i].rotation, self.joints[i].origin(&at[i]));
         for twist in &mut twists[..i] {
             let moving = plus(&twist.moving, &cross(&twist.turning, &origin));
-            twist.moving = times_transposed(&at.rotation[i], &moving);
-            twist.turning = times_transposed(&at.rotation[i], &twist.turning);
+            twist.moving = times_transposed(turn, &moving);
+            twist.turning = times_transposed(turn, &twist.turning);
         }
         let (axis, zero) = (splat(&self.joints[i].axis), [R::splat(0.0); 3]);
-        let (turning, moving) = match self.joints[i].joint_type {
-            JointType::Revolute => (axis, zero),
-            JointType::Prismatic => (zero, axis),
+        let (turning, moving) = if self.joints[i].is_revolute() {
+            (axis, zero)
+        } else {
+            (zero, axis)
         };
         twists[i] = Twist { turning, moving };
     }

@@ -1,0 +1,55 @@
+"""Link motion of planar arms and of chains, and its derivatives."""
+
+import numpy as np
+import pytest
+
+from serial_chains import Joint, chain, random_joints
+from strainwave.domain import Joint as Drive
+from strainwave.dynamics.arm import Arm
+
+GRAVITY, LENGTH = 9.81, 0.35
+DRIVE = Drive("linear", 0.01)
+
+
+def test_planar_arms_are_chains() -> None:
+    def turning(x: float) -> Joint:
+        return ("revolute", [x, 0.0, 0.0], [0.0] * 3, [0.0, 0.0, 1.0])
+
+    motion = np.random.default_rng(1).uniform(-2.0, 2.0, (3, 10, 2))
+    for gravity in (0.0, GRAVITY):
+        for arm, places in [
+            (Arm("planar-two-link", (DRIVE, DRIVE), LENGTH, gravity), [0.0, LENGTH]),
+            (Arm("single-joint", (DRIVE,), gravity=gravity), [0.0]),
+        ]:
+            same = chain([turning(x) for x in places], gravity=[0.0, -gravity, 0.0])
+            parts = np.ascontiguousarray(motion[:, :, : len(places)])
+            np.testing.assert_array_equal(arm.link_motion(*parts), same.link_motion(*parts))
+    slide = Arm("single-joint", (Drive("linear", 0.01, "prismatic"),))
+    expected = np.zeros((10, 1, 9))
+    expected[:, 0, 6] = motion[2, :, 0]
+    np.testing.assert_array_equal(slide.link_motion(*motion[:, :, :1]), expected)
+
+
+def test_a_link_of_a_vertical_arm() -> None:
+    q, dq, ddq = np.array([[0.4]]), np.array([[1.5]]), np.array([[-2.0]])
+    motion = Arm("single-joint", (DRIVE,), gravity=GRAVITY).link_motion(q, dq, ddq)
+    expected = [0.0, 0.0, 1.5, 0.0, 0.0, -2.0, GRAVITY * np.sin(0.4), GRAVITY * np.cos(0.4), 0.0]
+    np.testing.assert_allclose(motion[0, 0], expected, atol=1e-15)
+
+
+@pytest.mark.parametrize("types", ["r", "p", "rp", "prr", "rrprprr"])
+def test_derivatives_match_differences(types: str) -> None:
+    n, samples, h = len(types), 5, 1e-6
+    rng = np.random.default_rng(n)
+    arm = chain(random_joints(rng, n, types))
+    motion = rng.uniform(-2.0, 2.0, (3, samples, n))
+    derivatives = arm.link_motion_derivatives(*motion)
+    assert len(derivatives) == 3
+    for kind, derivative in enumerate(derivatives):
+        assert derivative.shape == (samples, n, 9, n)
+        for j in range(n):
+            step = np.zeros_like(motion)
+            step[kind, :, j] = h
+            rise = arm.link_motion(*(motion + step)) - arm.link_motion(*(motion - step))
+            # rounding of numbers of about 100, over the step, and the step's square
+            np.testing.assert_allclose(derivative[..., j], rise / (2 * h), atol=1e-7, rtol=1e-8)
