@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import (
-    ArmDescription,
     ArmModel,
     EffectName,
     Experiment,
@@ -21,6 +20,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import RecordEffect, all_effects
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import TuningOptions, tune
@@ -148,7 +148,7 @@ def tuned(
     )
 
 
-def single_joint(has: tuple[EffectName, ...]) -> Study:
+def single_joint_study(has: tuple[EffectName, ...]) -> Study:
     """A joint under gravity with a step of its servo and a PRBS."""
     joint = Joint(
         spring="linear",
@@ -162,7 +162,7 @@ def single_joint(has: tuple[EffectName, ...]) -> Study:
     servo = Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0)
     prbs = Prbs(9, 1e-3, 1, 8.0)
     return Study(
-        arm=ArmDescription("single-joint", (joint,), gravity=9.81, servo=servo),
+        arm=single_joint(joint, gravity=9.81, servo=servo),
         experiments=(
             Experiment("step", "step.parquet", "tuning", ("servo",), joint=1),
             Experiment("prbs", "prbs.parquet", "frequency", ("open",), joint=1, prbs=prbs),
@@ -175,7 +175,7 @@ def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> 
     """Whole-arm fit of a single joint; parameters are known to 5 %, rigid ones to 1 %."""
     known = ELASTIC_JOINT | {("gravity_torque_1", None): 15.0}
     known |= {key: value for key, value in EVERY.items() if key[1] == 1}
-    study, logs = simulated_logs(single_joint(has), known, noise=SensorNoise())
-    asks = replace(study, arm=single_joint(asked).arm)
+    study, logs = simulated_logs(single_joint_study(has), known, noise=SensorNoise())
+    asks = replace(study, arm=single_joint_study(asked).arm)
     joints = joint_models(asks, known, 0.05, FACTORS)
     return tune(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import Experiment, FloatArray, Log, Parameter, Prbs, RigidModel, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
@@ -21,7 +22,7 @@ PRBS = Prbs(order=10, clock=1e-3, periods=3, amplitude=10.0)
 def rig(gravity: float | None = None, *, counts: float | None = 8192.0) -> Study:
     study = scara.study(Path("nowhere"), "linear")
     joints = tuple(replace(joint, encoder_counts=counts) for joint in study.arm.joints)
-    return replace(study, arm=replace(study.arm, gravity=gravity, joints=joints))
+    return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
 def rig_values(study: Study) -> Values:

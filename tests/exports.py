@@ -7,8 +7,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Spring, Study
+from strainwave.domain import Experiment, Joint, Motion, Spring, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.domain.parameters import unit_of
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.io.study import write_study
@@ -21,7 +22,7 @@ def two_links(folder: Path, spring: Spring = "linear", gravity: float | None = N
     """The built-in rig without a current loop."""
     study = scara.study(folder, spring)
     joints = tuple(replace(joint, current_loop_hz=None) for joint in study.arm.joints)
-    return replace(study, arm=replace(study.arm, gravity=gravity, joints=joints))
+    return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
 def values_of(study: Study) -> Values:
@@ -30,7 +31,7 @@ def values_of(study: Study) -> Values:
     if study.arm.gravity is not None:
         values["gravity_torque_1", None] = 60.0
         first_moment = values["gamma", None] / scara.LINK_LENGTH[0]
-        values["gravity_torque_2", None] = 1.02 * study.arm.gravity * first_moment
+        values["gravity_torque_2", None] = 1.02 * study.arm.gravity_size * first_moment
     return values
 
 
@@ -42,7 +43,7 @@ def single(
 ) -> tuple[Study, Values]:
     """One joint, its torque logged."""
     joint = Joint(spring=spring, gear_ratio=0.1, motion=motion)
-    arm = ArmDescription("single-joint", (joint,), gravity=gravity)
+    arm = single_joint(joint, gravity=gravity)
     study = Study(arm=arm, experiments=(MOTION,), path=folder / "study.toml")
     values: Values = {
         ("motor_viscous_friction", 1): 0.002,

@@ -11,6 +11,7 @@ import numpy as np
 from effect_runs import FACTORS, rig
 from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import TuningOptions, tune
@@ -90,7 +91,7 @@ def runs(changed: Key | None = None, *, vertical: bool = False) -> Runs:
     """
     base, known = rig(()), truth()[1]
     if vertical:
-        base = replace(base, arm=replace(base.arm, gravity=9.81))
+        base = replace(base, arm=change_arm_keys(base.arm, gravity=9.81))
         second = 9.81 * known["gamma", None] / scara.LINK_LENGTH[0]
         known |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): second}
     logs: list[Log] = []

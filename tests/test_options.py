@@ -16,7 +16,6 @@ from elastic_runs import log_of, prbs_run, rig
 from joint_records import case
 from strainwave import pipeline
 from strainwave.domain import (
-    ArmDescription,
     Experiment,
     FrequencyOptions,
     Joint,
@@ -30,6 +29,7 @@ from strainwave.domain import (
     Study,
     TuningOptions,
 )
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification import frequency, rigid
@@ -65,9 +65,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     study = Study(
         path=folder / "study.toml",
         sha256="",
-        arm=ArmDescription(
-            "single-joint",
-            (JOINT,),
+        arm=single_joint(
+            JOINT,
             servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
         ),
         experiments=(

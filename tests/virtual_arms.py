@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Signals, Study
+from strainwave.domain import Experiment, FloatArray, Joint, Log, Signals, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
@@ -32,15 +33,13 @@ ELASTIC_JOINT: Values = {
 def rigid_two_link(gravity: float | None = None) -> Study:
     """The built-in rig with rigid gears."""
     study = scara.study(Path("nowhere"), "rigid")
-    return replace(study, arm=replace(study.arm, gravity=gravity))
+    return replace(study, arm=change_arm_keys(study.arm, gravity=gravity))
 
 
 def rigid_drive(gravity: float | None = None) -> Study:
     """One rigid revolute joint with logged torque."""
     joint = Joint(spring="rigid", gear_ratio=0.5)
-    return Study(
-        arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=(DRIVE,)
-    )
+    return Study(arm=single_joint(joint, gravity=gravity), experiments=(DRIVE,))
 
 
 def values_of(study: Study, seed: int) -> Values:

@@ -57,7 +57,7 @@ def pinocchio(study: Study, log: Log) -> Values:
     x = _solve(rows, target)
     weight = 1.0 / (target - rows @ x).std(axis=0)  # of each joint's rows
     x = _solve(rows * weight[:, None], target * weight)
-    l1 = study.arm.link_length or 0.0
+    l1 = study.arm.joints[1].origin.xyz[0]
     return {  # Izz about the joint's axis is the last of each link's ten, mx the second
         ("rigid_inertia", 1): float(x[9] + l1**2 * x[10]),
         ("beta", None): float(x[19]),
@@ -81,7 +81,7 @@ def _model(study: Study) -> Any:
 
     model = pin.Model()
     model.gravity = pin.Motion.Zero()
-    offset = np.array([study.arm.link_length or 0.0, 0.0, 0.0])
+    offset = np.array([study.arm.joints[1].origin.xyz[0], 0.0, 0.0])
     first = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "joint1")
     model.addJoint(first, pin.JointModelRZ(), pin.SE3(np.eye(3), offset), "joint2")
     return model

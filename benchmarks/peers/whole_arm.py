@@ -188,7 +188,7 @@ def _step(study: Study) -> Any:
 
     n = [joint.gear_ratio for joint in study.arm.joints]
     distance = [joint.accelerometer_distance or 1.0 for joint in study.arm.joints]
-    l1 = study.arm.link_length or 0.0
+    l1 = study.arm.joints[1].origin.xyz[0]
     p, x = ca.SX.sym("p", len(KEYS)), ca.SX.sym("x", 8)
     tau = ca.SX.sym("tau", SUBSTEPS * 6)
     alpha, beta, gamma = p[0], p[1], p[2]

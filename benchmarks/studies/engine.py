@@ -24,6 +24,7 @@ from scipy.signal import butter, cont2discrete, lfilter, lfilter_zi
 from benchmarks.studies.arms import draw_arm, run_all, run_on_logs
 from strainwave.domain import Control, Experiment, FloatArray, Joint, Parameter, Prbs, Study, Use
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
 from strainwave.export.mjcf import to_mjcf
@@ -249,7 +250,7 @@ def lab_arm(seed: int) -> tuple[Study, Values]:
         for volt in _AMPLITUDES if kind == "three-slope" else ():
             record(f"sweep-{volt:g}V", "sweep", j, volt, free)
     if kind == "vertical":
-        study = replace(study, arm=replace(study.arm, gravity=_GRAVITY))
+        study = replace(study, arm=change_arm_keys(study.arm, gravity=_GRAVITY))
         first_moment = float(np.random.default_rng([1986, seed]).uniform(*_FIRST_MOMENT))
         values["gravity_torque_1", None] = _GRAVITY * first_moment
         values["gravity_torque_2", None] = _GRAVITY * values["gamma", None] / scara.LINK_LENGTH[0]

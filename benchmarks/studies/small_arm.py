@@ -19,7 +19,6 @@ import pyarrow.parquet as pq
 
 from benchmarks.studies.engine import in_mujoco
 from strainwave.domain import (
-    ArmDescription,
     Channel,
     Control,
     Experiment,
@@ -31,6 +30,7 @@ from strainwave.domain import (
     Use,
 )
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import planar_two_link
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.study import read_study, write_study
 from strainwave.virtual.experiments import derived, simulate_study
@@ -101,8 +101,7 @@ def study(folder: Path) -> Study:
     return Study(
         path=folder / "study.toml",
         sha256="",
-        arm=ArmDescription(
-            "planar-two-link",
+        arm=planar_two_link(
             joints,
             link_length=0.25,
             servo=Servo(

@@ -19,6 +19,7 @@ from strainwave.campaign.cases import Hashes, Opened
 from strainwave.campaign.plan import Plan
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import Task
+from strainwave.domain.kinds import single_joint
 
 Truth = dict[tuple[str, int | None], float]
 
@@ -49,7 +50,7 @@ class DrawnCase:
     def opened(self) -> Iterator[Opened]:
         joint = sw.Joint(spring="rigid", gear_ratio=1.0)
         study = sw.Study(
-            arm=sw.ArmDescription("single-joint", joints=(joint,)),
+            arm=single_joint(joint),
             experiments=(sw.Experiment("motion", "", "motion", ("servo",)),),
         )
         names, *rows = log(inertia_of(self.number)).decode().split()

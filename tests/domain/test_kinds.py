@@ -18,14 +18,16 @@ from strainwave.domain.combinations import (
     value_of,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import KINDS, kind_of
+from strainwave.domain.kinds import KINDS, kind_of, planar_two_link, single_joint
 
 RATIOS = (0.02, 0.01)
 
 
 def description(kind: ArmKind, gravity: float | None = 9.81) -> ArmDescription:
-    joints = tuple(Joint("linear", n) for n in RATIOS[: KINDS[kind].n_joints])
-    return ArmDescription(kind, joints, link_length=0.4, gravity=gravity)
+    joints = [Joint("linear", n) for n in RATIOS]
+    if kind == "single-joint":
+        return single_joint(joints[0], gravity)
+    return planar_two_link(joints, 0.4, gravity)
 
 
 def random_values(arm: ArmDescription, seed: int) -> Values:
@@ -40,7 +42,7 @@ def random_values(arm: ArmDescription, seed: int) -> Values:
 
 
 def test_every_kind_is_registered() -> None:
-    assert set(KINDS) == set(get_args(ArmKind))
+    assert {*KINDS, "serial"} == set(get_args(ArmKind))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -83,7 +85,7 @@ def test_rigid_columns_depend_on_gravity_and_gears() -> None:
     names = [str(column) for column in rigid_columns(description("planar-two-link", None))]
     assert names[:4] == ["rigid_inertia of joint 1", "motor_inertia of joint 2", "beta", "gamma"]
     assert names[4] == "total_viscous_friction of joint 1"
-    drive = ArmDescription("single-joint", (Joint("rigid", 0.1, motion="prismatic"),))
+    drive = single_joint(Joint("rigid", 0.1, motion="prismatic"))
     assert is_rigid_drive(drive)
     assert [(c.name, c.unit) for c in rigid_columns(drive)] == [
         ("inertia", "kg"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from strainwave.domain import ArmDescription, Joint, Parameter
+from strainwave.domain.kinds import single_joint
 from strainwave.domain.ranges import implausible_joints, is_physical
 from strainwave.virtual.families.catalogue import drawn
 
@@ -23,7 +24,7 @@ GEAR_CATALOGUE = {
 
 def arm(e: float | None = 0.08, ratio: float = 0.01, motion: str = "revolute") -> ArmDescription:
     joint = Joint("linear", ratio, motion, e)  # type: ignore[arg-type]
-    return ArmDescription("single-joint", (joint,))
+    return single_joint(joint)
 
 
 def value(name: str, size: float, unit: str = "N m/rad") -> Parameter:

@@ -9,7 +9,8 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from strainwave import domain as records
-from strainwave.domain import ArmDescription, Channel, Experiment, Joint, Study
+from strainwave.domain import Channel, Experiment, Joint, Study
+from strainwave.domain.kinds import single_joint
 
 
 def test_the_package_exports_every_record() -> None:
@@ -29,7 +30,7 @@ def test_records_can_be_pickled() -> None:
     study = Study(
         path=Path("study.toml"),
         sha256="0" * 64,
-        arm=ArmDescription("single-joint", (Joint("linear", 0.01),)),
+        arm=single_joint(Joint("linear", 0.01)),
         experiments=(Experiment("swing", "swing.csv", "motion", ("open",)),),
         channels={"t": Channel("time")},
     )

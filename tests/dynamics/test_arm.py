@@ -12,11 +12,12 @@ import pytest
 from strainwave.domain import ArmDescription, FloatArray, Joint
 from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual import scara
 
-ONE = Arm("single-joint", (Joint("rigid", 0.02),), gravity=9.81)
-TWO = Arm.of(replace(scara.study(Path(), "rigid").arm, gravity=9.81))
+ONE = Arm.of(single_joint(Joint("rigid", 0.02), gravity=9.81))
+TWO = Arm.of(change_arm_keys(scara.study(Path(), "rigid").arm, gravity=9.81))
 ARMS = {"one joint": ONE, "two links": TWO}
 
 

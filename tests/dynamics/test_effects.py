@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from strainwave import pipeline
-from strainwave.domain import ArmDescription, EffectName, FloatArray, Joint, Study
+from strainwave.domain import EffectName, FloatArray, Joint, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, sensitivities, simulate
 from strainwave.errors import InvalidInput
@@ -42,7 +43,7 @@ ALL: tuple[EffectName, ...] = ("stribeck", "hysteresis", "kinematic-error")
 
 def one_joint(effects: tuple[EffectName, ...] = ALL) -> Study:
     joint = Joint("linear", RATIO, torque_per_volt=0.1, effects=effects)
-    arm = ArmDescription("single-joint", (joint,))
+    arm = single_joint(joint)
     return Study(arm=arm, experiments=scara.study(Path()).experiments, path=Path("study.toml"))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     ACCELEROMETER_BASIS,
@@ -38,7 +39,7 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
         replace(description, imu=imu if i == joint else None)
         for i, description in enumerate(study.arm.joints, start=1)
     )
-    return replace(study, arm=replace(study.arm, joints=joints, gravity=gravity))
+    return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=gravity))
 
 
 def axes(study: Study, joint: int) -> tuple[Axis, ...]:
@@ -58,7 +59,9 @@ def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, Fl
     attitudes = link_attitude(joint - 1)
     position = attitudes @ np.array(XYZ)
     if joint == 2:
-        position = position + link_attitude(0) @ np.array([study.arm.link_length or 0.0, 0.0, 0.0])
+        position = position + link_attitude(0) @ np.array(
+            [study.arm.joints[1].origin.xyz[0], 0.0, 0.0]
+        )
     return position, attitudes @ attitude(RPY)
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from strainwave.domain import Experiment, FloatArray, Prbs, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm
 from strainwave.dynamics.simulation import (
     Drive,
@@ -291,7 +292,7 @@ def test_the_seed_determines_motion_and_noise(tmp_path: Path) -> None:
 
 def test_an_arm_under_gravity_starts_in_equilibrium(tmp_path: Path) -> None:
     study = scara.study(tmp_path)
-    upright = replace(study, arm=replace(study.arm, gravity=9.81))
+    upright = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
     values = scara.parameters(0) | {
         ("gravity_torque_1", None): 31.0,
         ("gravity_torque_2", None): 7.4,

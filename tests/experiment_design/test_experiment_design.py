@@ -16,8 +16,9 @@ import pytest
 
 from strainwave import experiment_design as design
 from strainwave import pipeline
-from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Servo, Study
+from strainwave.domain import Experiment, FloatArray, Joint, Servo, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
@@ -58,7 +59,7 @@ def upright() -> tuple[Study, Values]:
     values = scara.parameters(0)
     values["gravity_torque_1", None] = 31.0
     values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
-    return replace(STUDY, arm=replace(STUDY.arm, gravity=9.81)), values
+    return replace(STUDY, arm=change_arm_keys(STUDY.arm, gravity=9.81)), values
 
 
 def drive(**changes: float) -> tuple[Study, Values]:
@@ -76,7 +77,7 @@ def drive(**changes: float) -> tuple[Study, Values]:
     }
     for name, value in changes.items():
         values[name, None if name.startswith("gravity") else 1] = value
-    return Study(arm=ArmDescription("single-joint", (joint,), servo=servo), experiments=()), values
+    return Study(arm=single_joint(joint, servo=servo), experiments=()), values
 
 
 def worst_use(study: Study, values: Values, limits: Limits, record: design.Planned) -> float:
@@ -404,7 +405,7 @@ def test_narrow_limits_give_a_warning() -> None:
 @pytest.mark.usefixtures("quick")
 def test_a_poorly_conditioned_motion_gives_a_warning() -> None:
     study, values = drive(gravity_torque_1=1.0)
-    study = replace(study, arm=replace(study.arm, gravity=9.81))
+    study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
     # within 0.02 rad gravity is similar to a friction offset
     plan = design.design(study, values, Limits((0.02,), (200.0,), (10.0,), ANY[:1]))
     assert ("poor-excitation", "motion") in {(w.code, w.where) for w in plan.warnings}

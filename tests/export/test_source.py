@@ -12,6 +12,7 @@ import pytest
 
 import exports
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.export.flat import to_json
@@ -116,7 +117,7 @@ def test_a_changed_study_is_reported(tmp_path: Path) -> None:
     text = study.path.read_text()
     study.path.write_text(text.replace("0.35", "0.36"))
     arm = read_arm(path)
-    assert arm.study.arm.link_length == 0.36
+    assert arm.study.arm.joints[1].origin.xyz[0] == 0.36
     assert [warning.code for warning in arm.warnings] == ["study-changed"]
 
 
@@ -131,8 +132,10 @@ def test_a_result_with_its_rig_needs_no_study_file(tmp_path: Path) -> None:
     arm = read_arm(path)
     assert arm.study.arm == study.arm
     assert arm.warnings == ()
-    write_study(replace(study, arm=replace(study.arm, link_length=0.4)), tmp_path / "other.toml")
-    assert read_arm(path, tmp_path / "other.toml").study.arm.link_length == 0.4
+    write_study(
+        replace(study, arm=change_arm_keys(study.arm, link_length=0.4)), tmp_path / "other.toml"
+    )
+    assert read_arm(path, tmp_path / "other.toml").study.arm.joints[1].origin.xyz[0] == 0.4
 
 
 def arm_without(folder: Path, *names: str) -> IdentifiedArm:

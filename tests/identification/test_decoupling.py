@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
-from strainwave.domain import ArmDescription, Decoupled, FloatArray, Joint, RigidModel, Study
+from strainwave.domain import Decoupled, FloatArray, Joint, RigidModel, Study
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics import interaction_torque as interaction
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
@@ -192,7 +193,7 @@ def test_a_single_joint_has_gravity_or_nothing_beside_its_motor(
 ) -> None:
     joint = Joint(spring="linear", gear_ratio=0.5)
     two_link = rig()
-    study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
+    study = Study(arm=single_joint(joint, gravity=gravity), experiments=())
     run = prbs_run(two_link)
     sensor_signals = links.prepare_link_signals(log_of(run), Arm.of(two_link.arm))
     columns = {

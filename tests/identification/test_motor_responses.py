@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from elastic_runs import log_of, prbs_run, rig, rig_values
-from strainwave.domain import ArmDescription, ArmModel, Joint, Log, Study
+from strainwave.domain import ArmModel, Joint, Log, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.motor_responses import modes_of_motor, motor_response
 from strainwave.presentation.figures import Line, Markers
@@ -51,7 +52,7 @@ def test_one_joint_has_the_modes_of_the_closed_form(
 ) -> None:
     """Without damping, zeros are sqrt(k / m_L) and poles sqrt(k (1 / m_L + n^2 / m_M))."""
     joint = Joint(spring="linear", gear_ratio=ratio, torque_per_volt=0.1)
-    study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
+    study = Study(arm=single_joint(joint), experiments=())
     link, motor = (1.0 - share) * inertia, share * inertia * ratio**2
     k = (2.0 * np.pi * ring) ** 2 * link
     values: Values = {

@@ -9,15 +9,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import studies
-from strainwave.domain import ArmDescription, Channel, Experiment, Joint, Prbs, Servo, Study
+from strainwave.domain import Channel, Experiment, Joint, Origin, Prbs, Servo, Study
+from strainwave.domain.kinds import planar_two_link
 from strainwave.errors import InvalidInput
 from strainwave.io.study import read_study, write_study
 
 
 def test_a_study_file_is_read(tmp_path: Path) -> None:
     study = read_study(studies.write(tmp_path))
-    assert (study.arm.kind, study.arm.link_length) == ("planar-two-link", 0.35)
-    assert study.arm.joints[1] == Joint("linear", 0.01, torque_per_volt=0.03)
+    assert study.arm.kind == "planar-two-link"
+    origin = Origin((0.35, 0.0, 0.0))
+    assert study.arm.joints[1] == Joint("linear", 0.01, torque_per_volt=0.03, origin=origin)
     assert study.arm.servo == Servo("pi-velocity", 0.001, (0.12, 0.1), (1.5, 1.5), 10.0)
     assert study.experiments[1].prbs == Prbs(10, 0.001, 4, 10.0)
     assert study.experiments[1].control == ("open", "open")
@@ -177,9 +179,9 @@ def test_six_joints_are_rejected_with_the_supported_arms(tmp_path: Path) -> None
     experiment = f'name = "m"\nfile = "m.csv"\nuse = "motion"\ncontrol = [{control}]\n'
     arm = '[arm]\nkind = "planar-two-link"\nlink_length = 0.3\n'
     path = studies.write(tmp_path, f"{arm}{joints}[[experiment]]\n{experiment}")
-    with pytest.raises(InvalidInput, match=r"6 .*one joint or of two links in one plane") as caught:
+    with pytest.raises(InvalidInput, match=r"has 2 joint\(s\), but there are 6") as caught:
         read_study(path)
-    assert "record them with the other joints at rest" in str(caught.value)
+    assert "recorded with all other joints at rest" in str(caught.value)
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -276,8 +278,7 @@ whole = st.builds(
     path=st.just(Path("study.toml")),
     sha256=st.just(""),
     arm=st.builds(
-        ArmDescription,
-        st.just("planar-two-link"),
+        planar_two_link,
         st.tuples(joint, joint),
         sizes,
         st.none() | st.floats(0.0, 20.0),

@@ -334,7 +334,7 @@ class _FlexibleLink(_FaultyArm):
 
     def _length(self) -> float:
         if self.joint == 1:
-            return self.arm.link_length or 0.0
+            return self.arm.joints[1].origin.xyz[0] or 0.0
         return self.arm.joints[1].accelerometer_distance or 0.0
 
     def _gear(self) -> float:

@@ -1,10 +1,12 @@
-"""Description of an arm, as its study file states it.
+"""Description of an arm: a serial chain of joints with drives, gears and sensors.
 
-`strainwave.io.study` checks the constraints of `annotated_types`.
+`strainwave.io.study` checks the constraints of `annotated_types`. The kinds of
+`strainwave.domain.kinds` construct descriptions from the `[arm]` tables of study files.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, Self
@@ -17,10 +19,20 @@ from strainwave.domain.gear_laws import RIGID, GearLaw, gear_law
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
-ArmKind = Literal["planar-two-link", "single-joint"]
+ArmKind = Literal["planar-two-link", "single-joint", "serial"]
 Motion = Literal["revolute", "prismatic"]
 Spring = str  # name of a gear law
 EffectName = str  # of one of `domain.effects`
+Vector = tuple[float, float, float]
+Matrix = tuple[tuple[float, ...], ...]  # rows
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Frame of a joint at zero angle in the frame of the link before it, as in URDF."""
+
+    xyz: Vector = (0.0, 0.0, 0.0)  # [m]
+    rpy: Vector = (0.0, 0.0, 0.0)  # [rad] roll, pitch and yaw
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +47,10 @@ class Imu:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """Drive, gear and sensors of one joint: `[[joint]]`."""
+    """Placement, drive, gear and sensors of one joint: `[[joint]]`."""
 
     spring: Spring
-    gear_ratio: Positive  # n, link turns per motor turn
+    gear_ratio: float  # n, link turns (prismatic: m per rad) of the motor; not zero
     motion: Motion = "revolute"
     torque_per_volt: Positive | None = None  # e [N m/V], motor side
     current_loop_hz: Positive | None = None
@@ -49,6 +61,8 @@ class Joint:
     imu: Imu | None = None
     # optional terms of the model; "auto": those that the data support
     effects: tuple[EffectName, ...] | Literal["auto"] = ()
+    origin: Origin = Origin()
+    axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
 
     @property
     def law(self) -> GearLaw:
@@ -96,18 +110,27 @@ class Servo:
 
 @dataclass(frozen=True, slots=True)
 class ArmDescription:
-    """Prior knowledge of an arm: `[arm]`, its `[[joint]]` tables and `[servo]`."""
+    """A serial chain on a fixed base, with its servo.
 
-    kind: ArmKind
+    Frames, axes and angles are those of URDF. Link angles are C N theta_M: C is `coupling`, the
+    transmission between joints, and N holds the gear ratios.
+    """
+
+    kind: ArmKind  # selects the compiled program and the names of combinations of parameters
     joints: tuple[Joint, ...]  # in order from the base
-    link_length: Positive | None = None  # l_1 [m], from axis 1 to axis 2
-    gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
+    gravity: Vector | None = None  # [m/s^2] in the frame of the base; None: without gravity
+    coupling: Matrix | None = None  # C, (n_joints, n_joints); None: identity
     servo: Servo | None = None
 
     @property
     def n_joints(self) -> int:
         """Number of joints."""
         return len(self.joints)
+
+    @property
+    def gravity_size(self) -> float:
+        """Size of gravity [m/s^2]; zero without gravity."""
+        return math.hypot(*self.gravity) if self.gravity else 0.0
 
     def with_joints(self, joints: Iterable[Joint]) -> Self:
         """Copy of the arm with other joints."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from typing import Literal
 
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.study import Channel, Experiment, Study
 
 
@@ -24,7 +25,8 @@ def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
     """Return the study with all corrections of its keys. Corrections of logs do not change it."""
     for correction in corrections:
         if correction.table == "arm":
-            study = replace(study, arm=replace(study.arm, **{correction.key: correction.value}))  # type: ignore[arg-type]
+            arm = change_arm_keys(study.arm, **{correction.key: correction.value})
+            study = replace(study, arm=arm)
         elif correction.table == "joint":
             joints = list(study.arm.joints)
             number = int(correction.entry) - 1

@@ -59,8 +59,8 @@ class Arm(ArmDescription):
             [joint.gear_ratio for joint in joints],
             motion=joints[0].motion,
             torque_per_volt=self.torque_per_volt.tolist(),
-            link_length=self.link_length or 0.0,
-            gravity=self.gravity or 0.0,
+            link_length=self.joints[-1].origin.xyz[0],
+            gravity=self.gravity_size,
             current_loop_hz=[joint.current_loop_hz for joint in joints],
             encoder_counts=[joint.encoder_counts for joint in joints],
             accelerometer_distance=[joint.accelerometer_distance or 1.0 for joint in joints],
@@ -84,6 +84,24 @@ class Arm(ArmDescription):
     def gear_ratios(self) -> FloatArray:
         """n, link turns per motor turn: (n_joints,)."""
         return _constant([joint.gear_ratio for joint in self.joints])
+
+    @cached_property
+    def transmission(self) -> FloatArray:
+        """C N: link angles per motor angle, (n_joints, n_joints)."""
+        coupling = np.eye(self.n_joints) if self.coupling is None else np.array(self.coupling)
+        return _constant((coupling * self.gear_ratios).tolist())
+
+    def links_of(self, motors: FloatArray) -> FloatArray:
+        """Link motion of a motor motion behind rigid gears, C N theta_M: (..., n_joints)."""
+        if self.coupling is None:
+            return np.asarray(motors * self.gear_ratios)
+        return np.asarray(motors @ self.transmission.T)
+
+    def motors_of(self, torques: FloatArray) -> FloatArray:
+        """Motor torques that balance torques of the links, N C^T T: (..., n_joints)."""
+        if self.coupling is None:
+            return np.asarray(torques * self.gear_ratios)
+        return np.asarray(torques @ self.transmission)
 
     @cached_property
     def torque_per_volt(self) -> FloatArray:
@@ -350,7 +368,7 @@ def _core_effects(joint: Joint) -> list[str]:
     return list(dict.fromkeys(name for name in known if name is not None))
 
 
-def _constant(values: list[float]) -> FloatArray:
+def _constant(values: list[Any]) -> FloatArray:
     """A read-only array."""
     array = np.array(values)
     array.setflags(write=False)

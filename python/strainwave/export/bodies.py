@@ -48,7 +48,7 @@ def _source_in_message(arm: IdentifiedArm) -> Iterator[None]:
 
 def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     """A warning if bodies under the gravity of the study miss the gravity torque of link 2."""
-    gravity = arm.study.arm.gravity or 0.0
+    gravity = arm.study.arm.gravity_size
     if not gravity:
         return ()
     error = effective_gravity(arm) / gravity - 1.0

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
+from strainwave.domain.kinds import kind_of
 from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 
 HEADER_PREFIX = "strainwave_"
 """Of every name in the C header; without it `gamma` collides with <math.h>."""
+_ARM_UNITS = {"link_length": "m", "gravity": "m/s^2"}
 _JOINT_UNITS = {
     "gear_ratio": "1",
     "torque_per_volt": "N m/V",
@@ -36,9 +38,10 @@ class Entry:
 
 def entries(arm: IdentifiedArm) -> tuple[Entry, ...]:
     """Numbers of the study, then the identified parameters."""
+    table = kind_of(arm.study.arm).table_of(arm.study.arm)
     known = [
-        Entry("link_length", arm.study.arm.link_length, None, "m", known=True),
-        Entry("gravity", arm.study.arm.gravity, None, "m/s^2", known=True),
+        Entry(field.name, getattr(table, field.name), None, _ARM_UNITS[field.name], known=True)
+        for field in fields(table)
     ]
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         units = _JOINT_UNITS | ({"torque_per_volt": "N/V"} if joint.motion == "prismatic" else {})

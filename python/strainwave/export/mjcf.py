@@ -77,9 +77,8 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
 
 def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
     """One link and its joint, which includes the motor if the gear is rigid."""
-    length = arm.study.arm.link_length or 0.0
-    position = numbers(length if number == 2 else 0.0, 0.0, 0.0)
-    element = ET.SubElement(parent, "body", name=f"link{number}", pos=position)
+    origins = [joint.origin.xyz for joint in arm.study.arm.joints]
+    element = ET.SubElement(parent, "body", name=f"link{number}", pos=numbers(*origins[number - 1]))
     _inertial(element, body.mass, body.centre, body.inertia)
     attributes = {"name": f"joint{number}", **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)
@@ -97,7 +96,8 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
         ET.SubElement(element, "site", name=f"accelerometer{number}", pos=distance)
     if joint.gyro_hz:
         ET.SubElement(element, "site", name=f"gyroscope{number}")
-    drawn_length = length if number == 1 and length else 2.0 * body.centre or 10.0 * _LINK_RADIUS
+    is_last = number == len(origins)
+    drawn_length = (2.0 * body.centre if is_last else origins[number][0]) or 10.0 * _LINK_RADIUS
     ET.SubElement(
         element,
         "geom",

@@ -31,7 +31,7 @@ _OMISSIONS = {
 
 def to_urdf(arm: IdentifiedArm) -> Export:
     """URDF of the arm behind rigid gears (5); `InvalidInput` if a needed parameter is missing."""
-    bodies = link_bodies(arm, arm.study.arm.gravity or 0.0)
+    bodies = link_bodies(arm, arm.study.arm.gravity_size)
     reasons = dict(_OMISSIONS)
     if holds_motor(arm):  # the inertia of the link includes it
         del reasons[Part.MOTOR_INERTIA]
@@ -66,9 +66,9 @@ def _joint(robot: ET.Element, arm: IdentifiedArm, number: int) -> None:
     joint = ET.SubElement(robot, "joint", name=f"joint{number}", type=kind)
     ET.SubElement(joint, "parent", link=f"link{number - 1}" if number > 1 else "base")
     ET.SubElement(joint, "child", link=f"link{number}")
-    length = (arm.study.arm.link_length or 0.0) if number > 1 else 0.0
-    ET.SubElement(joint, "origin", xyz=numbers(length, 0.0, 0.0), rpy="0 0 0")
-    ET.SubElement(joint, "axis", xyz="1 0 0" if is_prismatic else "0 0 1")
+    origin = arm.joint(number).origin
+    ET.SubElement(joint, "origin", xyz=numbers(*origin.xyz), rpy=numbers(*origin.rpy))
+    ET.SubElement(joint, "axis", xyz=numbers(*arm.joint(number).axis))
     viscous = arm.need("motor_viscous_friction", number) / n**2
     viscous += arm.need("link_viscous_friction", number)
     friction = arm.need("motor_coulomb_friction", number) / n

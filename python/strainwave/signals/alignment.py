@@ -138,7 +138,7 @@ def _sensor_contributions(signals: LinkSignals, arm: Arm, link: FloatArray, i: i
     gain: FloatArray = np.ones(len(link))
     joint = arm.joints[i]
     if signals.sources[i] == "accelerometer" and joint.accelerometer_distance:
-        lever = (arm.link_length or 0.0) / joint.accelerometer_distance
+        lever = joint.origin.xyz[0] / joint.accelerometer_distance
         gain = 1.0 + lever * np.cos(signals.link_angle[:, 1])
     base = gain * link[:, 0]
     if signals.sources[0] == "motor":

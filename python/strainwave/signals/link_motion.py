@@ -386,13 +386,13 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> Flo
     if joint.motion == "prismatic":
         return read
     q, dq, ddq = links.angle, links.velocity, links.acceleration
-    gravity = arm.gravity or 0.0
+    gravity = arm.gravity_size
     distance = joint.accelerometer_distance or 1.0
     absolute = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
     if i == 0:
         return np.asarray(absolute)
     base_motion = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-    return np.asarray(absolute - ddq[:, 0] - (arm.link_length or 0.0) / distance * base_motion)
+    return np.asarray(absolute - ddq[:, 0] - joint.origin.xyz[0] / distance * base_motion)
 
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:

@@ -37,7 +37,7 @@ def kinematics(
     n_joints) and relative to the preceding link. The result is (n_samples, n_joints, 4): f_x, f_y
     [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2], as in `ACCELEROMETER_BASIS`.
     """
-    g, length = arm.gravity or 0.0, arm.link_length or 0.0
+    g, length = arm.gravity_size, arm.joints[-1].origin.xyz[0]
     absolute_angle, rate, angular_acceleration = (
         x.cumsum(axis=1) for x in (angle, velocity, acceleration)
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from strainwave.domain import (
-    ArmDescription,
     Control,
     Experiment,
     Joint,
@@ -21,6 +20,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import planar_two_link
 from strainwave.errors import InvalidInput
 
 DESCRIPTION = "a simulated SCARA-type arm with three-slope gears and noisy sensors"
@@ -115,8 +115,7 @@ def study(folder: Path, spring: Spring = _SPRING) -> Study:
     return Study(
         path=folder / "study.toml",
         sha256="",
-        arm=ArmDescription(
-            "planar-two-link",
+        arm=planar_two_link(
             joints,
             link_length=LINK_LENGTH[0],
             servo=Servo("pi-velocity", period=1e-3, kp=(0.12, 0.10), ki=(1.5, 1.5), limit=10.0),

@@ -13,7 +13,6 @@ import pytest
 from effect_runs import records, tuned
 from strainwave import _core
 from strainwave.domain import (
-    ArmDescription,
     Cause,
     FloatArray,
     Joint,
@@ -26,6 +25,7 @@ from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, effect_n
 from strainwave.domain.effects.interface import Values
 from strainwave.domain.effects.stribeck import Stribeck
 from strainwave.domain.gear_laws import RIGID
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, simulate
@@ -65,7 +65,7 @@ joint = 1
 
 
 def arm(*names: str, spring: str = "linear") -> Arm:
-    return Arm.of(ArmDescription("single-joint", (Joint(spring, 0.01, effects=names),)))
+    return Arm.of(single_joint(Joint(spring, 0.01, effects=names)))
 
 
 def motion(names: tuple[str, ...], own: Values) -> FloatArray:

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from strainwave import _core
-from strainwave.domain import ArmDescription, FloatArray, Joint, gear_laws, is_physical
+from strainwave.domain import FloatArray, Joint, gear_laws, is_physical
 from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_law
 from strainwave.domain.gear_laws.linear import Linear
+from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.domain.parameters import unit_of, whole_arm_parameter_names
 from strainwave.dynamics.arm import Arm
@@ -143,7 +144,7 @@ def test_torsion_inverts_torque(law: GearLaw, seed: int) -> None:
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 def test_parameter_names_match_the_core(law: GearLaw) -> None:
     assert len(set(law.names)) == len(law.names)
-    core = Arm.of(ArmDescription("single-joint", (joint_of(law),))).core.parameter_names
+    core = Arm.of(single_joint(joint_of(law))).core.parameter_names
     core_names = [name for name, _ in core if name in gear_laws.gear_parameters()]
     assert core_names == list(law.names)
     assert (("gear_damping", 1) in core) == law.elastic
@@ -163,7 +164,7 @@ def test_the_simulated_gear_follows_the_law(law: GearLaw) -> None:
     starts = law.starts(2.5e4, 30.0)
     values = {key: value for key, value in ELASTIC_JOINT.items() if key[0] != STIFFNESS}
     values |= {(name, 1): value for name, value in starts.items()}
-    arm = Arm.of(ArmDescription("single-joint", (joint_of(law),)))
+    arm = Arm.of(single_joint(joint_of(law)))
     torque = 2.0 * np.sign(np.sin(np.arange(400) / 20.0))[:, None]
     drive = Drive(1e-3, torque, np.zeros_like(torque), (False,), (0.0,), (0.0,))
     record: list[Quantity] = ["motor_angle", "link_angle", "motor_velocity", "link_velocity"]
@@ -180,7 +181,7 @@ def test_the_simulated_gear_follows_the_law(law: GearLaw) -> None:
 
 @pytest.mark.parametrize("law", LAWS, ids=lambda law: law.name)
 def test_parameters_have_units_and_descriptions_and_are_options(law: GearLaw) -> None:
-    arm = ArmDescription("single-joint", (joint_of(law),))
+    arm = single_joint(joint_of(law))
     listed = whole_arm_parameter_names(arm)
     assert len(set(listed)) == len(listed)
     for p in law.parameters:

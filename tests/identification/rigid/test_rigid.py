@@ -12,6 +12,7 @@ from scipy.signal import lfilter
 
 from strainwave.domain import FloatArray, RigidModel, Signals, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics import simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -164,7 +165,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
     inside = []
     for seed in range(4):
         base = scara.study(Path("nowhere"), "three-slope" if seed % 2 else "linear")
-        study = replace(base, arm=replace(base.arm, gravity=gravity))
+        study = replace(base, arm=change_arm_keys(base.arm, gravity=gravity))
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
         log = motion_log(study, values, seed, duration=20.0)
@@ -380,7 +381,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     """An arm under gravity for which full steps of the iteration would oscillate."""
     study = scara.study(tmp_path, "linear")
     motion = tuple(e for e in study.experiments if e.use == "motion")
-    study = replace(study, arm=replace(study.arm, gravity=9.81), experiments=motion)
+    study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81), experiments=motion)
     values: Values = {(name, None): value for name, value in _BODY.items()}
     for name, per_joint in _DRIVES.items():
         values |= {(name, joint): value for joint, value in enumerate(per_joint, start=1)}

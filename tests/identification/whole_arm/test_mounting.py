@@ -11,6 +11,7 @@ import pytest
 
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
@@ -156,7 +157,7 @@ def glued(
     """Fit to open-loop records of 0.5 s, or 1 s under gravity, with an IMU of unknown position on one link."""
     study, true_values = truth()
     if gravity is not None:
-        study = replace(study, arm=replace(study.arm, gravity=gravity))
+        study = replace(study, arm=change_arm_keys(study.arm, gravity=gravity))
         true_values |= {("gravity_torque_1", None): 60.0, ("gravity_torque_2", None): 15.0}
     base_study = remove_sensor_keys(study, "accelerometer_distance", "gyro_hz")
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from strainwave.domain import (
-    ArmDescription,
     ArmModel,
     Experiment,
     Joint,
@@ -22,6 +21,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
@@ -301,7 +301,7 @@ def test_records_that_begin_in_motion_elsewhere() -> None:
     assert model.status == "converged"
 
 
-def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
+def pendulum() -> tuple[Study, Values, tuple[Log, ...]]:
     """Elastic joint with a pendulum, initially held up by a servo."""
     joint = Joint(
         spring="linear",
@@ -314,9 +314,8 @@ def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
     study = Study(
         path=Path("nowhere"),
         sha256="",
-        arm=ArmDescription(
-            "single-joint",
-            (joint,),
+        arm=single_joint(
+            joint,
             gravity=9.81,
             servo=Servo("pi-velocity", period=1e-3, kp=(0.12,), ki=(1.5,), limit=10.0),
         ),
@@ -328,7 +327,7 @@ def single_joint() -> tuple[Study, Values, tuple[Log, ...]]:
 
 
 def test_a_single_joint_under_gravity() -> None:
-    study, values, records = single_joint()
+    study, values, records = pendulum()
     true = np.array([values[name, 1] for name in JOINT_NAMES])
     wrong = true * (1.0 + 0.05 * np.append(FACTORS[0], 0.0))
     named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))

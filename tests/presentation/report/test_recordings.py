@@ -10,6 +10,7 @@ import pytest
 from elastic_results import elastic_identification, log, study
 from figure_parts import line, names
 from strainwave.domain import ArmDescription, Imu, Joint
+from strainwave.domain.kinds import planar_two_link
 from strainwave.presentation.report.blocks import Block, Facts, Fold, Plot, Table
 from strainwave.presentation.report.recordings import recording_figure, recordings
 from strainwave.presentation.report.rig import rig_constants
@@ -81,7 +82,7 @@ def test_constants_that_no_joint_has_are_left_out() -> None:
     assert table["gear ratio n"][0] == "0.5 (1:2)"
     assert not {"torque per volt e", "gyro bandwidth", "servo period"} & set(table)
     joints = (Joint("linear", 0.013, torque_per_volt=0.1), Joint("linear", 0.01, imu=Imu()))
-    table = rows(ArmDescription("planar-two-link", joints))
+    table = rows(planar_two_link(joints, 0.3))
     assert table["torque per volt e"][:2] == ["0.1", "not given"]
     assert table["gear ratio n"][0] == "0.013"
     assert table["IMU position"][:2] == ["not given", "estimated"]

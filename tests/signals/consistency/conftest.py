@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from consistency_inputs import Input
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
@@ -20,7 +21,7 @@ def _simulated(folder: Path, *, vertical: bool) -> Input:
     study = scara.study(folder, "linear")
     values = scara.parameters(3, "linear")
     if vertical:
-        study = replace(study, arm=replace(study.arm, gravity=9.81))
+        study = replace(study, arm=change_arm_keys(study.arm, gravity=9.81))
         values["gravity_torque_1", None] = 45.0
         values["gravity_torque_2", None] = 9.81 * values["gamma", None] / scara.LINK_LENGTH[0]
     names = {"motion", "motion-check"} if vertical else {"motion", "prbs-j1", "prbs-j2"}

@@ -6,7 +6,8 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from strainwave.domain import ArmDescription, Experiment, FloatArray, Joint, Log, Study
+from strainwave.domain import Experiment, FloatArray, Joint, Log, Study
+from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.consistency import clipping
 
@@ -17,7 +18,7 @@ def find_clipped_channels(
     values: FloatArray, channel: str = "theta_l1", motor: FloatArray | None = None
 ) -> list[str]:
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.1)
-    study = Study(arm=ArmDescription("single-joint", (joint,)), experiments=())
+    study = Study(arm=single_joint(joint), experiments=())
     step = Experiment("step", "step.csv", "tuning", ("servo",), joint=1)
     channels = {channel: values} | ({} if motor is None else {"theta_m1": motor})
     log = Log(step, TIME, TIME[1], channels)

@@ -13,6 +13,7 @@ from benchmarks.studies.short_motions import suspected
 from consistency_inputs import Input, changed, delayed
 from strainwave import pipeline
 from strainwave.domain import Suspicion
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
@@ -211,7 +212,7 @@ def test_geometry_and_scale_errors_are_not_a_wrong_gear_ratio(
     small_arm: Input, length: float, scale: float, where: str
 ) -> None:
     logs, study = changed(small_arm, a2=scale)
-    longer = replace(study.arm, link_length=length * (study.arm.link_length or 0.0))
+    longer = change_arm_keys(study.arm, link_length=length * study.arm.joints[1].origin.xyz[0])
     suspicion = the_one((logs, replace(study, arm=longer)))
     assert suspicion.where == where
     assert suspicion.factor == pytest.approx(length * scale, rel=0.02)

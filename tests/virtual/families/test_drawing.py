@@ -129,7 +129,7 @@ def test_a_payload_is_a_point_mass_at_the_tip() -> None:
             for name in ("alpha", "beta", "gamma")
         }
         assert added["gamma"] ** 2 == pytest.approx(added["alpha"] * added["beta"])
-        length = draw(BASE, number).study.arm.link_length or 0.0
+        length = draw(BASE, number).study.arm.joints[1].origin.xyz[0]
         assert added["alpha"] == pytest.approx(2.0 * length**2)
 
 

@@ -1,13 +1,13 @@
-"""Interface of an arm kind. The compiled core holds the equations of motion."""
+"""Interface of an arm kind: a constructor of chains, with names for their parameters."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
-from strainwave.domain.arm import ArmDescription
+from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.keys import Key, Row, Values
 
 if TYPE_CHECKING:
@@ -56,15 +56,34 @@ class Fault:
     key: str | None = None
 
 
-class Kind(ABC):
-    """An arm kind: the inertial parameters of its links and the relations between them.
+def wrong_number_of_joints(kind: str, count: int, expected: int) -> Fault:
+    """Fault of a study file with the wrong number of `[[joint]]` tables."""
+    return Fault(
+        f"a {kind} arm has {expected} joint(s), but there are {count} [[joint]] tables",
+        f"write {expected} [[joint]] table(s) from the base, recorded with all other joints at"
+        " rest, or change kind in [arm]",
+        "joint",
+    )
 
-    All kinds share the parameters of gravity, motors, friction and gears; see
+
+def in_plane_gravity(gravity: float | None) -> Vector | None:
+    """Gravity [m/s^2] along -y as a vector; None without gravity."""
+    return (0.0, -gravity, 0.0) if gravity else None
+
+
+Table = TypeVar("Table")
+
+
+class Kind(ABC, Generic[Table]):
+    """An arm kind: a constructor of chains from an `[arm]` table.
+
+    The compiled core has the equations of motion of each kind, with its own parameters of the
+    links. All kinds share the parameters of motors, friction and gears; see
     `strainwave.domain.combinations`.
     """
 
-    n_joints: int
-    """Number of joints."""
+    table: type[Table]
+    """Keys of `[arm]`, without `kind`."""
 
     inertias: tuple[Key, ...]
     """Inertial parameters of the links."""
@@ -79,8 +98,18 @@ class Kind(ABC):
     """Formula of `effective_gravity`, if it is not the gravity of the study."""
 
     @abstractmethod
-    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
-        """Contradictions between a description with the right number of joints and this kind."""
+    def faults(self, table: Table, joints: Sequence[Joint]) -> Iterator[Fault]:
+        """Contradictions between the tables of a study file and this kind, most severe first."""
+
+    @abstractmethod
+    def construct(
+        self, table: Table, joints: Sequence[Joint], servo: Servo | None = None
+    ) -> ArmDescription:
+        """The chain of an `[arm]` table and its joints; the kind places the joints."""
+
+    @abstractmethod
+    def table_of(self, arm: ArmDescription) -> Table:
+        """The `[arm]` table of a chain: the inverse of `construct`."""
 
     @abstractmethod
     def link_inertia(self, joint: int) -> Row:
@@ -131,4 +160,4 @@ class Kind(ABC):
 
         Zero for a horizontal arm. Raises InvalidInput if the parameters contradict each other.
         """
-        return arm.gravity or 0.0
+        return arm.gravity_size

@@ -5,14 +5,21 @@ M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain.arm import ArmDescription
+from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Origin, Positive, Servo
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
-from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
+from strainwave.domain.kinds.base import (
+    Fault,
+    Kind,
+    RigidColumn,
+    in_plane_gravity,
+    wrong_number_of_joints,
+)
+from strainwave.domain.kinds.bodies import Body, ParameterLookup, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
 from strainwave.errors import InvalidInput
 
@@ -25,10 +32,35 @@ _STARTING_ALPHA_FACTOR = 1.5  # alpha if no estimate is usable
 _RECORD_FASTER_MOTIONS = "record faster motions of both joints and identify again"
 
 
-class PlanarTwoLink(Kind):
+@dataclass(frozen=True, slots=True)
+class PlanarTable:
+    """Keys of `[arm]`."""
+
+    link_length: Positive  # l_1 [m], from axis 1 to axis 2
+    gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
+
+
+def planar_two_link(
+    joints: Iterable[Joint],
+    link_length: float,
+    gravity: float | None = None,
+    servo: Servo | None = None,
+) -> ArmDescription:
+    """Two links in one plane, along +x at zero angle; `link_length` and `gravity` as in the table.
+
+    Both axes point along +z, gravity along -y.
+    """
+    first, second = joints
+    second = replace(second, origin=Origin((link_length, 0.0, 0.0)))
+    return ArmDescription(
+        "planar-two-link", (first, second), in_plane_gravity(gravity), servo=servo
+    )
+
+
+class PlanarTwoLink(Kind[PlanarTable]):
     """Joint 2 sits at the end of link 1 with its axis parallel to that of joint 1."""
 
-    n_joints = 2
+    table = PlanarTable
     inertias = (_ALPHA, _BETA, _GAMMA)
     primary = ("beta", "gamma", "rigid_inertia 1", "motor_inertia 2")
     primary_of_all = ("alpha",)
@@ -101,15 +133,11 @@ class PlanarTwoLink(Kind):
         if motor is None and rigid is not None and _ALPHA in known:
             known["motor_inertia", 1] = (rigid - known[_ALPHA]) * n2
 
-    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
-        """A missing link length, or a prismatic joint."""
-        if arm.link_length is None:
-            yield Fault(
-                "the key 'link_length' is missing",
-                "add the distance from joint 1's axis to joint 2's [m]",
-                "arm",
-            )
-        for index, joint in enumerate(arm.joints):
+    def faults(self, table: PlanarTable, joints: Sequence[Joint]) -> Iterator[Fault]:
+        """A wrong number of joints, or a prismatic joint."""
+        if len(joints) != 2:
+            yield wrong_number_of_joints("planar-two-link", len(joints), 2)
+        for index, joint in enumerate(joints):
             if joint.motion == "prismatic":
                 yield Fault(
                     "a planar two-link arm has revolute joints only",
@@ -118,6 +146,16 @@ class PlanarTwoLink(Kind):
                     index,
                     "motion",
                 )
+
+    def construct(
+        self, table: PlanarTable, joints: Sequence[Joint], servo: Servo | None = None
+    ) -> ArmDescription:
+        """See `planar_two_link`."""
+        return planar_two_link(joints, table.link_length, table.gravity, servo)
+
+    def table_of(self, arm: ArmDescription) -> PlanarTable:
+        """Distance of the axes, and gravity."""
+        return PlanarTable(_link_length(arm), arm.gravity_size or None)
 
     def bodies(
         self, arm: ArmDescription, need: ParameterLookup, gravity: float
@@ -131,7 +169,7 @@ class PlanarTwoLink(Kind):
         The remaining inertia of link 1 is alpha (1 - kappa)/2. Link 1 is `about_axis` with the
         first moment that its gravity torque implies.
         """
-        length = arm.link_length or ASSUMED_LENGTH
+        length = _link_length(arm)
         alpha, beta, gamma = (need(*key) for key in self.inertias)
         if not (alpha > 0.0 and beta > 0.0 and alpha * beta > gamma**2):
             raise InvalidInput(
@@ -157,4 +195,9 @@ class PlanarTwoLink(Kind):
                 "link 2 on opposite sides of its axis",
                 remedy=_RECORD_FASTER_MOTIONS,
             )
-        return torque * (arm.link_length or ASSUMED_LENGTH) / gamma
+        return torque * _link_length(arm) / gamma
+
+
+def _link_length(arm: ArmDescription) -> float:
+    """l_1 [m]."""
+    return arm.joints[1].origin.xyz[0]

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
-from strainwave.domain.arm import ArmDescription
+from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Servo
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
+from strainwave.domain.kinds.base import (
+    Fault,
+    Kind,
+    RigidColumn,
+    in_plane_gravity,
+    wrong_number_of_joints,
+)
 from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
 from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
 from strainwave.errors import InvalidInput
@@ -15,10 +22,29 @@ _LINK: Key = ("link_inertia", 1)
 _MOTOR: Key = ("motor_inertia", 1)
 
 
-class SingleJoint(Kind):
+@dataclass(frozen=True, slots=True)
+class SingleJointTable:
+    """Keys of `[arm]`."""
+
+    gravity: NonNegative | None = None  # [m/s^2] along -y in the plane of motion
+
+
+def single_joint(
+    joint: Joint, gravity: float | None = None, servo: Servo | None = None
+) -> ArmDescription:
+    """One joint; its link lies along +x at zero angle. `gravity` [m/s^2] acts along -y.
+
+    A revolute joint turns about +z, a prismatic joint moves along +x.
+    """
+    if joint.motion == "prismatic":
+        joint = replace(joint, axis=(1.0, 0.0, 0.0))
+    return ArmDescription("single-joint", (joint,), in_plane_gravity(gravity), servo=servo)
+
+
+class SingleJoint(Kind[SingleJointTable]):
     """One motor, one gear and one link."""
 
-    n_joints = 1
+    table = SingleJointTable
     inertias = (_LINK,)
     primary = ("inertia 1",)
     primary_of_all = ()
@@ -62,9 +88,11 @@ class SingleJoint(Kind):
             known.setdefault(_MOTOR, known["inertia", 1])
             known.setdefault(_LINK, 0.0)
 
-    def faults(self, arm: ArmDescription) -> Iterator[Fault]:
-        """A prismatic joint under gravity."""
-        if arm.joints[0].motion == "prismatic" and arm.gravity:
+    def faults(self, table: SingleJointTable, joints: Sequence[Joint]) -> Iterator[Fault]:
+        """A wrong number of joints, or a prismatic joint under gravity."""
+        if len(joints) != 1:
+            yield wrong_number_of_joints("single-joint", len(joints), 1)
+        elif joints[0].motion == "prismatic" and table.gravity:
             yield Fault(
                 "a prismatic joint moves along x, perpendicular to gravity",
                 "remove gravity; the fit reports a constant force as friction_offset",
@@ -72,11 +100,21 @@ class SingleJoint(Kind):
                 key="gravity",
             )
 
+    def construct(
+        self, table: SingleJointTable, joints: Sequence[Joint], servo: Servo | None = None
+    ) -> ArmDescription:
+        """See `single_joint`."""
+        return single_joint(joints[0], table.gravity, servo)
+
+    def table_of(self, arm: ArmDescription) -> SingleJointTable:
+        """Gravity."""
+        return SingleJointTable(arm.gravity_size or None)
+
     def bodies(
         self, arm: ArmDescription, need: ParameterLookup, gravity: float
     ) -> tuple[Body, ...]:
         """The link; with a rigid gear the motor is part of it."""
-        joint, length = arm.joints[0], arm.link_length or ASSUMED_LENGTH
+        joint = arm.joints[0]
         inertia = need(*_LINK)
         if not joint.elastic:
             inertia += need(*_MOTOR) / joint.gear_ratio**2
@@ -87,6 +125,6 @@ class SingleJoint(Kind):
             )
         if joint.motion == "prismatic":
             # it does not rotate: the rotational inertia has no effect
-            return (Body(inertia, 0.0, inertia * length**2),)
+            return (Body(inertia, 0.0, inertia * ASSUMED_LENGTH**2),)
         moment = need("gravity_torque_1") / gravity if gravity else 0.0
-        return (about_axis(inertia, moment, length),)
+        return (about_axis(inertia, moment, ASSUMED_LENGTH),)

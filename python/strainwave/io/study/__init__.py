@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Options, Study
+from strainwave.domain.kinds import kind_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes, write_whole
 from strainwave.io.study.checks import check_consistency, check_files, check_options, check_sizes
@@ -135,8 +136,8 @@ def write_study(study: Study, path: Path) -> None:
 def document_of(study: Study) -> dict[str, Any]:
     """A study as tables of a study file, without values that equal their defaults."""
     document: dict[str, Any] = {
-        "arm": _table(study.arm, without=("joints", "servo")),
-        "joint": [_table(joint) for joint in study.arm.joints],
+        "arm": {"kind": study.arm.kind, **_table(kind_of(study.arm).table_of(study.arm))},
+        "joint": [_table(joint, without=("origin", "axis")) for joint in study.arm.joints],
     }
     if study.arm.servo is not None:
         document["servo"] = _table(study.arm.servo)

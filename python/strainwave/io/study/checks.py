@@ -11,7 +11,7 @@ from typing import Any
 
 from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.effects import effect_named
-from strainwave.domain.kinds import KINDS, kind_of
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameter_names
 from strainwave.domain.study_limits import (
     ARM_LIMITS,
@@ -26,40 +26,22 @@ from strainwave.io.study.reader import Reader
 
 
 def check_consistency(study: Study, reader: Reader) -> None:
-    """Raise InvalidInput if the tables contradict each other or the kind of arm."""
-    _check_kind(study.arm, reader)
+    """Raise InvalidInput if the tables contradict each other."""
     _check_joints(study.arm, reader)
     _check_channels(study, reader)
     _check_experiments(study, reader)
     check_options(study, reader)
 
 
-def _check_kind(arm: ArmDescription, reader: Reader) -> None:
-    count = kind_of(arm).n_joints
-    if arm.n_joints > max(kind.n_joints for kind in KINDS.values()):
-        raise InvalidInput(
-            f"there are {arm.n_joints} [[joint]] tables, but only arms of one joint or of two "
-            "links in one plane are supported",
-            where=reader.place("joint"),
-            remedy="describe one joint, or two that move in one plane, and record them with the "
-            "other joints at rest",
-        )
-    if arm.n_joints != count:
-        raise InvalidInput(
-            f"a {arm.kind} arm has {count} joint(s), but there are {arm.n_joints} [[joint]] tables",
-            where=reader.place("joint"),
-            remedy=f"write {count} [[joint]] table(s) from the base, or change kind in [arm]",
-        )
-    for fault in kind_of(arm).faults(arm):
-        raise InvalidInput(
-            fault.problem,
-            where=reader.place(fault.table, fault.index, fault.key),
-            remedy=fault.remedy,
-        )
-
-
 def _check_joints(arm: ArmDescription, reader: Reader) -> None:
     for index, joint in enumerate(arm.joints):
+        if joint.gear_ratio <= 0.0:
+            raise InvalidInput(
+                f"'gear_ratio' is {joint.gear_ratio:g}, but it should be greater than 0",
+                where=reader.place("joint", index, "gear_ratio"),
+                remedy=f"set a positive ratio; reverse the motor with channels.theta_m{index + 1}"
+                " = { column = ..., scale = -1.0 }",
+            )
         if joint.imu is not None and joint.motion == "prismatic":
             raise InvalidInput(
                 "an IMU on a prismatic joint is not supported",
@@ -229,7 +211,7 @@ def check_files(study: Study, reader: Reader) -> None:
 def check_sizes(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if a number is so large or small that its unit must be wrong."""
     sizes = partial(_check_record_sizes, reader)
-    sizes(study.arm, ARM_LIMITS, "arm")
+    sizes(kind_of(study.arm).table_of(study.arm), ARM_LIMITS, "arm")
     for index, joint in enumerate(study.arm.joints):
         sizes(joint, JOINT_LIMITS, "joint", index)
         if joint.imu is not None:
@@ -250,7 +232,7 @@ def _check_record_sizes(
     key: str | None = None,
 ) -> None:
     for limit in limits:
-        value = getattr(record, limit.key)
+        value = getattr(record, limit.key, None)
         if value is None or limit.minimum <= value <= limit.maximum:
             continue
         remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"

@@ -10,26 +10,31 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from strainwave.domain import (
     ArmDescription,
+    ArmKind,
     Channel,
     Experiment,
     Joint,
     Options,
+    Origin,
     Servo,
     Study,
     TopicChannel,
     effects,
     gear_laws,
 )
+from strainwave.domain.kinds import KINDS, Kind
 from strainwave.errors import InvalidInput, suggest_name
 
 T = TypeVar("T")
 
+_PLACEMENT = {"origin": Origin(), "axis": (0.0, 0.0, 1.0)}  # of joints that the kind places
+
 _TABLES = {
-    "arm": ArmDescription,
+    "arm": Kind,
     "joint": Joint,
     "servo": Servo,
     "channels": Channel,
@@ -142,11 +147,34 @@ class Reader:
         servo: Mapping[str, Any] | None,
     ) -> ArmDescription:
         """The arm from `[arm]`, its `[[joint]]` tables and `[servo]`."""
-        elsewhere = {
-            "joints": tuple(self._joint(joint, i) for i, joint in enumerate(joints)),
-            "servo": None if servo is None else self.record(Servo, servo, "servo"),
-        }
-        return self.record(ArmDescription, arm, "arm", None, **elsewhere)
+        kind = KINDS[self._kind(arm)]
+        described = tuple(self._joint(joint, i) for i, joint in enumerate(joints))
+        table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
+        for fault in kind.faults(table, described):
+            raise InvalidInput(
+                fault.problem,
+                where=self.place(fault.table, fault.index, fault.key),
+                remedy=fault.remedy,
+            )
+        return kind.construct(
+            table, described, None if servo is None else self.record(Servo, servo, "servo")
+        )
+
+    def _kind(self, arm: Mapping[str, Any]) -> ArmKind:
+        """The kind of the arm. Raises InvalidInput if it is missing or unknown."""
+        known = " or ".join(map(repr, KINDS))
+        if "kind" not in arm:
+            raise InvalidInput(
+                "the key 'kind' is missing", where=self.place("arm"), remedy="add it: kind = ..."
+            )
+        kind = arm["kind"]
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise InvalidInput(
+                f"'kind' is {_abbreviated(kind)}, but it should be {known}",
+                where=self.place("arm", None, "kind"),
+                remedy="correct the value",
+            )
+        return cast("ArmKind", kind)
 
     def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
         """One `[[joint]]` whose spring and effects are registered."""
@@ -162,7 +190,7 @@ class Reader:
             )
         if isinstance(names, list):
             self._check_registered(names, effects.names(), names, index, "effects")
-        return self.record(Joint, table, "joint", index)
+        return self.record(Joint, table, "joint", index, **_PLACEMENT)
 
     def _check_registered(
         self, names: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 
@@ -87,10 +88,11 @@ def _constant_row(title: str, key: str, unit: str, values: Sequence[str]) -> Row
 
 
 def _arm_facts(arm: ArmDescription) -> Iterator[tuple[str, str]]:
-    if arm.link_length is not None:
-        yield "link length, axis 1 to axis 2", f"{arm.link_length:g} m"
+    for i, joint in enumerate(arm.joints[1:], start=1):
+        length = math.hypot(*joint.origin.xyz)
+        yield f"link length, axis {i} to axis {i + 1}", f"{length:g} m"
     if arm.n_joints > 1:
-        gravity = "none: horizontal motion" if arm.gravity is None else f"{arm.gravity:g} m/s²"
+        gravity = f"{arm.gravity_size:g} m/s²" if arm.gravity else "none: horizontal motion"
         yield "gravity in the plane of motion", gravity
     if arm.servo is not None:
         yield "servo period", f"{1e3 * arm.servo.period:g} ms"

@@ -317,7 +317,7 @@ def _propose_amplitudes(evidence: Evidence, name: str) -> Iterator[Cause]:
 
 def _propose_gravity(evidence: Evidence) -> Iterator[Cause]:
     """Gravity stated for a horizontal arm, or missing for a vertical arm."""
-    gravity = evidence.study.arm.gravity
+    gravity = evidence.study.arm.gravity_size
     if not gravity:
         message = "the link sensors measure gravity, but the study states none: the arm is vertical"
         corrections = [Correction("arm", "", "gravity", 9.81)]
@@ -682,7 +682,7 @@ def _propose_geometry(
     """A wrong accelerometer distance or link length, or an arbitrary accelerometer scale."""
     name = f"a{joint}"
     distance = evidence.arm.joints[joint - 1].accelerometer_distance
-    length = evidence.arm.link_length
+    length = evidence.arm.joints[-1].origin.xyz[0] or None
     ratios = _contradicting_values(contradictions, "own-joint", name) + _contradicting_values(
         contradictions, "scale", name
     )

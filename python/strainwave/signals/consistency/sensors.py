@@ -187,9 +187,9 @@ def _predicted_parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, 
     parts = {"own-joint": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
     if i == 1:
         elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-        parts["elbow"] = (arm.link_length or 0.0) * elbow
+        parts["elbow"] = joint.origin.xyz[0] * elbow
     if arm.gravity:
-        parts["gravity"] = arm.gravity * np.cos(q[:, : i + 1].sum(axis=1))
+        parts["gravity"] = arm.gravity_size * np.cos(q[:, : i + 1].sum(axis=1))
     return parts
 
 
@@ -205,10 +205,10 @@ def _tilt_derivatives(arm: Arm, motion: _Motion, kind: str, i: int) -> list[Floa
     q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     phi = q[:, : i + 1].sum(axis=1)
     in_plane = [STANDARD_GRAVITY * np.sin(phi), STANDARD_GRAVITY * np.cos(phi)]
-    derivatives = [arm.gravity * np.sin(phi)] if arm.gravity else in_plane
-    if i == 1 and arm.link_length:
+    derivatives = [arm.gravity_size * np.sin(phi)] if arm.gravity else in_plane
+    if i == 1:
         elbow = dq[:, 0] ** 2 * np.cos(q[:, 1]) - ddq[:, 0] * np.sin(q[:, 1])
-        derivatives.append(arm.link_length * elbow)
+        derivatives.append(arm.joints[i].origin.xyz[0] * elbow)
     return derivatives
 
 

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from strainwave.domain import (
-    ArmDescription,
     Control,
     Experiment,
     Joint,
@@ -24,6 +23,7 @@ from strainwave.domain import (
     Use,
 )
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import planar_two_link
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.virtual.families.rigs import Rig, between
 
@@ -120,9 +120,8 @@ def of_choices(
     study = Study(
         path=Path("study.toml"),
         sha256="",
-        arm=ArmDescription(
-            "planar-two-link",
-            tuple(joints),
+        arm=planar_two_link(
+            joints,
             link_length=length[0],
             servo=Servo(
                 "pi-velocity",

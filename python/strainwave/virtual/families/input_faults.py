@@ -112,7 +112,7 @@ def _gear_ratio(logs: Logs, study: Study, joint: int, rng: np.random.Generator) 
 
 def _distance(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
     distance = float(study.arm.joints[joint - 1].accelerometer_distance or 0.0)
-    length = float(study.arm.link_length or 0.0)
+    length = study.arm.joints[-1].origin.xyz[0]
     changed = _with_joint(study, joint, accelerometer_distance=distance + length)
     size = f"x {1.0 + length / distance:.2f}"
     return Fault("geometry", size, ("wrong-geometry",), logs, changed)

@@ -8,6 +8,7 @@ import numpy as np
 
 from strainwave.domain import Control, Experiment, Prbs, Spring, Use
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.dynamics.arm import Arm
 from strainwave.virtual.families.rigs import Rig
 from strainwave.virtual.plans import Plan, default_plan
@@ -48,15 +49,16 @@ def with_short_records(rig: Rig, *, upright: bool, rng: np.random.Generator) -> 
     """
     arm, values = rig.study.arm, rig.values
     servo = arm.servo
-    if upright and servo is not None and arm.link_length is not None:
-        first = values["alpha", None] / arm.link_length * rng.uniform(0.8, 1.2)
-        second = values["gamma", None] / arm.link_length
+    if upright and servo is not None:
+        length = arm.joints[1].origin.xyz[0]
+        first = values["alpha", None] / length * rng.uniform(0.8, 1.2)
+        second = values["gamma", None] / length
         limits = [
             _MAX_GRAVITY_SHARE * (j.torque_per_volt or 1.0) * servo.limit / j.gear_ratio
             for j in arm.joints
         ]
         gravity = min(_STANDARD_GRAVITY, limits[0] / (first + second), limits[1] / second)
-        arm = replace(arm, gravity=float(gravity))
+        arm = replace(arm, gravity=in_plane_gravity(float(gravity)))
         torques: Values = {("gravity_torque_1", None): gravity * first}
         values = values | torques | {("gravity_torque_2", None): gravity * second}
     clock = servo.period if servo else 1e-3

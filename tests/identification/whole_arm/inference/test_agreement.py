@@ -20,6 +20,7 @@ from strainwave.domain import (
     Study,
     SuspectConstant,
 )
+from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm.inference.agreement import (
     MAX_NOISE_DEVIATIONS,
@@ -130,7 +131,7 @@ def altered(folder: Path, change: Change, link_length: float | None = None) -> I
     """Result of `identify` for these records after a change of channels and time."""
     study, logs = records()
     if link_length is not None:
-        study = replace(study, arm=replace(study.arm, link_length=link_length))
+        study = replace(study, arm=change_arm_keys(study.arm, link_length=link_length))
     for log in logs:
         columns = {"t": log.time, **log.channels}
         write_log(folder / log.experiment.file, {k: change(k, x) for k, x in columns.items()})
@@ -176,7 +177,7 @@ def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path)
 
 def test_a_link_length_that_is_wrong_is_named_before_any_fit(tmp_path: Path) -> None:
     """With an error of 8 %, the input check names the length, and its remedy states the true one."""
-    length = records()[0].arm.link_length
+    length = records()[0].arm.joints[1].origin.xyz[0]
     assert length is not None
     result = altered(tmp_path, lambda _, x: x, 1.08 * length)
     assert result.tuned is None

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.domain import ArmDescription, FloatArray, Joint, JointModel, RigidModel, Study
+from strainwave.domain import FloatArray, Joint, JointModel, RigidModel, Study
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import change_arm_keys, single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.parameter_space import (
@@ -40,7 +41,7 @@ def mixed_study() -> Study:
     """Arm under gravity with a three-slope gear and a linear gear."""
     study = scara.study(Path("nowhere"), "three-slope")
     joints = (study.arm.joints[0], replace(study.arm.joints[1], spring="linear"))
-    return replace(study, arm=replace(study.arm, gravity=9.81, joints=joints))
+    return replace(study, arm=change_arm_keys(study.arm.with_joints(joints), gravity=9.81))
 
 
 def mixed_values(study: Study) -> Values:
@@ -345,7 +346,7 @@ def test_unidentified_rigid_parameters_have_no_prior_row() -> None:
 def alone(gravity: float | None) -> tuple[Study, Values, JointModel]:
     """Study, true values and joint model of a single joint."""
     joint = Joint(spring="linear", gear_ratio=0.01, torque_per_volt=0.08, encoder_counts=8192)
-    study = Study(arm=ArmDescription("single-joint", (joint,), gravity=gravity), experiments=())
+    study = Study(arm=single_joint(joint, gravity=gravity), experiments=())
     _, rig = truth()
     true_values: Values = {(name, 1): value for (name, number), value in rig.items() if number == 1}
     true_values["link_inertia", 1] = 2.0

@@ -15,6 +15,7 @@ from strainwave.domain import (
     Cause,
     Diagnostic,
     FloatArray,
+    Origin,
     StageDifference,
     SuspectConstant,
 )
@@ -193,8 +194,8 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
         for one, names in hypotheses
         if any(name in names for name in prior.names)
     ]
-    if arm.link_length is not None:
-        suspects += _link_length(fit, arm.link_length)
+    for number in range(2, arm.n_joints + 1):
+        suspects += _link_length(fit, arm, number)
     suspects += [
         SuspectConstant(
             cause.effect, cause.joint, cause.share, experiment=effect_named(cause.effect).experiment
@@ -205,16 +206,21 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
     return tuple(sorted(likely, key=lambda one: -one.share)[:MAX_SUSPECTS])
 
 
-def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
-    """Test the link length, on which the acceleration of link 2 depends."""
+def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
+    """Test the distance of a joint from the one before, on which its acceleration depends."""
     values, objective = fit.objective.space.values(fit.z), fit.objective
+    origin = arm.joints[number - 1].origin
+
+    def scaled(factor: float) -> Origin:
+        x, y, z = origin.xyz
+        return replace(origin, xyz=(factor * x, factor * y, factor * z))
 
     def column(k: int, evaluated: Evaluation) -> FloatArray:
         """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
         record = objective.records[k]
         own = evaluated.record_parameters[: len(record.initial_states)]
         ends = [
-            replace(record, arm=replace(record.arm, link_length=length * factor)).linearised(
+            replace(record, arm=record.arm.with_joint(number, origin=scaled(factor))).linearised(
                 values, own, ()
             )[0]
             for factor in (1.0 + LENGTH_STEP, 1.0 - LENGTH_STEP)
@@ -231,8 +237,8 @@ def _link_length(fit: Fit, length: float) -> Iterator[SuspectConstant]:
     if square > 0.0:
         step = -float(own @ target) / square
         share = step**2 * square / max(fit.cost, 1e-300)
-        value = length * math.exp(step)
-        text = "measure the distance between the axes of both joints"
+        value = math.hypot(*origin.xyz) * math.exp(step)
+        text = f"measure the distance between the axes of joints {number - 1} and {number}"
         yield SuspectConstant("link_length", None, share, value, "m", text)
 
 

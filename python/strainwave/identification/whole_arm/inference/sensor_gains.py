@@ -6,6 +6,7 @@ derivatives of their readings with respect to the unknowns and the sensor noise,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -157,7 +158,8 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
 
 def _distance(joint: Joint, arm: Arm) -> float:
     """Distance [m] of the accelerometer from the axis: given, or the length of the first link."""
-    return joint.accelerometer_distance or arm.link_length or _DEFAULT_DISTANCE
+    length = math.hypot(*arm.joints[-1].origin.xyz)
+    return joint.accelerometer_distance or length or _DEFAULT_DISTANCE
 
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
