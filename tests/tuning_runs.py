@@ -24,11 +24,8 @@ from strainwave.domain import (
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    ParameterSpace,
-    Prior,
-    Unknown,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from strainwave.io.logs import read_log
@@ -251,9 +248,7 @@ class LinearRecord(Dataset):
 def linear_search(n: int, prior: Prior | None = None) -> ParameterSpace:
     """Unknowns that are their own coordinates."""
     unknowns = tuple(Unknown(f"p{k}", None, "1", 0.0, 1.0, True, 1e6) for k in range(n))
-    return ParameterSpace(
-        unknowns, {}, prior or Prior(np.zeros((0, n)), np.zeros(0), np.zeros((0, 0)))
-    )
+    return ParameterSpace(unknowns, {}, prior or Prior.empty(n))
 
 
 def linear_record(

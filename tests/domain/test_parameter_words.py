@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from strainwave.domain.effects import all_effects
+from strainwave.domain.parameter_table import family_of
 from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.domain.parameters import SENSOR_PARAMETERS
 
@@ -58,3 +59,21 @@ def test_descriptions_are_unique_single_lines() -> None:
     texts = [words.description for words in parameter_descriptions().values()]
     assert all(text and "\n" not in text and not text.endswith(".") for text in texts)
     assert len(set(texts)) == len(texts)
+
+
+@pytest.mark.parametrize(
+    ("name", "family"),
+    [
+        ("gamma", "inertia"),
+        ("gravity_torque_1", "gravity"),
+        ("motor_coulomb_friction", "dry friction"),
+        ("friction_offset", "dry friction"),
+        ("total_viscous_friction", "damping"),
+        ("gear_stiffness_k1", "stiffness"),
+        ("gear_knee_t1", "other"),
+        ("friction_change[swing]", "other"),
+        ("imu_x", "other"),
+    ],
+)
+def test_parameters_have_a_physical_meaning(name: str, family: str) -> None:
+    assert family_of(name) == family

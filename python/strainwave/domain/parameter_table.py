@@ -17,6 +17,14 @@ from strainwave._core import parameter_table as core_parameter_table
 Range = Literal["positive", "non-negative", "any"]
 """Range of a parameter's values."""
 
+Family = Literal["inertia", "gravity", "dry friction", "damping", "stiffness", "other"]
+"""Physical meaning of a parameter."""
+
+COULOMB = "motor_coulomb_friction"
+OFFSET = "friction_offset"
+SETTLING = "friction_settling_time"
+VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
+
 
 @dataclass(frozen=True, slots=True)
 class ParameterDescription:
@@ -27,8 +35,26 @@ class ParameterDescription:
     description: str  # in one line
     units: tuple[str, str]  # revolute joint, prismatic joint
     range: Range
+    owner: str = ""  # the part of the core that declares it; empty: none
+
+    @property
+    def family(self) -> Family:
+        """Physical meaning, by unit; torques by the part of the arm that they act on."""
+        torque = _TORQUES.get(self.owner, "other") if self.units[0] == "N m" else "other"
+        return _FAMILIES.get(self.units[0], torque)
 
 
+_FAMILIES: Mapping[str, Family] = {
+    **dict.fromkeys(("kg m^2", "kg m", "kg"), "inertia"),
+    "N m s/rad": "damping",
+    "N m/rad": "stiffness",
+    "N m/rad^3": "stiffness",
+}
+_TORQUES: Mapping[str, Family] = {
+    "planar-two-link": "gravity",
+    "single-joint": "gravity",
+    "drive": "dry friction",
+}
 _INERTIA = ("kg m^2", "kg")
 
 _DERIVED = (
@@ -92,6 +118,12 @@ def base_name(name: str) -> str:
     return name.partition("[")[0]
 
 
+def family_of(name: str) -> Family:
+    """Physical meaning of a parameter; "other" if it is none of arms and joints."""
+    described = parameter_table().get(base_name(name))
+    return described.family if described else "other"
+
+
 @cache
 def parameter_table() -> Mapping[str, ParameterDescription]:
     """All parameters of arms and joints by name: those of the core, then the additional ones.
@@ -99,8 +131,9 @@ def parameter_table() -> Mapping[str, ParameterDescription]:
     If several parts of the core share a name, the first description counts.
     """
     table: dict[str, ParameterDescription] = {}
-    for _, name, symbol, description, units, values in core_parameter_table():
-        table.setdefault(name, ParameterDescription(name, symbol, description, units, values))
+    for owner, name, symbol, description, units, values in core_parameter_table():
+        declared = ParameterDescription(name, symbol, description, units, values, owner)
+        table.setdefault(name, declared)
     for parameter in (*_DERIVED, *_EFFECT_PARAMETERS):
         table[parameter.name] = parameter
     return MappingProxyType(table)

@@ -19,6 +19,7 @@ from strainwave.domain import (
     Signals,
 )
 from strainwave.domain.keys import Values
+from strainwave.domain.parameter_table import COULOMB, family_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
@@ -29,8 +30,6 @@ from strainwave.identification.closed_loop import (
     restrict_to_values,
 )
 from strainwave.signals.recorded_input import driven_by_voltage
-
-_COULOMB = "motor_coulomb_friction"
 
 _MIN_PERIODS = 2.5
 """Minimum number of periods of the low-pass in a record; each edge takes one."""
@@ -173,7 +172,7 @@ def predict_rigid(
 def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
     """Solutions with changed friction, and with samples of the parameter covariance."""
     for k, p in enumerate(model.parameters):
-        if p.name == _COULOMB:
+        if p.name == COULOMB:
             solution = model.solution.copy()
             solution[k] *= 1.0 + FRICTION_VARIATION_SHARE
             yield solution
@@ -244,7 +243,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
     """Values with changed friction, and with samples of the parameter covariance."""
     values = dict(model.values)
     for key, value in values.items():
-        if key[0] == _COULOMB:
+        if key[0] == COULOMB:
             yield {**values, key: value * (1.0 + FRICTION_VARIATION_SHARE)}
     indices = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
     covariance = model.covariance[np.ix_(indices, indices)]
@@ -271,7 +270,7 @@ def _stiffness_effect(
     """
     stiffer = {
         (name, number): value
-        * (_STIFFNESS_FACTOR if number == joint and "stiffness" in name else 1.0)
+        * (_STIFFNESS_FACTOR if number == joint and family_of(name) == "stiffness" else 1.0)
         for (name, number), value in values.items()
     }
     stiffer_motion = observed.simulated(restrict_to_values(arm, stiffer), stiffer)

@@ -15,7 +15,7 @@ from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.effects import RecordEffect, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import base_name, of_record
+from strainwave.domain.parameter_table import COULOMB, base_name, of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
@@ -25,11 +25,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     remove_effects,
     sizes_of,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    ParameterSpace,
-    Prior,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.largest_loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
@@ -247,7 +244,7 @@ def test_the_unknowns_of_records_have_a_prior_and_go_together() -> None:
             ),
         )
     )
-    empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
+    empty = ParameterSpace((), {}, Prior.empty(0))
     values: Values = {
         (name, j): v for j in (1, 2) for name, v in ((COULOMB, 0.05), (STIFFNESS, 2e4))
     }

@@ -22,12 +22,12 @@ from strainwave.domain import (
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import single_joint
+from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
 from strainwave.identification.whole_arm import TuningOptions, tune
-from strainwave.identification.whole_arm.problem.parameter_space import SETTLING
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import ArmModel, Criticism
+from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
@@ -30,9 +31,6 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
 from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    SETTLING,
-)
 from strainwave.identification.whole_arm.records.gear_torques import (
     gear_torque_samples,
     histograms_of,

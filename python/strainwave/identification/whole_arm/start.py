@@ -23,12 +23,9 @@ from strainwave.identification.whole_arm.inference.predicted_precision import (
     CUTOFF_TO_RESONANCE,
     MAX_CUTOFF_TO_SAMPLING_RATE,
 )
+from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    ParameterSpace,
-    add_stiffness_curves,
-    space_of,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.restrictions import (
     published_records,
     restrict_space,

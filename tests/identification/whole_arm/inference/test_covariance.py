@@ -13,11 +13,8 @@ from strainwave.domain import FloatArray
 from strainwave.identification.whole_arm.inference.covariance import Confidence, confidence_at
 from strainwave.identification.whole_arm.inference.parameter_warnings import only_together
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    ParameterSpace,
-    Prior,
-    Unknown,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.problem.weighted_rows import Weights
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from tuning_runs import linear_record, linear_search
@@ -103,7 +100,7 @@ def test_weights_and_scales_are_taken_into_account() -> None:
     unknowns = tuple(
         Unknown(f"p{k}", None, "1", s, s, False, 10.0) for k, s in enumerate((1.0, 5.0, 0.1))
     )
-    space = ParameterSpace(unknowns, {}, Prior(np.zeros((0, 3)), np.zeros(0), np.zeros((0, 0))))
+    space = ParameterSpace(unknowns, {}, Prior.empty(3))
     z = np.array([0.2, -0.1, 0.4])
     p = space.parameters(z)
     error = rng.normal(0.0, 0.2, (N, 1))

@@ -14,6 +14,7 @@ from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
+from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects, restrict_to_values
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
@@ -23,11 +24,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     remove_effects,
     set_record_effects,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    ParameterSpace,
-    Prior,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.largest_loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import linear_search, truth
@@ -106,7 +104,7 @@ def test_the_unknowns_of_effects_start_small() -> None:
 
 
 def test_an_effect_within_three_standard_deviations_of_zero_is_insignificant() -> None:
-    empty = ParameterSpace((), {}, Prior(np.zeros((0, 0)), np.zeros(0), np.zeros((0, 0))))
+    empty = ParameterSpace((), {}, Prior.empty(0))
     arm = Arm.of(rig(ALL).arm)
     values_of_joint: Values = {(COULOMB, 1): 0.05, (STIFFNESS, 1): 2e4}
     space, z = add_effects(empty, named_effects(arm), arm, values_of_joint, LOADS)

@@ -12,17 +12,15 @@ from strainwave.domain import FloatArray, Joint, JointModel, RigidModel, Study
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys, single_joint
+from strainwave.domain.parameter_table import COULOMB, SETTLING, VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    SETTLING,
-    VISCOUS,
-    ParameterSpace,
+from strainwave.identification.whole_arm.problem.arm_unknowns import (
     add_settling_unknowns,
     add_stiffness_curves,
     space_of,
 )
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.starting_values import (
     starts_of,
     warn_rejected_starts,
@@ -146,7 +144,7 @@ def test_reach_is_a_factor() -> None:
 def test_signed_parameters_pass_zero() -> None:
     _, _, space = mixed()
     lowest, highest = space.values(-space.upper), space.values(space.upper)
-    for key in [("friction_offset", 1), ("gravity_torque_1", None)]:
+    for key in [("friction_offset", 1), ("gravity_torque_1", None), ("gamma", None)]:
         assert lowest[key] < 0.0 < highest[key]
     positive = {u.key for u in space.unknowns if not u.signed}
     assert {("gear_stiffness", 2), ("motor_coulomb_friction", 1), ("alpha", None)} <= positive

@@ -10,8 +10,8 @@ import pytest
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm.problem.arm_unknowns import space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import space_of
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.identification.whole_arm.selection.initial_motion import add_initial_states
 from tuning_runs import beginning, joint_models, later, rig_logs, rigid_model, shaken

@@ -20,7 +20,7 @@ from strainwave.domain import (
     SuspectConstant,
 )
 from strainwave.domain.effects import effect_named
-from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import family_of
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -29,7 +29,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     body_parameters,
     friction_parameters,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import COULOMB, OFFSET
+from strainwave.identification.whole_arm.problem.prior import reference_sizes
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.distributions import chi_square_tail
@@ -103,11 +103,12 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     scale = np.divide(std, steady_std, out=np.ones_like(std), where=steady_std > 0.0)
     covariance = steady * np.outer(scale, scale)
     rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
-    relative = np.abs(difference) / _reference_values(prior.names, prior.mean)
+    sizes = reference_sizes(dict(zip(prior.names, prior.mean.tolist(), strict=True)))
+    relative = np.abs(difference) / np.maximum(list(sizes.values()), 1e-300)
     groups: dict[tuple[Scope, int | None], list[int]] = {}
     for k, (name, joint) in enumerate(prior.names):
         group_key: tuple[Scope, int | None] = ("inertias", None)
-        if "friction" in name:
+        if family_of(name) in ("dry friction", "damping"):
             group_key = ("friction", joint)
         for group in (("all", None), group_key):
             groups.setdefault(group, []).append(k)
@@ -123,16 +124,6 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
                 )
             )
     return tuple(tests)
-
-
-def _reference_values(names: Sequence[Key], values: FloatArray) -> FloatArray:
-    """Reference of relative differences: the value, or the Coulomb friction for an offset."""
-    magnitudes = {key: abs(float(value)) for key, value in zip(names, values, strict=True)}
-    references = [(COULOMB, joint) if name == OFFSET else (name, joint) for name, joint in names]
-    sizes = [
-        magnitudes.get(key, magnitudes[name]) for key, name in zip(references, names, strict=True)
-    ]
-    return np.asarray(np.maximum(np.array(sizes), 1e-300))
 
 
 def _chi_square(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.problem.parameter_space import SETTLING
 from strainwave.identification.whole_arm.search.fit import Fit
 
 _BOUND_TOLERANCE = (

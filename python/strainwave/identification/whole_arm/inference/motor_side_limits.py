@@ -11,8 +11,8 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import VISCOUS
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.problem.parameter_space import VISCOUS
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.filters import signal_band
 

@@ -14,14 +14,12 @@ from strainwave.domain import (
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import VISCOUS
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_mounting, reported
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    VISCOUS,
-    combination,
-)
+from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee

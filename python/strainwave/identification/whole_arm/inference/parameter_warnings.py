@@ -8,10 +8,10 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, Place
 from strainwave.domain.gear_laws import is_by_load, is_slope
+from strainwave.domain.parameter_table import SETTLING, VISCOUS
 from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.parameter_estimates import vanished_parameters
-from strainwave.identification.whole_arm.problem.parameter_space import SETTLING, VISCOUS
 from strainwave.identification.whole_arm.search.fit import Fit
 
 _MAX_RELATIVE_STD = 0.1  # relative standard deviation above which a direction is poorly identified

@@ -11,6 +11,7 @@ from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.combinations import value_of
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
@@ -24,12 +25,7 @@ from strainwave.identification.whole_arm.problem.error_correlation import (
     white_noise_autocovariance,
 )
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    OFFSET,
-    SETTLING,
-    combination,
-)
+from strainwave.identification.whole_arm.problem.prior import combination, reference_sizes
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
@@ -73,7 +69,8 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     cutoff = min([signal_hz, sampling_limit] + ([CUTOFF_TO_RESONANCE * fastest] if fastest else []))
     keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
     values = dict.fromkeys(keys, 0.0) | known
-    scale = np.array([_magnitude(key, values) for key in keys])
+    sizes = reference_sizes(values)
+    scale = np.array([sizes[key] or 1.0 for key in keys])
     records = [dataset_of(log, arm, cutoff) for log in used]
     evidence = run_parallel(
         [partial(_information_of, record, values, keys, scale) for record in records]
@@ -90,12 +87,6 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
 def _is_unknown(key: Key, known: Values) -> bool:
     """Whether a fit would estimate the parameter: all but settling times."""
     return key[0] != SETTLING and (key in known or key[0] == OFFSET)
-
-
-def _magnitude(key: Key, values: Mapping[Key, float]) -> float:
-    """Magnitude of a parameter; of a friction offset, that of the Coulomb friction of its joint."""
-    size = abs(values[(COULOMB, key[1]) if key[0] == OFFSET else key])
-    return size or 1.0
 
 
 def _information_of(

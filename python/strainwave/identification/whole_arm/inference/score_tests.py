@@ -16,7 +16,7 @@ from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
 from strainwave.domain.effects import Effect, all_effects, effect_named
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -32,7 +32,6 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_in,
     known_joint,
 )
-from strainwave.identification.whole_arm.problem.parameter_space import OFFSET, SETTLING, VISCOUS
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.distributions import chi_square_limit

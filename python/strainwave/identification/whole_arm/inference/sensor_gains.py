@@ -25,7 +25,7 @@ from strainwave.identification.whole_arm.inference.covariance import (
 )
 from strainwave.identification.whole_arm.problem.error_correlation import filtered_rows_per_error
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
-from strainwave.identification.whole_arm.problem.parameter_space import combination
+from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
 from strainwave.identification.whole_arm.search.fit import Fit

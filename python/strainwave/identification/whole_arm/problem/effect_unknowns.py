@@ -10,15 +10,11 @@ import numpy as np
 from strainwave.domain import Diagnostic, EffectName, FloatArray
 from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import base_name, of_record
+from strainwave.domain.parameter_table import COULOMB, base_name, of_record
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    ParameterSpace,
-    Unknown,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.largest_loads import Loads
 from strainwave.numerics.distributions import chi_square_limit

@@ -11,17 +11,12 @@ from strainwave.domain import FloatArray, Log, TuningOptions
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key
 from strainwave.domain.options import PUBLISHED_RANGE
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameter_table import COULOMB, OFFSET, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NotIdentifiable
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    COULOMB,
-    OFFSET,
-    ParameterSpace,
-    Prior,
-    Unknown,
-)
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
@@ -66,8 +61,7 @@ def restrict_space(space: ParameterSpace, options: TuningOptions, z: FloatArray)
     ranges. Raises `InvalidInput` if all parameters are held.
     """
     if options.as_published:  # the published method has no prior
-        no_prior = Prior(np.zeros((0, len(z))), np.zeros(0), np.zeros((0, 0)))
-        space = replace(space, prior=no_prior)
+        space = replace(space, prior=Prior.empty(len(z)))
     values = space.values(z)
     held = {key: values[key] for key in space.keys if is_held(key, options)}
     if len(held) == len(space.unknowns):

@@ -16,13 +16,10 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.starts import StageInertias, is_positive
+from strainwave.domain.parameter_table import COULOMB, OFFSET, VISCOUS
 from strainwave.domain.parameters import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-
-VISCOUS = ("motor_viscous_friction", "link_viscous_friction")
-COULOMB = "motor_coulomb_friction"
-OFFSET = "friction_offset"
 
 _MIN_FRICTION_SHARE = 0.05  # minimum share of the total viscous friction, motor or link
 # typical of strain-wave gears: 10 to 30 Hz, small arms up to 60 Hz

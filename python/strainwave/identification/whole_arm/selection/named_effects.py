@@ -17,7 +17,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     set_record_effects,
 )
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Prior
+from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
+from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from strainwave.domain.parameter_table import SETTLING
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.problem.parameter_space import (
-    SETTLING,
+from strainwave.identification.whole_arm.problem.arm_unknowns import (
     SETTLING_START,
     add_settling_unknowns,
 )
