@@ -23,6 +23,12 @@ from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 COORDINATES_PER_JOINT = 3
 """Number of coordinates of each joint: log k, log d_G, log odds of the motor's share of c_1."""
 
+NO_ARM = (
+    "the inertias of the rigid model belong to no arm: whatever part of joint 1's is the motor's,"
+    " the links' inertia matrix is not positive definite"
+)
+"""Message if the inertia matrix of no arm of a family is positive definite."""
+
 _DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
 # minimum relative standard deviation of a motor inertia from the rigid model
 _MIN_RELATIVE_STD = 0.02
@@ -73,19 +79,20 @@ class Family:
     def point(
         self, ring: FloatArray, share: FloatArray, damping: float, total: FloatArray | None = None
     ) -> FloatArray:
-        """Coordinates (n_coordinates,) of an arm with given anti-resonances.
+        """Coordinates (..., n_coordinates) of arms with given anti-resonances.
 
-        `ring` (n_joints,) [rad/s] is sqrt(k / m_L) of each joint, `share` (n_joints,) the motor's
-        share of each c_1, and `damping` the damping ratio of the anti-resonances. `total`
-        (n_joints,) [kg m^2] is c_1 if the rigid model does not give it.
+        `ring` (..., n_joints) [rad/s] is sqrt(k / m_L) of each joint, `share` (..., n_joints) the
+        motor's share of each c_1, and `damping` the damping ratio of the anti-resonances. `total`
+        (..., n_joints) [kg m^2] is c_1 if the rigid model does not give it.
         """
-        c1 = np.asarray(self.total_inertia if total is None else total)
+        c1 = np.asarray(total if self.total_inertia is None else self.total_inertia)
         link = (1.0 - share) * c1 / self.ratio**2
-        gears = [np.log(ring**2 * link), np.log(2.0 * damping * ring * link)]
-        blocks = np.column_stack([*gears, np.log(share / (1.0 - share))]).ravel()
+        gears = np.log(ring**2 * link), np.log(2.0 * damping * ring * link)
+        blocks = np.stack([*gears, np.log(share / (1.0 - share))], axis=-1)
+        blocks = blocks.reshape(*ring.shape[:-1], -1)
         if self.total_inertia is not None:
             return blocks
-        return np.concatenate([blocks, np.log(c1), np.log(_START_DECAY_RATE * c1)])
+        return np.concatenate([blocks, np.log(c1), np.log(_START_DECAY_RATE * c1)], axis=-1)
 
     def parts(self, points: FloatArray) -> dict[str, FloatArray]:
         """Physical parameters at points, (..., n_joints) per name of `TwoInertia`."""
@@ -115,18 +122,18 @@ class Family:
             for i, n in enumerate(self.ratio)
         ]
 
-    def proper(self, points: FloatArray) -> FloatArray:
-        """Whether the inertia matrix is positive definite, arm stretched and at right angles.
+    def least_inertia(self, points: FloatArray) -> FloatArray:
+        """Least eigenvalue of the inertia matrix, arm stretched and at right angles [kg m^2].
 
-        Maps points (..., n_coordinates) to booleans (...,).
+        Maps points (..., n_coordinates) to (...,). No arm has an eigenvalue of zero or less.
         """
         base = self._base(self.parts(points)["link_inertia"])
-        is_positive_definite = np.ones(points.shape[:-1], dtype=bool)
+        least = np.full(points.shape[:-1], np.inf)
         for angle in (0.0, 0.5 * np.pi):
             posture = posture_of(self.arm, np.full(self.n_joints, angle))
             inertia = np.tensordot(base, posture.inertia, axes=1)
-            is_positive_definite &= np.linalg.eigvalsh(inertia)[..., 0] > 0.0
-        return np.asarray(is_positive_definite)
+            least = np.minimum(least, np.linalg.eigvalsh(inertia)[..., 0])
+        return least
 
     def linear(self, points: FloatArray, posture: Posture) -> LinearArm:
         """The arms at the points, linearised about a posture."""

@@ -6,15 +6,13 @@ small arms, and the motor contributes a fifth to two thirds of the joint's inert
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 
-from strainwave.domain import FloatArray, JointModel, RigidModel
+from strainwave.domain import JointModel, RigidModel
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.two_inertia import NAMES
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.motor_side.arms import Family, family_of
+from strainwave.identification.joint_model.motor_side.arms import NO_ARM, family_of
 
 _ANTI_RESONANCES_HZ = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)  # anti-resonances
 _MOTOR_SHARES = (0.25, 0.55)  # motor's share of the joint's inertia
@@ -25,7 +23,7 @@ def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[Join
     """Models of all joints with typical gears, as starting values for a whole-arm fit.
 
     The inertias come from `model`. Returns sets of one model per joint from the base, without
-    estimated parameters.
+    estimated parameters. The joints of a set are alike; joints of several sets can be combined.
 
     Raises `NotIdentifiable` if the rigid model is missing or lacks an inertia.
     """
@@ -35,39 +33,35 @@ def models_from_catalogue(model: RigidModel | None, arm: Arm) -> list[tuple[Join
             ' start: add an experiment with use = "motion", or one with use = "frequency"'
         )
     family, candidates = family_of(model, arm), []
-    shares = [
-        _MOTOR_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()
-    ]
-    for combination in product(*([_ANTI_RESONANCES_HZ] * family.n_joints), *shares):
-        n = family.n_joints
-        point = family.point(
-            2.0 * np.pi * np.array(combination[:n]), np.array(combination[n:]), _DAMPING_RATIO
-        )
-        if family.proper(point):
-            candidates.append(_models(family, point))
+    known = family.known_share
+    shares = [np.where(np.isnan(known), share, known) for share in _MOTOR_SHARES]
+    if not np.isnan(known).any():
+        shares = [known]
+    models: dict[tuple[int, float, float], JointModel] = {}
+    for ring in 2.0 * np.pi * np.array(_ANTI_RESONANCES_HZ):
+        for share in shares:
+            point = family.point(np.full(family.n_joints, ring), share, _DAMPING_RATIO)
+            if family.least_inertia(point) > 0.0:
+                keys = [(i, ring, own) for i, own in enumerate(share.tolist(), start=1)]
+                for key, joint in zip(keys, family.joints(point), strict=True):
+                    models.setdefault(key, _model(key[0], joint))
+                candidates.append(tuple(models[key] for key in keys))
     if not candidates:
-        raise NotIdentifiable(
-            "the inertias of the rigid model belong to no arm: whatever part of joint 1's is the"
-            " motor's, the links' inertia matrix is not positive definite"
-        )
+        raise NotIdentifiable(NO_ARM)
     return candidates
 
 
-def _models(family: Family, point: FloatArray) -> tuple[JointModel, ...]:
-    unknown = np.full((len(NAMES), len(NAMES)), np.nan)
-    return tuple(
-        JointModel(
-            joint=i,
-            experiments=(),
-            method="catalogue",
-            parameters=(),
-            values=dict(zip(NAMES, joint.vector.tolist(), strict=True)),
-            covariance=unknown,
-            anti_resonance=None,
-            resonance=None,
-            band_hz=(0.0, np.inf),
-            fit_percent={},
-            status="partly-determined",
-        )
-        for i, joint in enumerate(family.joints(point), start=1)
+def _model(number: int, joint: TwoInertia) -> JointModel:
+    return JointModel(
+        joint=number,
+        experiments=(),
+        method="catalogue",
+        parameters=(),
+        values=dict(zip(NAMES, joint.vector.tolist(), strict=True)),
+        covariance=np.full((len(NAMES), len(NAMES)), np.nan),
+        anti_resonance=None,
+        resonance=None,
+        band_hz=(0.0, np.inf),
+        fit_percent={},
+        status="partly-determined",
     )

@@ -1,23 +1,28 @@
-"""Search for the gears that explain the motor velocities: a grid search, then least squares."""
+"""Search for the gears that explain the motor velocities.
+
+Grids of one joint at a time find the starting points of least squares over all joints.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from strainwave.domain import ComplexArray, FloatArray
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.motor_side.arms import (
     COORDINATES_PER_JOINT,
+    NO_ARM,
     Family,
     Posture,
     posture_of,
 )
 from strainwave.identification.joint_model.motor_side.impedance import velocities
 from strainwave.identification.joint_model.motor_side.spectra import Piece
+from strainwave.numerics.coordinate_search import Choice, CoordinateSearch, replaced
 
 _N_ANTI_RESONANCES = (
     14  # number of anti-resonances per joint on the grid, within the band of the records
@@ -26,6 +31,7 @@ _MOTOR_SHARES = (0.15, 0.35, 0.55, 0.75)  # motor's share of a joint's inertia o
 _DAMPING_RATIO = 0.05  # damping ratio of the anti-resonances on the grid
 _N_INERTIAS = 10  # number of total inertias on the grid for a joint without a rigid model
 _MAX_STARTS = 6  # number of grid points from which least squares start
+_IMPROPER_COST = 1e9  # cost of a point without positive definite inertia matrix, above all others
 _MIN_DISTANCE = 0.35  # difference of a coordinate above which two minima are distinct
 _MAX_ANTI_RESONANCE = (
     2.0 * np.pi * 80.0
@@ -66,18 +72,8 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
     """
     postures = [posture_of(family.arm, piece.link_angle) for piece in pieces]
     records = list(zip(pieces, postures, strict=True))
-    coarse = list(zip(few_lines, postures, strict=True))
-    grid = _grid(family, few_lines)
-    proper = family.proper(grid)
-    if not np.any(proper):
-        raise NotIdentifiable(
-            "the inertias of the rigid model belong to no arm: whatever part of joint 1's is the"
-            " motor's, the links' inertia matrix is not positive definite"
-        )
-    cost = np.full(len(grid), np.inf)
-    cost[proper] = sum((_costs(family, grid[proper], each) for each in coarse), 0.0)
     distinct_minima: list[tuple[float, FloatArray]] = []
-    for start in _grid_minima(grid, cost, family.n_joints):
+    for start in _starts(family, list(zip(few_lines, postures, strict=True))):
         point, least_cost = _minimize(family, start, records)
         if all(np.max(np.abs(point - other)) > _MIN_DISTANCE for _, other in distinct_minima):
             distinct_minima.append((least_cost, point))
@@ -127,27 +123,72 @@ def _alternatives(
                 yield point
 
 
-def _grid(family: Family, records: Sequence[Piece]) -> FloatArray:
-    """Grid (n_points, n_coordinates) over gears, motor shares and, if unknown, total inertias."""
-    line_frequencies = np.concatenate([piece.s.imag for piece in records])
-    anti_resonances = np.geomspace(
-        1.2 * line_frequencies.min(), 0.7 * line_frequencies.max(), _N_ANTI_RESONANCES
-    )
-    shares = [
-        _MOTOR_SHARES if np.isnan(known) else (known,) for known in family.known_share.tolist()
+def _starts(family: Family, records: Sequence[_PieceInPosture]) -> list[FloatArray]:
+    """Points from which least squares start, the best first.
+
+    Anti-resonance, motor's share and, if unknown, total inertia of one joint are searched with the
+    other joints at their current best. The starts are the minima over the anti-resonances of two
+    neighbouring joints, with the other joints at their best.
+    """
+    grids = [_grid(family, [piece for piece, _ in records], i) for i in range(family.n_joints)]
+    sizes = [grid.shape[1] for grid in grids]  # candidates per anti-resonance
+
+    def points(choices: Sequence[Choice]) -> FloatArray:
+        settings = [
+            grid.reshape(-1, 3)[list(k)]
+            for grid, k in zip(grids, zip(*choices, strict=True), strict=True)
+        ]
+        ring, share, total = np.moveaxis(np.stack(settings, axis=1), -1, 0)
+        return family.point(ring, share, _DAMPING_RATIO, total)
+
+    def cost_of(choices: Sequence[Choice]) -> FloatArray:
+        arms = points(choices)
+        inertia = family.least_inertia(arms)
+        cost, proper = _IMPROPER_COST * (1.0 - inertia), inertia > 0.0
+        if proper.any():
+            cost[proper] = sum(_costs(family, arms[proper], each) for each in records)
+        return np.asarray(cost)
+
+    rings = range(_N_ANTI_RESONANCES)
+    alike = [
+        tuple(ring * size + min(other, size - 1) for size in sizes)
+        for ring in rings
+        for other in range(max(sizes))
     ]
-    n, rigid = family.n_joints, family.total_inertia
-    if rigid is None:
-        totals = [_inertias(records, i) for i in range(n)]
-    else:
-        totals = [np.array([known]) for known in rigid]
-    points = []
-    for values in product(*([anti_resonances] * n), *shares, *totals):
-        ring, share, total = (np.array(values[k * n : (k + 1) * n]) for k in range(3))
-        points.append(
-            family.point(ring, share, _DAMPING_RATIO, None if rigid is not None else total)
-        )
-    return np.array(points)
+    search = CoordinateSearch(cost_of)
+    best = search.minimise(alike, [_N_ANTI_RESONANCES * size for size in sizes])
+    if search.costs[best] >= _IMPROPER_COST:
+        raise NotIdentifiable(NO_ARM)
+    of_ring = [  # candidate of each joint with the least cost at an anti-resonance
+        [
+            search.least([replaced(best, {i: ring * size + other}) for other in range(size)])[i]
+            for ring in rings
+        ]
+        for i, size in enumerate(sizes)
+    ]
+    starts: list[Choice] = []
+    for choices in search.pairs(best, of_ring):
+        cost = np.reshape(search.evaluate(choices), (_N_ANTI_RESONANCES,) * min(2, family.n_joints))
+        around = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3,) * cost.ndim)
+        lowest = around.min(axis=tuple(range(cost.ndim, 2 * cost.ndim)))
+        is_minimum = (cost <= lowest) & (cost < _IMPROPER_COST)
+        starts += [choices[k] for k in np.flatnonzero(is_minimum)]
+    starts = sorted(dict.fromkeys(starts), key=search.costs.__getitem__)
+    return list(points(starts[:_MAX_STARTS]))
+
+
+def _grid(family: Family, pieces: Sequence[Piece], i: int) -> FloatArray:
+    """Anti-resonance, motor's share and total inertia of joint i: (n_rings, n_others, 3)."""
+    line_frequencies = np.concatenate([piece.s.imag for piece in pieces])
+    low, high = 1.2 * line_frequencies.min(), 0.7 * line_frequencies.max()
+    known, rigid = family.known_share[i], family.total_inertia
+    axes = (
+        np.geomspace(low, high, _N_ANTI_RESONANCES),
+        _MOTOR_SHARES if np.isnan(known) else [known],
+        _inertias(pieces, i) if rigid is None else [rigid[i]],
+    )
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    return np.asarray(grid.reshape(_N_ANTI_RESONANCES, -1, len(axes)))
 
 
 def _inertias(records: Sequence[Piece], i: int) -> FloatArray:
@@ -187,26 +228,6 @@ def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture
         for error, _ in _errors(family, points, piece_in_posture)
     ]
     return np.asarray(sum(costs, np.zeros(len(points))))
-
-
-def _grid_minima(grid: FloatArray, cost: FloatArray, n_joints: int) -> list[FloatArray]:
-    """Grid points with the least objective among neighbouring anti-resonances, best first.
-
-    The other coordinates are at their best for each set of anti-resonances. Neighbouring points are
-    excluded because they lead to the same minimum.
-    """
-    shape = (_N_ANTI_RESONANCES,) * n_joints
-    by_ring = cost.reshape(_N_ANTI_RESONANCES**n_joints, -1)
-    best_index = np.argmin(by_ring, axis=1)
-    least_cost = np.min(by_ring, axis=1).reshape(shape)
-    padded = np.pad(least_cost, 1, constant_values=np.inf)
-    is_minimum = np.isfinite(least_cost)
-    for step in product((0, 1, 2), repeat=n_joints):
-        is_minimum &= least_cost <= padded[tuple(slice(k, k + _N_ANTI_RESONANCES) for k in step)]
-    points = grid.reshape(_N_ANTI_RESONANCES**n_joints, by_ring.shape[1], -1)
-    chosen = np.flatnonzero(is_minimum)
-    chosen = chosen[np.argsort(least_cost.ravel()[chosen], kind="stable")][:_MAX_STARTS]
-    return [points[k, best_index[k]] for k in chosen]
 
 
 def _residual(

@@ -1,8 +1,9 @@
 """Choose between several starts of the whole-arm fit by short searches.
 
-Without link sensors the earlier stages may return several sets of gears, or none. The sets of
-lowest initial cost get a few evaluations each, in long integrator steps. Sets of much larger cost
-are dropped, and the others continue until all searches have converged or one set remains.
+Without link sensors the earlier stages may return several sets of gears, or typical gears. The
+sets of lowest initial cost get a few evaluations each, in long integrator steps. Sets of much
+larger cost are dropped, and the others continue until all searches have converged or one set
+remains.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import COARSE_TOLERANCE, search_minimum
+from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
 MAX_SEARCHED_SETS = 4
 EVALUATIONS_PER_ROUND = 8  # of the search from each set
 MAX_ROUNDS = 4  # of these searches
 MAX_COST_RATIO = 3.0  # to the least cost; a set of larger cost is dropped
 LIMIT_SHARE = 1e-3  # of a range: distance within which a stiffness counts as at the limit
+_NO_START = "the arm cannot be simulated with any start values of the earlier stages"
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,27 +51,7 @@ def select_candidate(
     """
     if len(candidates) == 1:
         return SelectedCandidate(candidates[0], None)
-    starts: list[tuple[float, int, Objective]] = []
-    failure: NotIdentifiable | None = None
-    for k, joints in enumerate(candidates):
-        try:
-            objective = objective_of(joints)
-        except NotIdentifiable as error:
-            failure = error
-            continue
-        at_start = objective.linearise(np.zeros(len(objective.space.unknowns)))
-        if at_start is not None:
-            starts.append((at_start.cost, k, objective))
-    if not starts:
-        raise failure or NotIdentifiable(
-            "the arm cannot be simulated with any start values of the earlier stages"
-        )
-    searches = [
-        _SearchState(
-            candidates[k], Fit(objective, np.zeros(len(objective.space.unknowns)), cost, 0, False)
-        )
-        for cost, k, objective in sorted(starts, key=lambda start: start[:2])[:MAX_SEARCHED_SETS]
-    ]
+    searches = _best_starts(candidates, objective_of)
     for _ in range(MAX_ROUNDS):
         continued = [_continue_search(search, objective_of, options) for search in searches]
         searches = [search for search in continued if search is not None]
@@ -110,6 +93,52 @@ class _SearchState:
     def is_finished(self) -> bool:
         """Whether the search has converged inside its ranges."""
         return self.fit.converged and not self.is_limited
+
+
+def _best_starts(
+    candidates: Sequence[Sequence[JointModel]],
+    objective_of: Callable[[Sequence[JointModel]], Objective],
+) -> list[_SearchState]:
+    """The sets of lowest initial cost, the best first.
+
+    Typical gears, which no record supports, are also combined: one joint, then two neighbouring
+    joints get the gears of other sets while the other joints keep theirs.
+    """
+    models = [
+        list({id(joint): joint for joint in joints}.values())
+        for joints in zip(*candidates, strict=True)
+    ]
+    searches: dict[Choice, _SearchState] = {}
+    failures: list[NotIdentifiable] = []
+
+    def cost_of(choice: Choice) -> float:
+        joints = [each[k] for each, k in zip(models, choice, strict=True)]
+        try:
+            objective = objective_of(joints)
+        except NotIdentifiable as failure:
+            failures.append(failure)
+            return np.inf
+        start = np.zeros(len(objective.space.unknowns))
+        linearised = objective.linearise(start)
+        if linearised is None:
+            return np.inf
+        searches[choice] = _SearchState(joints, Fit(objective, start, linearised.cost, 0, False))
+        return linearised.cost
+
+    search = CoordinateSearch(lambda choices: map(cost_of, choices))
+    numbers = [{id(joint): k for k, joint in enumerate(each)} for each in models]
+    sets = [
+        tuple(number[id(joint)] for number, joint in zip(numbers, joints, strict=True))
+        for joints in candidates
+    ]
+    search.evaluate(sets)
+    if not any(joint.experiments for each in models for joint in each):
+        best = search.minimise(sets, [len(each) for each in models])
+        search.pairs(best, [range(len(each)) for each in models])
+    if not searches:
+        raise (failures or [NotIdentifiable(_NO_START)])[-1]
+    chosen = sorted(searches, key=search.costs.__getitem__)[:MAX_SEARCHED_SETS]
+    return [searches[choice] for choice in chosen]
 
 
 def _continue_search(
