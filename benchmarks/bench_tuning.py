@@ -32,13 +32,13 @@ from strainwave.domain import (
     RigidModel,
     Spring,
     Study,
-    TuningOptions,
+    WholeArmOptions,
 )
 from strainwave.domain.gear_laws.three_slope import KNEES, SLOPES
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.preparation import dataset_of
@@ -195,9 +195,9 @@ def _start(values: Values) -> Values:
 
 
 def _fit(study: Study, logs: list[Log], values: Values) -> Values:
-    options = TuningOptions(cutoff_hz=CUTOFF, settling=False)
+    options = WholeArmOptions(cutoff_hz=CUTOFF, settling=False)
     models = _models(study, values)
-    model = tune(
+    model = fit_whole_arm(
         logs, _uninformative_rigid(values), models, Arm.of(study.arm), options, start=_start(values)
     )
     return dict(model.values)

@@ -23,7 +23,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 from virtual_arms import ELASTIC_JOINT
 
@@ -127,7 +127,7 @@ def records(
 
 
 @cache
-def tuned(
+def whole_arm(
     has: tuple[EffectName, ...],
     asked: Asked,
     most: int = 60,
@@ -139,12 +139,12 @@ def tuned(
     study, known, logs = records(has, shapes)
     asks = replace(study, arm=replace(study.arm, joints=rig(asked).arm.joints))
     joints = joint_models(asks, known, 0.05, FACTORS)
-    return tune(
+    return fit_whole_arm(
         logs,
         rigid_model(asks, known, 0.01, 1.0),
         joints,
         Arm.of(asks.arm),
-        TuningOptions(max_iterations=most, cutoff_hz=cutoff_hz, rival_effort=effort),
+        WholeArmOptions(max_iterations=most, cutoff_hz=cutoff_hz, rival_effort=effort),
     )
 
 
@@ -178,4 +178,4 @@ def single_tuned(has: tuple[EffectName, ...], asked: tuple[EffectName, ...]) -> 
     study, logs = simulated_logs(single_joint_study(has), known, noise=SensorNoise())
     asks = replace(study, arm=single_joint_study(asked).arm)
     joints = joint_models(asks, known, 0.05, FACTORS)
-    return tune(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))
+    return fit_whole_arm(logs, rigid_model(asks, known, 0.01, 1.0), joints, Arm.of(asks.arm))

@@ -171,7 +171,7 @@ def elastic_identification() -> Identification:
     parameters, covariance = curve_parameters()
     edges = np.linspace(0.0, 60.0, 61)
     share = np.diff(1.0 - np.exp(-edges / 10.0))
-    tuned = replace(
+    whole_arm = replace(
         arm_model(parameters, covariance),
         simulated=(prediction("step-j1", 99.0, 98.0),),
         gear_loads=(TorqueHistogram(1, edges, share / share.sum()),),
@@ -183,6 +183,6 @@ def elastic_identification() -> Identification:
         records=(record_model("prbs-j1", 0.5), record_model("prbs-j1-held", 0.2)),
         joints=(joint_model(),),
         responses={1: measured()},
-        tuned=tuned,
+        whole_arm=whole_arm,
         logs=(log("prbs-j1"),),
     )

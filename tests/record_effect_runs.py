@@ -14,7 +14,7 @@ from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
-from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from strainwave.virtual import scara
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 
@@ -120,5 +120,5 @@ def fitted(runs: Runs, *asked: tuple[EffectName, ...]) -> ArmModel:
     asks = replace(runs.study, arm=arm)
     joints = joint_models(asks, runs.known, 0.05, FACTORS)
     rigid = rigid_model(asks, runs.known, 0.01, 1.0)
-    options = TuningOptions(max_iterations=60, rival_effort=0.3)
-    return tune(runs.logs, rigid, joints, Arm.of(arm), options)
+    options = WholeArmOptions(max_iterations=60, rival_effort=0.3)
+    return fit_whole_arm(runs.logs, rigid, joints, Arm.of(arm), options)

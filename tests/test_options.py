@@ -27,14 +27,13 @@ from strainwave.domain import (
     RigidOptions,
     Servo,
     Study,
-    TuningOptions,
+    WholeArmOptions,
 )
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification import frequency, rigid
+from strainwave.identification import frequency, rigid, whole_arm
 from strainwave.identification import joint_model as physical
-from strainwave.identification import whole_arm as tuning
 from strainwave.io import results as result
 from strainwave.io.logs import read_logs
 from strainwave.signals import link_motion as links
@@ -186,15 +185,17 @@ def test_an_option_changes_the_result_of_its_stage(stage: str, key: str) -> None
 
 
 @pytest.fixture(scope="module")
-def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
+def begun(small: Path) -> Callable[[WholeArmOptions], whole_arm.Fit]:
     """Whole-arm fit of the small study, started from the results of the earlier stages."""
     before = pipeline.identify(small, stages=("rigid", "decoupled"))
     arguments = (read_logs(before.study), before.rigid, before.joints, Arm.of(before.study.arm))
-    default_fit = tuning.fit_records(*arguments)
+    default_fit = whole_arm.fit_records(*arguments)
 
-    def fit(options: TuningOptions) -> tuning.Fit:
+    def fit(options: WholeArmOptions) -> whole_arm.Fit:
         return (
-            default_fit if options == TuningOptions() else tuning.fit_records(*arguments, options)
+            default_fit
+            if options == WholeArmOptions()
+            else whole_arm.fit_records(*arguments, options)
         )
 
     return fit
@@ -202,10 +203,10 @@ def begun(small: Path) -> Callable[[TuningOptions], tuning.Fit]:
 
 @pytest.mark.parametrize("key", [key for key in CHANGES["tuning"] if key != "rival_effort"])
 def test_an_option_changes_the_whole_arm_fit(
-    key: str, begun: Callable[[TuningOptions], tuning.Fit]
+    key: str, begun: Callable[[WholeArmOptions], whole_arm.Fit]
 ) -> None:
     outputs = []
-    for options in (TuningOptions(), replace(TuningOptions(), **{key: CHANGES["tuning"][key]})):
+    for options in (WholeArmOptions(), replace(WholeArmOptions(), **{key: CHANGES["tuning"][key]})):
         fit = begun(options)
         values = fit.objective.space.values(fit.z)
         outputs.append(
@@ -217,13 +218,15 @@ def test_an_option_changes_the_whole_arm_fit(
 
 
 def test_held_parameters_keep_their_values_and_ranges_bound_estimates(
-    begun: Callable[[TuningOptions], tuning.Fit],
+    begun: Callable[[WholeArmOptions], whole_arm.Fit],
 ) -> None:
-    free = begun(TuningOptions())
-    start = begun(TuningOptions(max_iterations=1)).objective.space
+    free = begun(WholeArmOptions())
+    start = begun(WholeArmOptions(max_iterations=1)).objective.space
     initial = start.values(np.zeros(len(start.unknowns)))
     k, d = ("gear_stiffness", 1), ("gear_damping", 1)
-    constrained = begun(TuningOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],)))
+    constrained = begun(
+        WholeArmOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],))
+    )
     values = constrained.objective.space.values(constrained.z)
     assert values[d] == initial[d] != free.objective.space.values(free.z)[d]
     assert abs(values[k] / initial[k] - 1.0) <= 1.0001e-4
@@ -236,7 +239,7 @@ def test_tuning_as_published(small: Path) -> None:
     Coulomb friction is held, and the other parameters stay between 0.5 and 2 times their start.
     """
     identification = pipeline.identify(small, options=["tuning.as_published=true"])
-    arm, joint = identification.tuned, identification.joints[0]
+    arm, joint = identification.whole_arm, identification.joints[0]
     assert arm is not None
     assert set(arm.fit_percent) == {"step"}
     names = {p.name for p in arm.parameters}
@@ -261,7 +264,7 @@ def test_tuning_as_published_needs_steps(small: Path, tmp_path: Path) -> None:
     for log in small.parent.glob("*.parquet"):
         (tmp_path / log.name).symlink_to(log)
     identification = pipeline.identify(study, options={"tuning": {"as_published": True}})
-    assert identification.tuned is None
+    assert identification.whole_arm is None
     reasons = [w.message for w in identification.warnings if w.code == "not-tuned"]
     assert any('use = "tuning"' in reason for reason in reasons)
 
@@ -275,8 +278,8 @@ def test_the_published_route_runs_to_the_end(small: Path) -> None:
     assert all(record.physical is None and record.transfer for record in identification.records)
     for name in ("motor_inertia", "link_inertia", "gear_stiffness"):
         assert joint.values[name] == pytest.approx(TRUE[name, 1], rel=0.05), name
-    assert identification.tuned is not None
-    assert identification.tuned.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
+    assert identification.whole_arm is not None
+    assert identification.whole_arm.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.005)
 
 
 def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -298,14 +301,14 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
     spy(frequency, "respond", FrequencyOptions)
     spy(physical, "fit_joint", PhysicalOptions)
     spy(physical, "fit_record", physical.RecordOptions)
-    spy(tuning, "tune", TuningOptions)
+    spy(whole_arm, "fit_whole_arm", WholeArmOptions)
     run_options = Options(
         RigidOptions(4.0),
         LinkOptions(0.1),
         FrequencyOptions(segment=0.2),
         LinearOptions(order=4),
         PhysicalOptions(use_rigid=False),
-        TuningOptions(max_iterations=1),
+        WholeArmOptions(max_iterations=1),
     )
     identification = pipeline.identify(small, options=run_options)
     assert received["fit"] == run_options.rigid
@@ -314,7 +317,7 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
     assert received["fit_joint"] == run_options.physical
     assert received["fit_record"].linear == run_options.statespace
     assert received["fit_record"].physical == run_options.physical
-    assert received["tune"] == run_options.tuning
+    assert received["fit_whole_arm"] == run_options.tuning
     document = json.loads(result.to_json(result.to_document(identification)))
     assert document["options"]["rigid"] == {"bandwidth_hz": 4.0, "load_friction": None}
     assert document["options"]["tuning"]["max_iterations"] == 1

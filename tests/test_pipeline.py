@@ -53,13 +53,13 @@ def test_progress_reports_the_current_part_and_the_number_of_parts(tmp_path: Pat
     assert texts[0] == "1 of 8: reading the logs"
     assert texts[-1] == "8 of 8: writing the report"
     counts = [re.search(r"evaluation (\d+) of at most (\d+)", text) for text in texts]
-    assert identification.tuned is not None
+    assert identification.whole_arm is not None
     evaluations = [int(match[1]) for match in counts if match]
     assert evaluations[:3] == [1, 2, 3]
     limits = [int(match[2]) for match in counts if match]
     assert limits[0] == 100
     assert all(n <= limit for n, limit in zip(evaluations, limits, strict=True))
-    assert evaluations[-1] >= identification.tuned.iterations
+    assert evaluations[-1] >= identification.whole_arm.iterations
 
 
 def value(model: JointModel, name: str) -> float:
@@ -126,8 +126,8 @@ def test_a_tuned_linear_arm_predicts_steps(
 ) -> None:
     """Velocity of the stepped joint in closed loop: fit of at least 97 %."""
     identification, _ = lab(arm)
-    assert identification.tuned is not None
-    assert identification.tuned.status == "converged"
+    assert identification.whole_arm is not None
+    assert identification.whole_arm.status == "converged"
     fits = {
         (c.experiment, name): fit
         for c in identification.checks

@@ -78,16 +78,16 @@ def test_intervals_contain_the_true_values() -> None:
 
 def test_the_run_converges_and_is_determined() -> None:
     result = identified()
-    assert result.tuned is not None
-    assert result.tuned.status == "converged"
+    assert result.whole_arm is not None
+    assert result.whole_arm.status == "converged"
     assert to_document(result)["status"] == "determined"
 
 
 def test_the_number_of_evaluations_does_not_increase() -> None:
     """Iterations of the whole-arm fit including model selection, which dominate the run time."""
-    tuned = identified().tuned
-    assert tuned is not None
-    assert tuned.iterations <= 30
+    whole_arm = identified().whole_arm
+    assert whole_arm is not None
+    assert whole_arm.iterations <= 30
 
 
 def test_steps_that_were_not_fitted_are_predicted() -> None:

@@ -122,7 +122,7 @@ def main() -> None:
                 result = identify_altered(
                     simulate_arm(Path(folder), seed, stribeck=stribeck), change
                 )
-            tests = result.tuned.agreement if result.tuned else ()
+            tests = result.whole_arm.agreement if result.whole_arm else ()
             cells = [f"{test.deviations:.1f}" for test in tests] or [""] * 4
             codes = [suspicion.code for suspicion in result.suspected]
             codes += [

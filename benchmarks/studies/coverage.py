@@ -59,16 +59,16 @@ def evaluate(path: Path, values: Values, *, engine: bool = False) -> dict[str, A
     Friction settling times of MuJoCo are not counted.
     """
     identification = identify(path)
-    tuned = identification.tuned
-    if tuned is None:
+    whole_arm = identification.whole_arm
+    if whole_arm is None:
         suspected = [suspicion.code for suspicion in identification.suspected]
         return {"failure": f"no whole-arm fit; suspected: {suspected}"}
     true_values = derived(values, read_study(path).arm)
     decoupled = [p for joint in identification.joints for p in joint.parameters]
     return {
-        "status": tuned.status,
+        "status": whole_arm.status,
         "parameters": error_rows(
-            [p for p in tuned.parameters if not (engine and p.name == ENGINE_PARAMETER)],
+            [p for p in whole_arm.parameters if not (engine and p.name == ENGINE_PARAMETER)],
             true_values,
         ),
         "decoupled": error_rows(

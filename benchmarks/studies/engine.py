@@ -265,15 +265,15 @@ def lab_rig(seed: int) -> Rig:
 def evaluate(path: Path, values: Values) -> dict[str, Any]:
     """Errors [%] and standard deviations [%] of the whole-arm fit."""
     identification = identify(path)
-    tuned = identification.tuned
-    if tuned is None:
+    whole_arm = identification.whole_arm
+    if whole_arm is None:
         return {"failure": identification.reason}
     study = read_study(path)
     true_values = derived(values, study.arm)
     for joint in range(1, study.arm.n_joints + 1):
         true_values["friction_settling_time", joint] = settling(values, joint)
     rows = []
-    for p in tuned.parameters:
+    for p in whole_arm.parameters:
         true = true_values.get((p.name, p.joint), 0.0)
         if p.value is None or p.std is None or p.ci95 is None:
             continue
@@ -281,7 +281,7 @@ def evaluate(path: Path, values: Values) -> dict[str, Any]:
         inside = p.ci95[0] <= true <= p.ci95[1]
         rows.append([p.name, p.joint, (p.value - true) / size, p.std / size, inside])
     warnings = [warning.code for warning in identification.warnings]
-    return {"status": tuned.status, "parameters": rows, "warnings": warnings}
+    return {"status": whole_arm.status, "parameters": rows, "warnings": warnings}
 
 
 def group(name: str) -> str | None:

@@ -47,7 +47,7 @@ def parameters_by_stage(result: Identification) -> dict[str, list[Parameter]]:
         p for model in records if set(model.experiments) <= frequency for p in model.parameters
     ]
     by_stage["decoupled, each joint"] = [p for joint in result.joints for p in joint.parameters]
-    by_stage["whole arm"] = list(result.tuned.parameters) if result.tuned else []
+    by_stage["whole arm"] = list(result.whole_arm.parameters) if result.whole_arm else []
     by_stage["final table"] = list(result.parameters)
     return by_stage
 

@@ -35,7 +35,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.identification import joint_model as physical
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.io import logs
 from strainwave.io.study import read_study, write_study
 from strainwave.pipeline import identify
@@ -140,13 +140,13 @@ def evaluate(path: Path, values: Values, *, engine: bool = False) -> dict[str, A
     verdict = identification.verdict
     reported: dict[str, Any] = {"verdict": verdict.status, "seconds": seconds}
     reported["reasons"] = list(verdict.reasons)
-    tuned = identification.tuned
-    if tuned is None:
+    whole_arm = identification.whole_arm
+    if whole_arm is None:
         return reported
     study = read_study(path)
-    parameters = [p for p in tuned.parameters if not (engine and p.name == ENGINE_PARAMETER)]
+    parameters = [p for p in whole_arm.parameters if not (engine and p.name == ENGINE_PARAMETER)]
     rows = error_rows([p for p in parameters if p.value is not None], derived(values, study.arm))
-    reported |= {"status": tuned.status, "parameters": rows}
+    reported |= {"status": whole_arm.status, "parameters": rows}
     reported["wrong"] = [
         f"{name} {joint or ''}".strip()
         for name, joint, error, std, _ in rows
@@ -166,14 +166,14 @@ def _distance_to_optimum(
     identification: Identification, study: Study, values: Values
 ) -> dict[str, Any]:
     """Largest distance [standard deviations] to the fit that starts from the true values."""
-    assert identification.tuned is not None
+    assert identification.whole_arm is not None
     arm, joints = Arm.of(study.arm), identification.joints
     if len(joints) < study.arm.n_joints:
         joints = physical.models_from_catalogue(identification.rigid, arm)[0]
     joints = tuple(_with_true_values(joint, values, study) for joint in joints)
     options = study.options.tuning
     try:
-        optimum = tune(
+        optimum = fit_whole_arm(
             logs.read_logs(study), identification.rigid, joints, arm, options, start=values
         )
     except Exception as failure:  # the fit may refuse true values
@@ -181,7 +181,7 @@ def _distance_to_optimum(
     at = {(q.name, q.joint): q for q in optimum.parameters if q.value is not None}
     distances = {
         f"{p.name} {p.joint or ''}".strip(): abs(p.value - q.value) / q.std
-        for p in identification.tuned.parameters
+        for p in identification.whole_arm.parameters
         if (q := at.get((p.name, p.joint))) is not None
         and p.value is not None
         and q.value is not None

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         RigidOptions,
         Servo,
         Study,
-        TuningOptions,
+        WholeArmOptions,
     )
     from strainwave.domain.progress import ProgressEvent
     from strainwave.errors import Cancelled, InvalidInput, NotIdentifiable, StrainwaveError
@@ -59,7 +59,7 @@ _NAMES_OF_MODULE = {
         "RigidOptions",
         "Servo",
         "Study",
-        "TuningOptions",
+        "WholeArmOptions",
     ),
     "strainwave.domain.progress": ("ProgressEvent",),
     "strainwave.errors": ("Cancelled", "InvalidInput", "NotIdentifiable", "StrainwaveError"),
@@ -87,7 +87,7 @@ __all__ = [
     "Servo",
     "StrainwaveError",
     "Study",
-    "TuningOptions",
+    "WholeArmOptions",
     "__version__",
     "compare",
     "identify",

@@ -490,8 +490,8 @@ class Result:
         the elastic model. A result that was read from a file has no samples: `InvalidInput`.
         """
         run = self._needs_run("residuals")
-        tuned = () if run.tuned is None else run.tuned.simulated
-        predictions = (*run.checks, *tuned, *run.fitted)
+        whole_arm = () if run.whole_arm is None else run.whole_arm.simulated
+        predictions = (*run.checks, *whole_arm, *run.fitted)
         selected = [prediction for prediction in predictions if prediction.experiment == experiment]
         if not selected:
             names = list(dict.fromkeys(prediction.experiment for prediction in predictions))

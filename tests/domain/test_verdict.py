@@ -120,7 +120,7 @@ ACTIVE = tuple(Activity(j, torque=0.4, velocity=30.0, acceleration=900.0) for j 
 def run(
     rigid: Sizes | None = None,
     joints: Sizes | None = None,
-    tuned: Sizes | None = None,
+    whole_arm: Sizes | None = None,
     *,
     stages: tuple[str, ...] = ("rigid", "decoupled", "tuned"),
     study: Study = ELASTIC,
@@ -129,8 +129,8 @@ def run(
 
     The total viscous friction is the sum of its parts, as in the stages.
     """
-    rigid, joints, tuned = rigid or {}, dict(joints or {}), dict(tuned or {})
-    for sizes in (joints, tuned):
+    rigid, joints, whole_arm = rigid or {}, dict(joints or {}), dict(whole_arm or {})
+    for sizes in (joints, whole_arm):
         for j in (1, 2):
             sizes.setdefault(("total_viscous_friction", j), _total(sizes, j))
     models = tuple(
@@ -143,9 +143,9 @@ def run(
         )
         for j in (1, 2)
     )
-    whole = [made(*key, "tuned", tuned.get(key, 1.0)) for key in WHOLE]
+    whole = [made(*key, "tuned", whole_arm.get(key, 1.0)) for key in WHOLE]
     whole += [
-        made(name, j, "tuned", tuned.get((name, j), 1.0))
+        made(name, j, "tuned", whole_arm.get((name, j), 1.0))
         for name, j in (("rigid_inertia", 1), *(("total_viscous_friction", j) for j in (1, 2)))
     ]
     return Identification(
@@ -159,7 +159,7 @@ def run(
         warnings=(),
         timing_s={},
         joints=models if "decoupled" in stages else (),
-        tuned=clean_fit(tuple(whole)) if "tuned" in stages else None,
+        whole_arm=clean_fit(tuple(whole)) if "tuned" in stages else None,
         activity=ACTIVE,
     )
 
@@ -193,25 +193,25 @@ SIZES = st.one_of(st.none(), st.sampled_from((1.0, 0.9, -0.005, -3.0)), st.float
     joints=st.dictionaries(
         st.tuples(st.sampled_from(JOINT), st.sampled_from((1, 2))), SIZES, max_size=4
     ),
-    tuned=st.dictionaries(st.sampled_from(WHOLE), SIZES, max_size=4),
+    whole_arm=st.dictionaries(st.sampled_from(WHOLE), SIZES, max_size=4),
     last=st.integers(1, 3),
 )
 def test_every_verdict_is_consistent_with_its_decisions(
     rigid: Sizes,
     joints: Sizes,
-    tuned: Sizes,
+    whole_arm: Sizes,
     last: int,
 ) -> None:
     """The last stage decides, no impossible value is published, and the groups are disjoint."""
     stages = ("rigid", "decoupled", "tuned")[:last]
-    identification = run(rigid, joints, tuned, stages=stages)
+    identification = run(rigid, joints, whole_arm, stages=stages)
     parameters, verdict = identification.parameters, identification.verdict
     keys = [(p.name, p.joint) for p in parameters]
     assert len(set(keys)) == len(keys)
     for p in parameters:
         assert p.value is None or is_physical(p.name, p.value), p
     if last == 3:
-        for key, size in tuned.items():
+        for key, size in whole_arm.items():
             if size is None:
                 assert row(identification, *key).value is None
         assert {p.stage for p in parameters} == {"tuned"}
@@ -250,13 +250,13 @@ def test_every_verdict_is_consistent_with_its_decisions(
 def test_a_parameter_that_the_whole_arm_fit_does_not_identify_is_not_identified() -> None:
     """Regression: the table had 11.71 +- 0.17 of the decoupled stage despite null of the fit."""
     split: Sizes = {("link_viscous_friction", 1): None, ("motor_viscous_friction", 1): None}
-    result = run(joints={("link_viscous_friction", 1): 20.0}, tuned=split)
+    result = run(joints={("link_viscous_friction", 1): 20.0}, whole_arm=split)
     assert row(result, "link_viscous_friction", 1).value is None
     assert row(result, "motor_viscous_friction", 1).value is None
     assert (
         result.verdict.status == "determined"
     )  # the parts of viscous friction are not primary parameters
-    result = run(tuned={("gear_damping", 2): None})
+    result = run(whole_arm={("gear_damping", 2): None})
     assert result.verdict.status == "partly-determined"
     assert result.verdict.not_identified == ("gear_damping 2",)
     assert result.reason == "not identified: gear_damping 2"
@@ -313,38 +313,38 @@ def test_a_friction_with_a_negligible_interval_is_identified() -> None:
 
 
 def test_an_indefinite_inertia_matrix_is_rejected() -> None:
-    result = run(tuned={("gamma", None): 1.3})  # gamma^2 > alpha beta
+    result = run(whole_arm={("gamma", None): 1.3})  # gamma^2 > alpha beta
     assert result.verdict.rejected == ("gamma",)
     assert result.verdict.status == "partly-determined"
 
 
 def test_values_at_a_bound_are_rejected() -> None:
     result = run()
-    assert result.tuned is not None
-    bounded = replace(result.tuned, status="at-bounds", at_bounds=(("gear_damping", 1),))
-    result = replace(result, tuned=bounded)
+    assert result.whole_arm is not None
+    bounded = replace(result.whole_arm, status="at-bounds", at_bounds=(("gear_damping", 1),))
+    result = replace(result, whole_arm=bounded)
     assert result.verdict.rejected == ("gear_damping 1",)
     secondary = replace(bounded, at_bounds=(("link_viscous_friction", 1),))
-    assert replace(result, tuned=secondary).verdict.status == "determined"
+    assert replace(result, whole_arm=secondary).verdict.status == "determined"
 
 
 def test_a_fit_that_did_not_converge_is_partly_determined() -> None:
     result = run()
-    assert result.tuned is not None
-    result = replace(result, tuned=replace(result.tuned, status="iteration-limit"))
+    assert result.whole_arm is not None
+    result = replace(result, whole_arm=replace(result.whole_arm, status="iteration-limit"))
     assert result.verdict.status == "partly-determined"
     assert result.reason == "the whole-arm fit did not converge"
 
 
 def test_contradicting_stages_reject_the_affected_values() -> None:
     result = run()
-    assert result.tuned is not None
+    assert result.whole_arm is not None
     inertia_test = AgreementTest("inertias", None, 50.0, 4, 6.3)
-    contradicted = replace(result, tuned=replace(result.tuned, agreement=(inertia_test,)))
+    contradicted = replace(result, whole_arm=replace(result.whole_arm, agreement=(inertia_test,)))
     assert all(p.value is None for p in contradicted.parameters)
     assert (contradicted.verdict.status, contradicted.verdict.exit_code) == ("not-determined", 3)
     friction_test = AgreementTest("friction", 2, 50.0, 3, 6.5)
-    contradicted = replace(result, tuned=replace(result.tuned, agreement=(friction_test,)))
+    contradicted = replace(result, whole_arm=replace(result.whole_arm, agreement=(friction_test,)))
     assert {p.label for p in contradicted.parameters if p.value is None} == {
         "motor_viscous_friction 2",
         "link_viscous_friction 2",
@@ -353,7 +353,7 @@ def test_contradicting_stages_reject_the_affected_values() -> None:
     }
     # if only the test of all values fails, the group with the largest difference is rejected
     tests = (AgreementTest("all", None, 60.0, 9, 6.0), replace(friction_test, deviations=3.5))
-    contradicted = replace(result, tuned=replace(result.tuned, agreement=tests))
+    contradicted = replace(result, whole_arm=replace(result.whole_arm, agreement=tests))
     assert contradicted.verdict.status == "partly-determined"
     assert contradicted.verdict.rejected[-1] == "motor_coulomb_friction 2"
     assert contradicted.verdict.reasons[0].startswith(
@@ -361,7 +361,10 @@ def test_contradicting_stages_reject_the_affected_values() -> None:
     )
     small_test = AgreementTest("inertias", None, 15.0, 4, 2.8)
     assert (
-        replace(result, tuned=replace(result.tuned, agreement=(small_test,))).verdict.exit_code == 0
+        replace(
+            result, whole_arm=replace(result.whole_arm, agreement=(small_test,))
+        ).verdict.exit_code
+        == 0
     )
 
 
@@ -374,12 +377,14 @@ def test_a_value_that_a_likely_effect_shifts_is_rejected(
 ) -> None:
     """A value is rejected if the shift exceeds both 5 % and the confidence interval."""
     result = run()
-    assert result.tuned is not None
+    assert result.whole_arm is not None
     value = row(result, "gear_stiffness", 2).value
     assert value is not None
     moved = ParameterShift("gear_stiffness", 2, value, shift * value, deviations)
     cause = Cause(1, "hysteresis", (), 100.0, 0.3, (moved,))
-    with_cause = replace(result, tuned=replace(result.tuned, criticism=Criticism((), (), (cause,))))
+    with_cause = replace(
+        result, whole_arm=replace(result.whole_arm, criticism=Criticism((), (), (cause,)))
+    )
     assert with_cause.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
     assert (with_cause.verdict.status == "determined") != rejected
     if rejected:
@@ -450,14 +455,14 @@ def test_residuals_far_above_the_noise_exclude_determined(
 ) -> None:
     """They must also be large relative to the signal; after a hardening sweep, advice is given."""
     result = run()
-    assert result.tuned is not None
+    assert result.whole_arm is not None
     residual = replace(criticism().residuals[0], deviation=1.0, noise=noise)
-    tuned = replace(
-        result.tuned,
+    whole_arm = replace(
+        result.whole_arm,
         fit_percent={"prbs-j1": {"a1": fit}},
         criticism=Criticism((residual,), ()),
     )
-    poor_fit = replace(result, tuned=tuned)
+    poor_fit = replace(result, whole_arm=whole_arm)
     assert (poor_fit.verdict.status != "determined") == excluded
     if excluded:
         (reason,) = poor_fit.verdict.reasons
@@ -474,7 +479,7 @@ def test_residuals_far_above_the_noise_exclude_determined(
 
 
 def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
-    result = run(tuned=dict.fromkeys(WHOLE, 1000.0))
+    result = run(whole_arm=dict.fromkeys(WHOLE, 1000.0))
     joints = tuple(replace(j, torque_per_volt=90.0) for j in result.study.arm.joints)
     study = replace(result.study, arm=result.study.arm.with_joints(joints))
     wrong = replace(result, study=study)
@@ -517,7 +522,9 @@ def test_required_parameters_depend_on_springs_and_stages() -> None:
         Parameter(name, 1, 1.0, 0.01, "-", "rigid", (0.98, 1.02))
         for name in ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
     )
-    drive = replace(run(), study=rigid_drive(), rigid=rigid_of(parameters), joints=(), tuned=None)
+    drive = replace(
+        run(), study=rigid_drive(), rigid=rigid_of(parameters), joints=(), whole_arm=None
+    )
     assert drive.verdict.status == "determined"
     assert replace(drive, rigid=None).verdict.status == "not-determined"
     with_gravity = replace(drive, study=rigid_drive(9.81))
@@ -537,7 +544,7 @@ def test_required_parameters_depend_on_springs_and_stages() -> None:
 
 
 def test_stages_that_were_not_reached_are_reported() -> None:
-    result = replace(run(), tuned=None)
+    result = replace(run(), whole_arm=None)
     assert result.verdict.status == "partly-determined"
     assert result.verdict.reasons == ("the whole-arm fit was not reached",)
     result = replace(result, joints=result.joints[:1])
@@ -590,16 +597,16 @@ def test_a_later_stage_supersedes_warnings_of_an_earlier_one() -> None:
     early = Diagnostic.at("implausible", Place(joint=1, parameter="gear_damping"), "negative")
     result = replace(run(), warnings=(early,))
     assert early not in published_warnings(result)
-    assert early in published_warnings(replace(result, tuned=None))
+    assert early in published_warnings(replace(result, whole_arm=None))
     place = Place(joint=1, parameter="gear_stiffness")
     slope_warning = Diagnostic.at("equivalent-stiffness", place, "one slope")
-    assert result.tuned is not None
+    assert result.whole_arm is not None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))
-    parameters = tuple(p for p in result.tuned.parameters if p.name != "gear_stiffness")
-    tuned = replace(result.tuned, parameters=parameters + curve)
+    parameters = tuple(p for p in result.whole_arm.parameters if p.name != "gear_stiffness")
+    whole_arm = replace(result.whole_arm, parameters=parameters + curve)
     arm = result.study.arm
     curved = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
     study = replace(result.study, arm=curved)
-    result = replace(result, study=study, tuned=tuned, warnings=(slope_warning,))
+    result = replace(result, study=study, whole_arm=whole_arm, warnings=(slope_warning,))
     assert published_warnings(result) == published_warnings(replace(result, warnings=()))

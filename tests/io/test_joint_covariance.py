@@ -29,7 +29,7 @@ def test_whole_arm_fit_is_read_back() -> None:
         Parameter("motor_coulomb_friction", 1, 0.05, 1e-2, "N m", "tuned", (0.03, 0.07)),
         Parameter("link_viscous_friction", 1, None, None, "N m s/rad", "tuned"),
     )
-    found = replace(identification(), tuned=arm_model(parameters, S))
+    found = replace(identification(), whole_arm=arm_model(parameters, S))
     back = covariance_of(results.to_document(found))
     assert back is not None
     frame = back.to_frame()
@@ -42,10 +42,10 @@ def test_whole_arm_fit_is_read_back() -> None:
 
 def test_joint_models_give_diagonal_blocks() -> None:
     found = elastic_identification()
-    known = joint_covariance(replace(found, tuned=None))
+    known = joint_covariance(replace(found, whole_arm=None))
     assert known is not None
     assert known.stage == "decoupled"
-    published = {p.label: p.std or 0.0 for p in replace(found, tuned=None).parameters}
+    published = {p.label: p.std or 0.0 for p in replace(found, whole_arm=None).parameters}
     std = np.sqrt(np.diag(known.matrix))
     np.testing.assert_allclose(std, [published[name] for name in known.names], rtol=1e-8)
 
@@ -56,7 +56,7 @@ def test_a_clipped_value_has_no_covariance() -> None:
         Parameter("beta", None, 0.02, 2e-4, "kg m^2", "tuned", (0.0196, 0.0204)),
         Parameter("gear_damping", 1, -1e-3, 1e-2, "N m s/rad", "tuned", (-0.02, 0.02)),
     )
-    found = replace(identification(), tuned=arm_model(parameters, S))
+    found = replace(identification(), whole_arm=arm_model(parameters, S))
     known = joint_covariance(found)
     assert known is not None
     assert known.names == ("beta",)

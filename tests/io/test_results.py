@@ -133,15 +133,15 @@ def reported(name: str, value: float | None, std: float | None, joint: int = 1) 
 def test_the_whole_arm_fit_takes_precedence() -> None:
     """Its value replaces one with a smaller standard deviation; so does its null."""
     one = identification()
-    tuned = arm_model(
+    whole_arm = arm_model(
         (reported("inertia", 0.03, 0.01), reported("gear_damping", None, None)),
         np.diag([1e-4, np.inf]),
     )
-    found = {p.name: p for p in replace(one, tuned=tuned).parameters}
+    found = {p.name: p for p in replace(one, whole_arm=whole_arm).parameters}
     assert (found["inertia"].value, found["inertia"].stage) == (0.03, "tuned")
     assert found["gear_damping"].value is None
     silent = arm_model((reported("inertia", None, None),), np.eye(1))
-    found = {p.name: p for p in replace(one, tuned=silent).parameters}
+    found = {p.name: p for p in replace(one, whole_arm=silent).parameters}
     assert (found["inertia"].value, found["inertia"].stage) == (None, "tuned")
 
 
@@ -151,39 +151,39 @@ def test_one_stiffness_is_not_listed_with_three_slopes() -> None:
     bent = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
     one = replace(one, study=replace(one.study, arm=bent))
     slopes = tuple(reported(f"gear_stiffness_k{k}", 1e4 * k, 10.0) for k in (1, 2, 3))
-    names = [p.name for p in replace(one, tuned=arm_model(slopes, np.eye(3))).parameters]
+    names = [p.name for p in replace(one, whole_arm=arm_model(slopes, np.eye(3))).parameters]
     assert "gear_stiffness" not in names
     assert [name for name in names if "stiffness" in name] == [p.name for p in slopes]
     # the curve of joint 2 leaves the stiffness of joint 1
     other = tuple(replace(p, joint=2) for p in slopes)
-    names = [p.name for p in replace(one, tuned=arm_model(other, np.eye(3))).parameters]
+    names = [p.name for p in replace(one, whole_arm=arm_model(other, np.eye(3))).parameters]
     assert "gear_stiffness" in names
 
 
 def test_correlations_of_the_whole_arm_fit() -> None:
     parameters = (reported("a", 1.0, 2.0), reported("b", 1.0, 3.0), reported("c", 0.0, 0.0))
     covariance = np.array([[4.0, -3.0, 0.0], [-3.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
-    one = replace(identification(), tuned=arm_model(parameters, covariance))
-    tuned = json.loads(result.to_json(result.to_document(one)))["stages"]["tuned"]
-    assert tuned["correlations"] == [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
-    assert [p["name"] for p in tuned["parameters"]] == ["a", "b", "c"]
-    assert (tuned["status"], tuned["iterations"]) == ("converged", 7)
-    assert tuned["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
+    one = replace(identification(), whole_arm=arm_model(parameters, covariance))
+    whole_arm = json.loads(result.to_json(result.to_document(one)))["stages"]["tuned"]
+    assert whole_arm["correlations"] == [[1.0, -0.5, 0.0], [-0.5, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    assert [p["name"] for p in whole_arm["parameters"]] == ["a", "b", "c"]
+    assert (whole_arm["status"], whole_arm["iterations"]) == ("converged", 7)
+    assert whole_arm["fit_percent"]["prbs-j1"]["omega_m1"] == 99.0
 
 
 def test_a_parameter_without_variance_has_no_correlation() -> None:
     parameters = (reported("a", 1.0, 2.0), reported("b", None, None))
     vague = arm_model(parameters, np.array([[4.0, 0.0], [0.0, np.inf]]))
     document = json.loads(
-        result.to_json(result.to_document(replace(identification(), tuned=vague)))
+        result.to_json(result.to_document(replace(identification(), whole_arm=vague)))
     )
     assert document["stages"]["tuned"]["correlations"][0][0] == 1.0
 
 
 def test_residual_analysis_is_reported_without_spectra() -> None:
-    tuned = arm_model((reported("a", 1.0, 2.0),), np.array([[4.0]]))
+    whole_arm = arm_model((reported("a", 1.0, 2.0),), np.array([[4.0]]))
     document = json.loads(
-        result.to_json(result.to_document(replace(identification(), tuned=tuned)))
+        result.to_json(result.to_document(replace(identification(), whole_arm=whole_arm)))
     )
     criticism = document["stages"]["tuned"]["criticism"]
     (residual,), (likely,) = criticism["residuals"], criticism["score_tests"]

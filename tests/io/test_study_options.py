@@ -15,7 +15,7 @@ from strainwave.domain import (
     Options,
     PhysicalOptions,
     Study,
-    TuningOptions,
+    WholeArmOptions,
 )
 from strainwave.domain.options import changed_options
 from strainwave.domain.parameters import whole_arm_parameter_names
@@ -47,7 +47,7 @@ def test_tables_of_options_are_read(tmp_path: Path) -> None:
     assert options.statespace == LinearOptions(
         4, method="n4sid", horizon=25, decimation=2, filter="decimation"
     )
-    assert options.tuning == TuningOptions(
+    assert options.tuning == WholeArmOptions(
         as_published=True, ranges={"gear_stiffness": (0.5, 2.0)}, hold=("beta",)
     )
     assert options.physical == PhysicalOptions()
@@ -157,7 +157,7 @@ def test_options_can_be_records_or_tables(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match=r"options.links: the key 'orde' is unknown"):
         with_options(study, {"links": {"orde": 2}})
     with pytest.raises(InvalidInput, match="'k' is not a parameter"):
-        with_options(study, Options(tuning=TuningOptions(hold=("k",))))
+        with_options(study, Options(tuning=WholeArmOptions(hold=("k",))))
 
 
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])

@@ -165,9 +165,9 @@ def test_quick_omits_the_comparisons(
     calls: list[tuple[object, ...]] = []
 
     def compare(
-        seeds: Sequence[int], *, tuned: object, settings: Sequence[Settings], **_: object
+        seeds: Sequence[int], *, whole_arm: object, settings: Sequence[Settings], **_: object
     ) -> Tallies:
-        calls.append((list(seeds), tuned, [how.protocol for how in settings]))
+        calls.append((list(seeds), whole_arm, [how.protocol for how in settings]))
         return tuple(Tally(tally.runs * len(seeds)) for tally in tallies)
 
     monkeypatch.setattr(run, "compare_seeds", compare)

@@ -150,7 +150,7 @@ def _identify(study: Study, logs: dict[str, dict[str, FloatArray]], run: Run) ->
         "status": result.verdict.status,
         "seconds": seconds,
         "tuned_seconds": result.timing_s.get("tuned"),
-        "fit": result.tuned.status if result.tuned else None,
+        "fit": result.whole_arm.status if result.whole_arm else None,
         "reason": result.reason,
         "suspected": [suspicion.code for suspicion in result.suspected],
         "named": _named_effect(result),
@@ -172,7 +172,7 @@ def _named_effect(result: Identification) -> list[Any] | None:
 
 
 def _score_tests(result: Identification) -> list[list[Any]]:
-    criticism = result.tuned.criticism if result.tuned else None
+    criticism = result.whole_arm.criticism if result.whole_arm else None
     if criticism is None:
         return []
     return [
@@ -183,14 +183,14 @@ def _score_tests(result: Identification) -> list[list[Any]]:
 
 def _fitted_effects(result: Identification) -> list[list[Any]]:
     """Rival effects that were fitted one at a time."""
-    criticism = result.tuned.criticism if result.tuned else None
+    criticism = result.whole_arm.criticism if result.whole_arm else None
     causes = criticism.causes if criticism is not None else ()
     return [[cause.effect, cause.joint, cause.gain, cause.share] for cause in causes]
 
 
 def _effects(result: Identification) -> list[list[Any]]:
     """Effects of the fitted model and their joints, also those with rejected values."""
-    parameters = result.tuned.parameters if result.tuned else ()
+    parameters = result.whole_arm.parameters if result.whole_arm else ()
     keys = ((p.name, p.joint) for p in parameters)
     return [[name, joint] for joint, name in effects_among(keys, len(result.study.arm.joints))]
 

@@ -87,7 +87,7 @@ from strainwave.domain.options import (
     Options,
     PhysicalOptions,
     RigidOptions,
-    TuningOptions,
+    WholeArmOptions,
 )
 from strainwave.domain.parameter_table import ParameterDescription, parameter_table
 from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
@@ -223,10 +223,10 @@ __all__ = [
     "Tally",
     "TopicChannel",
     "TorqueHistogram",
-    "TuningOptions",
     "Use",
     "Validation",
     "Verdict",
+    "WholeArmOptions",
     "channel_names",
     "channel_parts",
     "half_width",

@@ -33,7 +33,11 @@ def published_warnings(result: Identification) -> tuple[Diagnostic, ...]:
     for size in implausible_joints(result.study.arm, result.parameters):
         warnings.append(Diagnostic.at("implausible-size", Place(joint=size.joint), size.text))
     has_unpredicted = any(check.unexplained for check in result.checks if not check.of_drive)
-    if result.tuned is not None and not result.verdict.validated.elastic and not has_unpredicted:
+    if (
+        result.whole_arm is not None
+        and not result.verdict.validated.elastic
+        and not has_unpredicted
+    ):
         where = str(result.study.path)
         warnings.append(Diagnostic("elastic-not-validated", where, missing_validation(result)))
     return merge_by_cause(dict.fromkeys(warnings))
@@ -65,7 +69,7 @@ def missing_validation(result: Identification) -> str:
         'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage '
         "of every motor and the servo's references"
     )
-    if result.tuned is None:
+    if result.whole_arm is None:
         return "the run has no whole-arm fit, which predicts the motion"
     if not motion_checks:
         return f"no check record can be simulated; {record}"
@@ -132,13 +136,13 @@ def _current_warnings(
 ) -> Iterator[Diagnostic]:
     """Yield all warnings except those about parameters that a later stage decides."""
     decision_by_place = {_place_of(d.parameter): d for d in decisions}
-    tuned_warnings = set(result.tuned.warnings) if result.tuned is not None else set()
+    tuned_warnings = set(result.whole_arm.warnings) if result.whole_arm is not None else set()
     for warning in result.warnings:
         if warning.code in _STAGE_CODES and warning not in tuned_warnings:
             decision = decision_by_place.get(warning.place) if warning.place else None
             if decision is None:  # the whole-arm fit has a stiffness curve instead
                 is_stiffness = warning.place is not None and warning.place.parameter == STIFFNESS
-                is_superseded = result.tuned is not None and is_stiffness
+                is_superseded = result.whole_arm is not None and is_stiffness
             else:
                 has_value = decision.parameter.value is not None
                 is_superseded = decision.parameter.stage == "tuned"

@@ -92,7 +92,7 @@ def decide(
     study: Study,
     rigid: RigidModel | None,
     joints: Sequence[JointModel],
-    tuned: ArmModel | None,
+    whole_arm: ArmModel | None,
     suspected: Sequence[Suspicion] = (),
     activity: Sequence[Activity] = (),
 ) -> tuple[Decision, ...]:
@@ -120,11 +120,11 @@ def decide(
     ]
     for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
-    if tuned is not None:
-        _enter_whole_arm(table, tuned, first_affected)
+    if whole_arm is not None:
+        _enter_whole_arm(table, whole_arm, first_affected)
     else:
         _make_consistent(table, study.arm, accepted)
-    _remove_equivalent_stiffness(table, study, tuned is not None)
+    _remove_equivalent_stiffness(table, study, whole_arm is not None)
     _reject_gamma(table)
     levels_by_joint = {level.joint: level for level in activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
@@ -213,7 +213,7 @@ def _enter_if_rejected(table: _Table, joint: JointModel, first_affected: int) ->
     return True
 
 
-def _enter_whole_arm(table: _Table, tuned: ArmModel, first_affected: int) -> None:
+def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) -> None:
     """Enter the estimates of the whole-arm fit, identified or not, into the table.
 
     If the stages contradict each other in inertias or gravity torques, the torque of a joint is
@@ -222,19 +222,19 @@ def _enter_whole_arm(table: _Table, tuned: ArmModel, first_affected: int) -> Non
     joint are then rejected.
     """
     if first_affected <= _TUNED:
-        for p in tuned.parameters:
+        for p in whole_arm.parameters:
             table.setdefault(_key(p), _Entry(p, _FAULT_REASON))
         return
-    bounded = set(tuned.at_bounds)
-    for p in tuned.parameters:
+    bounded = set(whole_arm.at_bounds)
+    for p in whole_arm.parameters:
         at_bound_reason = (
             f"the estimate is at the limit of its range, {p.value or 0.0:.3g} {p.unit}"
         )
         table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
-    for key, reason in _effect_shift_reasons(tuned).items():
+    for key, reason in _effect_shift_reasons(whole_arm).items():
         if key in table and not table[key].rejected:
             table[key] = replace(table[key], rejected=reason)
-    failed_tests = contradictions(tuned.agreement)
+    failed_tests = contradictions(whole_arm.agreement)
     friction_joints = {test.joint for test in failed_tests if test.scope == "friction"}
     is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
     for key, entry in table.items():
@@ -245,10 +245,10 @@ def _enter_whole_arm(table: _Table, tuned: ArmModel, first_affected: int) -> Non
             table[key] = replace(entry, rejected=_CONTRADICTION_REASON)
 
 
-def _effect_shift_reasons(tuned: ArmModel) -> dict[Key, str]:
+def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, str]:
     """Values that a likely effect would shift significantly, each with the reason for rejection."""
     reasons: dict[Key, str] = {}
-    for cause in tuned.criticism.causes if tuned.criticism else ():
+    for cause in whole_arm.criticism.causes if whole_arm.criticism else ():
         reason = (
             f"{cause.effect} of joint {cause.joint}, which explains part of the residuals, would"
             f" shift it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"

@@ -40,7 +40,7 @@ class Identification(Displayed):
     joints: tuple[JointModel, ...] = ()  # fitted to all records of a joint
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
     sweeps: tuple[Sweep, ...] = ()
-    tuned: ArmModel | None = None
+    whole_arm: ArmModel | None = None
     suspected: tuple[Suspicion, ...] = ()  # faults of the input
     failures: tuple[str, ...] = ()  # reasons why stages failed, one sentence each
     motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, if the arm was fitted
@@ -51,7 +51,7 @@ class Identification(Displayed):
     def decisions(self) -> tuple[Decision, ...]:
         """The final table, with the decision on each parameter and its reason."""
         return decide(
-            self.study, self.rigid, self.joints, self.tuned, self.suspected, self.activity
+            self.study, self.rigid, self.joints, self.whole_arm, self.suspected, self.activity
         )
 
     @property
@@ -159,8 +159,8 @@ def _failure_reasons(
     yield from _missing_stages(result, required)
     yield from (f"{defect.where}: {defect.message}" for defect in model_defects(result))
     yield from (size.text for size in implausible_joints(result.study.arm, result.parameters))
-    if result.tuned is not None:
-        yield from _contradiction_reasons(result.tuned)
+    if result.whole_arm is not None:
+        yield from _contradiction_reasons(result.whole_arm)
     rejected_primary = [label for label in required.primary if label in rejected]
     if rejected_primary:
         yield f"rejected: {', '.join(rejected_primary)}"
@@ -171,16 +171,16 @@ def _failure_reasons(
         yield f"not identified: {', '.join(missing)}"
 
 
-def _contradiction_reasons(tuned: ArmModel) -> Iterator[str]:
+def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[str]:
     """Yield the disagreements of the stages, with likely causes and experiments to test them."""
-    for test in contradictions(tuned.agreement):
+    for test in contradictions(whole_arm.agreement):
         text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
-        yield f"{text}{_likely_causes(tuned)}"
+        yield f"{text}{_likely_causes(whole_arm)}"
 
 
-def _likely_causes(tuned: ArmModel | None) -> str:
+def _likely_causes(whole_arm: ArmModel | None) -> str:
     """Likely causes of unexplained residuals, as the end of a sentence."""
-    causes = ", or ".join(cause.text for cause in tuned.suspects) if tuned else ""
+    causes = ", or ".join(cause.text for cause in whole_arm.suspects) if whole_arm else ""
     if not causes:
         return ", so check the constants in the study"
     return f", likely causes in this order: {causes}"
@@ -196,9 +196,13 @@ def _missing_stages(result: Identification, required: _Requirements) -> Iterator
     if "decoupled" in required.stages and not fitted.issuperset(elastic):
         names = ", ".join(str(n) for n in elastic if n not in fitted)
         yield f"the decoupled stage gave no model of joint {names}"
-    if "tuned" in required.stages and result.tuned is None:
+    if "tuned" in required.stages and result.whole_arm is None:
         yield "the whole-arm fit was not reached"
-    if "tuned" in required.stages and result.tuned and result.tuned.status == "iteration-limit":
+    if (
+        "tuned" in required.stages
+        and result.whole_arm
+        and result.whole_arm.status == "iteration-limit"
+    ):
         yield "the whole-arm fit did not converge"
 
 
@@ -267,7 +271,7 @@ def model_defects(result: Identification) -> Iterator[Diagnostic]:
         text = (
             f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
             f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
-            f" describe the record{_hardening_advice(result) or _likely_causes(result.tuned)}"
+            f" describe the record{_hardening_advice(result) or _likely_causes(result.whole_arm)}"
         )
         yield Diagnostic.at("not-described", Place.in_records(test.experiment), text)
 
@@ -293,11 +297,11 @@ def _describe_prediction_error(result: Identification, check: Prediction) -> str
 
 def _worst_residual(result: Identification) -> tuple[float, ResidualTest] | None:
     """Largest residual far above the noise, relative to the signal; None without one."""
-    if result.tuned is None or result.tuned.criticism is None:
+    if result.whole_arm is None or result.whole_arm.criticism is None:
         return None
     candidates = []
-    for test in result.tuned.criticism.residuals:
-        fit = result.tuned.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
+    for test in result.whole_arm.criticism.residuals:
+        fit = result.whole_arm.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
         relative_residual = 1.0 - 0.01 * fit
         if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
             candidates.append((relative_residual, test))

@@ -96,7 +96,7 @@ class PhysicalOptions(_Checked):
 
 
 @dataclass(frozen=True, slots=True)
-class TuningOptions(_Checked):
+class WholeArmOptions(_Checked):
     """Options of the whole-arm fit: `tuning`."""
 
     # `tuning` records in closed loop, motor velocities only, no information of other stages
@@ -125,7 +125,7 @@ class Options(_Checked):
     responses: FrequencyOptions = FrequencyOptions()
     statespace: LinearOptions = LinearOptions()
     physical: PhysicalOptions = PhysicalOptions()
-    tuning: TuningOptions = TuningOptions()
+    tuning: WholeArmOptions = WholeArmOptions()
 
     def __post_init__(self) -> None:
         """Make records of plain mappings: `Options(links={"order": 1})`."""

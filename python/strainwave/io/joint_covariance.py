@@ -98,9 +98,9 @@ def _blocks(
     identification: Identification,
 ) -> tuple[str, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
     """The last stage and its groups of correlated parameters with their covariances."""
-    if identification.tuned is not None:
-        tuned = identification.tuned
-        return "tuned", iter([(tuned.parameters, tuned.covariance)])
+    if identification.whole_arm is not None:
+        whole_arm = identification.whole_arm
+        return "tuned", iter([(whole_arm.parameters, whole_arm.covariance)])
     if identification.joints:
         return "decoupled", (
             (joint.parameters, joint.covariance[: len(joint.parameters), : len(joint.parameters)])

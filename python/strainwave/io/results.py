@@ -64,8 +64,8 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["sweeps"] = [asdict(sweep) for sweep in identification.sweeps]
         stages["links"] = [asdict(link) for link in identification.links]
         stages["responses"] = _responses(identification)
-    if identification.tuned is not None:
-        stages["tuned"] = _tuned(identification.tuned)
+    if identification.whole_arm is not None:
+        stages["tuned"] = _whole_arm(identification.whole_arm)
         stages["tuned"]["motor_responses"] = [
             _motor_response(each) for each in identification.motor_responses
         ]
@@ -448,7 +448,7 @@ def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
     return None if unstable else model.fit_percent
 
 
-def _tuned(model: ArmModel) -> dict[str, Any]:
+def _whole_arm(model: ArmModel) -> dict[str, Any]:
     return {
         "status": model.status,
         "iterations": model.iterations,

@@ -41,7 +41,7 @@ class ComparisonOptions:
 
 
 def compare(
-    tuned: ArmModel | None = None,
+    whole_arm: ArmModel | None = None,
     *,
     seed: int = 0,
     settings: Settings = OWN_SETTINGS,
@@ -60,7 +60,7 @@ def compare(
     with one_blas_thread():
         comparisons = [
             _attempt(figure, job, progress)
-            for figure, job in _jobs(rig, tuned, comparison_options).items()
+            for figure, job in _jobs(rig, whole_arm, comparison_options).items()
             if figure in comparison_options.figures
         ]
     rig.clear_caches()
@@ -70,7 +70,7 @@ def compare(
 def compare_seeds(
     seeds: Sequence[int],
     *,
-    tuned: ArmModel | None = None,
+    whole_arm: ArmModel | None = None,
     settings: Sequence[Settings] = (OWN_SETTINGS,),
     options: ComparisonOptions | None = None,
     progress: Callable[[str], None] = lambda _: None,
@@ -82,7 +82,7 @@ def compare_seeds(
     """
 
     def job(seed: int, run_settings: Settings) -> tuple[Comparison, ...]:
-        fit = tuned if seed == seeds[0] and run_settings.protocol == "own" else None
+        fit = whole_arm if seed == seeds[0] and run_settings.protocol == "own" else None
         run = compare(fit, seed=seed, settings=run_settings, options=options, progress=progress)
         progress(f"seed {seed} is done")
         return (
@@ -103,16 +103,16 @@ def compare_seeds(
 
 
 def _jobs(
-    rig: Rig, tuned: ArmModel | None, options: ComparisonOptions
+    rig: Rig, whole_arm: ArmModel | None, options: ComparisonOptions
 ) -> dict[int, Callable[[], Comparison]]:
     """Function that computes each figure. The jobs share simulations and estimates."""
     levels: amplitude.LevelsByJoint = {}
     records = options.records or rig.settings.records
 
     def tuned_arm() -> Tuned:
-        if tuned is None:
-            return rig.tuned()
-        return Tuned(dict(tuned.values), (evidence_of(tuned, "whole arm"),))
+        if whole_arm is None:
+            return rig.whole_arm()
+        return Tuned(dict(whole_arm.values), (evidence_of(whole_arm, "whole arm"),))
 
     def over_amplitudes(step: Callable[[amplitude.LevelsByJoint], Comparison]) -> Comparison:
         if not levels:

@@ -55,11 +55,11 @@ def modified_values(rig: Rig) -> Tuned:
     return Tuned(_values(rig, modified), tuple(evidence))
 
 
-def responses(rig: Rig, joint: int, tuned: Tuned) -> Comparison:
+def responses(rig: Rig, joint: int, whole_arm: Tuned) -> Comparison:
     """Figs. 6 and 9: initial, modified and tuned response of one joint."""
     run = rig.prbs(joint)
     models = stages(rig, joint)
-    tuned_joint = equivalent(run.arm, tuned.values, run.trajectory, joint)
+    tuned_joint = equivalent(run.arm, whole_arm.values, run.trajectory, joint)
     truth = response_of(run.truth, _LINES_HZ)
     plotted = {
         name: response_of(model, _LINES_HZ)
@@ -106,7 +106,7 @@ def responses(rig: Rig, joint: int, tuned: Tuned) -> Comparison:
         evidence=(
             models.initial.evidence,
             models.evidence,
-            *tuned.evidence,
+            *whole_arm.evidence,
         ),
         values={**errors, **gear},
         message=f"off by {errors['initial_db']:.2f} dB at first, {errors['modified_db']:.2f} dB "

@@ -38,7 +38,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification import rigid
 from strainwave.identification.decoupling import decouple
 from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.paper.estimates import Estimate, estimate, evidence_of, growth_of
 from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
@@ -105,13 +105,13 @@ class Rig:
         self.estimate = cache(self._estimate)
         self.physical = cache(self._physical)
         self.transfer = cache(self._transfer)
-        self.tuned = cache(self._tuned)
+        self.whole_arm = cache(self._whole_arm)
         self._prbs_start = int(self._rng(3).integers(2**PRBS_ORDER - 1))
 
     def clear_caches(self) -> None:
         """Release all runs and models, which take some hundred megabytes."""
-        cached = (self.rigid, self.prbs, self.estimate, self.physical, self.transfer, self.tuned)
-        for function in cached:
+        models = (self.rigid, self.estimate, self.physical, self.transfer, self.whole_arm)
+        for function in (self.prbs, *models):
             function.cache_clear()
 
     def steps(self, levels: tuple[float, ...], joint: int, number: int) -> Log:
@@ -241,7 +241,7 @@ class Rig:
         known = rigid_knowledge(self.rigid(DEFAULT_PAYLOAD), self.arm, joint)
         return from_state_space(estimate.model, run.decoupled, self.arm, known)
 
-    def _tuned(self) -> Tuned:
+    def _whole_arm(self) -> Tuned:
         """All parameters from a PRBS and a step of each joint, or as published."""
         self.progress("fine tuning")
         logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
@@ -254,7 +254,7 @@ class Rig:
             runs = [self.prbs(joint) for joint in (1, 2)]
             joints = [self.physical(run) for run in runs]
             logs += [run.log for run in runs]
-        model = tune(logs, self.rigid(DEFAULT_PAYLOAD), joints, arm, self.settings.tuning)
+        model = fit_whole_arm(logs, self.rigid(DEFAULT_PAYLOAD), joints, arm, self.settings.tuning)
         values, evidence = dict(model.values), evidence_of(model, name)
         if self.settings.tuning.as_published:  # the ranges are part of the method
             growth = max(

@@ -36,7 +36,7 @@ def write_comparisons(
     numbers = range(seed, seed + seeds)
     settings = (OWN_SETTINGS, PUBLISHED_SETTINGS) if as_published else (OWN_SETTINGS,)
     tallies = compare_seeds(
-        numbers, tuned=identification.tuned, settings=settings, progress=progress
+        numbers, whole_arm=identification.whole_arm, settings=settings, progress=progress
     )
     progress("writing the comparisons")
     page = render_comparisons(tallies, arm=scara.DESCRIPTION)

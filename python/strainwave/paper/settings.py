@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from strainwave.domain import LinearOptions, LinkOptions, Protocol, TuningOptions
+from strainwave.domain import LinearOptions, LinkOptions, Protocol, WholeArmOptions
 from strainwave.domain.options import EstimationMethod
 
 CLASSICAL_METHOD: EstimationMethod = "moesp"
@@ -20,7 +20,7 @@ class Settings:
     periods: int  # of the PRBS, 1023 clocks of 1 ms each
     links: LinkOptions = field(default_factory=LinkOptions)
     linear: LinearOptions = field(default_factory=LinearOptions)
-    tuning: TuningOptions = field(default_factory=TuningOptions)
+    tuning: WholeArmOptions = field(default_factory=WholeArmOptions)
     records: int = 4  # of one period at each amplitude of Figs. 14 and 15
     why_not_better: str = "the first model was already accurate"  # by fine tuning
 
@@ -34,7 +34,7 @@ PUBLISHED_SETTINGS = Settings(
     periods=1,
     links=LinkOptions(order=1),  # the source does not give its time constant
     linear=LinearOptions(order=4, decimation=80, filter="decimation"),
-    tuning=TuningOptions(as_published=True),
+    tuning=WholeArmOptions(as_published=True),
     records=1,
     why_not_better="steps load the gear less than the PRBS does, and the one stiffness follows the "
     "softer slope there",

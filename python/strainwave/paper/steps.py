@@ -53,11 +53,11 @@ def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
     )
 
 
-def validation(rig: Rig, tuned: Tuned) -> Comparison:
+def validation(rig: Rig, whole_arm: Tuned) -> Comparison:
     """Fig. 8: steps for validation."""
     fits, plots = [], []
     for number, levels in enumerate(_VALIDATION_STEPS, start=1):
-        measured, model, time = _link_velocities(rig, tuned.values, levels, number)
+        measured, model, time = _link_velocities(rig, whole_arm.values, levels, number)
         fits.append(_fit(measured, model))
         level_list = " to ".join(f"{level:g}" for level in levels)
         plots.append(_plot(measured, model, time, f"Reference {level_list} rad/s of the motor"))
@@ -72,7 +72,7 @@ def validation(rig: Rig, tuned: Tuned) -> Comparison:
                 _MIN_FIT_REASON,
             ),
         ),
-        evidence=tuned.evidence,
+        evidence=whole_arm.evidence,
         message="fits of the link velocity " + " and ".join(f"{fit:.1f} %" for fit in fits),
         plots=tuple(plots),
     )

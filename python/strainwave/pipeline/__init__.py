@@ -42,8 +42,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import with_sensor_positions
 from strainwave.errors import InvalidInput, NotIdentifiable, suggest_name
 from strainwave.identification import amplitude_sweep as sweep
-from strainwave.identification import rigid, validation
-from strainwave.identification import whole_arm as tuning
+from strainwave.identification import rigid, validation, whole_arm
 from strainwave.identification.motor_responses import motor_response
 from strainwave.io import logs
 from strainwave.io.atomic_files import write_whole
@@ -131,11 +130,11 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         result, input_check = _explain_suspicion(run, the_study, all_logs, model, suspicion)
     elif elastic and not input_check.suspected:
         result = _fit_elastic(run, the_study, all_logs, model)
-    tuned = result.tuned
+    arm_model = result.whole_arm
     motors: tuple[MotorResponse, ...] = ()
-    if tuned is not None:
-        checks = _add_elastic_predictions(run, all_logs, tuned, checks)
-        motors = _motor_responses(run, all_logs, tuned, result.starts)
+    if arm_model is not None:
+        checks = _add_elastic_predictions(run, all_logs, arm_model, checks)
+        motors = _motor_responses(run, all_logs, arm_model, result.starts)
     identification = Identification(
         study=the_study,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -151,7 +150,7 @@ def _identify(the_study: Study, all_logs: Sequence[Log], run: Run) -> Identifica
         responses=result.responses,
         links=run.links,
         sweeps=sweep.sweeps(result.records),
-        tuned=tuned,
+        whole_arm=arm_model,
         suspected=input_check.suspected,
         motor_responses=motors,
         failures=tuple(run.failures),
@@ -169,7 +168,7 @@ class _ElasticResult:
     joints: tuple[JointModel, ...] = ()
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)
     starts: tuple[JointModel, ...] = ()  # of the whole-arm fit
-    tuned: ArmModel | None = None
+    whole_arm: ArmModel | None = None
 
 
 def _explain_suspicion(
@@ -182,12 +181,12 @@ def _explain_suspicion(
     """Results of the elastic stages if they explain a suspected torque constant; else none."""
     before = run.copy_state()
     result = _fit_elastic(run, the_study, all_logs, model)
-    if result.tuned is None or not tuning.has_likelier_effect(result.tuned, run.arm):
+    if result.whole_arm is None or not whole_arm.has_likelier_effect(result.whole_arm, run.arm):
         run.restore(before)
         return _ElasticResult(), Consistency((suspicion,))
     text = f"{suspicion.message}; the effect named in the warnings explains all records better"
     run.warnings.append(Diagnostic("torques-contradict", suspicion.where, text))
-    if result.tuned.criticism is not None and result.tuned.criticism.causes:
+    if result.whole_arm.criticism is not None and result.whole_arm.criticism.causes:
         run.failures.append(text)  # until that effect is in the model
     return result, Consistency()
 
@@ -206,7 +205,7 @@ def _fit_elastic(
     ):
         starts = from_catalogue(run, the_study, all_logs, model)
 
-    def whole_arm() -> ArmModel | None:
+    def fit() -> ArmModel | None:
         if "tuned" not in run.stages or len(starts) != run.arm.n_joints:
             return None
         return _fit_whole_arm(run, the_study, all_logs, model, starts)
@@ -215,8 +214,8 @@ def _fit_elastic(
         with run.measure_time("decoupled"):
             return stage.record_models()
 
-    tuned, records = both(whole_arm, record_models)
-    return _ElasticResult(records, stage.joints, stage.responses, starts, tuned)
+    arm_model, records = both(fit, record_models)
+    return _ElasticResult(records, stage.joints, stage.responses, starts, arm_model)
 
 
 def _check_logs(
@@ -313,7 +312,7 @@ def _fit_whole_arm(
         try:
             options = the_study.options.tuning
             start = run.sensors
-            arm_model = tuning.tune(
+            arm_model = whole_arm.fit_whole_arm(
                 all_logs,
                 model,
                 joints,
@@ -336,7 +335,7 @@ def _fit_whole_arm(
 def _add_elastic_predictions(
     run: Run,
     all_logs: Sequence[Log],
-    tuned: ArmModel,
+    arm_model: ArmModel,
     checks: tuple[Prediction, ...],
 ) -> tuple[Prediction, ...]:
     """Add simulations of the check records' motion to the predictions of their torques."""
@@ -346,9 +345,9 @@ def _add_elastic_predictions(
             for log in _logs_of_use(all_logs, "check")
             if missing_recorded_input(run.arm, log) is None
         ]
-        arm = with_sensor_positions(run.arm, tuned.values)
+        arm = with_sensor_positions(run.arm, arm_model.values)
         predictions = run_parallel(
-            [partial(validation.predict_elastic, tuned, log, arm) for log in simulated]
+            [partial(validation.predict_elastic, arm_model, log, arm) for log in simulated]
         )
     run.warnings.extend(warning for each in predictions for warning in each.warnings)
     return (*checks, *predictions)
@@ -357,7 +356,7 @@ def _add_elastic_predictions(
 def _motor_responses(
     run: Run,
     all_logs: Sequence[Log],
-    tuned: ArmModel,
+    arm_model: ArmModel,
     joints: Sequence[JointModel],
 ) -> tuple[MotorResponse, ...]:
     """Responses of each motor at full amplitude, measured and simulated."""
@@ -367,7 +366,7 @@ def _motor_responses(
             for log in _logs_of_use(all_logs, "frequency")
             if log.experiment.joint is not None and missing_motor_signal(run.arm, log) is None
         ]
-        jobs = [partial(motor_response, log, tuned, joints, run.arm) for log in used]
+        jobs = [partial(motor_response, log, arm_model, joints, run.arm) for log in used]
         return tuple(run_parallel(jobs))
 
 

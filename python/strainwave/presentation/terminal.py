@@ -115,8 +115,8 @@ def _fit_table(identification: Identification) -> Table:
     for use, predictions in groups:
         for prediction in predictions:
             rows.setdefault((prediction.experiment, use), {}).update(prediction.fit_percent)
-    if not identification.fitted and identification.tuned is not None:
-        for name, fits in identification.tuned.fit_percent.items():
+    if not identification.fitted and identification.whole_arm is not None:
+        for name, fits in identification.whole_arm.fit_percent.items():
             rows[name, "fitted"] = dict(fits)
     channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
     table = _empty_table("fit of record", "use", *channels)

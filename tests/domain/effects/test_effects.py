@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from effect_runs import records, tuned
+from effect_runs import records, whole_arm
 from strainwave import _core
 from strainwave.domain import (
     Cause,
@@ -298,7 +298,7 @@ def test_a_registered_effect_is_simulated(registered: Effect, tmp_path: Path) ->
 @pytest.mark.usefixtures("registered")
 def test_a_registered_effect_is_fitted() -> None:
     _, true, _ = records(("stribeck",))
-    model = tuned.__wrapped__(("stribeck",), ("breakaway",))
+    model = whole_arm.__wrapped__(("stribeck",), ("breakaway",))
     assert model.status == "converged"
     for name in ("stribeck_friction", "stribeck_velocity"):
         assert model.values[name, 1] == pytest.approx(true[name, 1], rel=0.05)

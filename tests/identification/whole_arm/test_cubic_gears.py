@@ -16,7 +16,7 @@ from strainwave.domain.gear_laws.cubic import CUBIC
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.presentation.report import gears
 from strainwave.virtual import scara
 from strainwave.virtual.experiments import derived
@@ -31,7 +31,7 @@ FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 def run(cubic: bool, spring: str = "cubic") -> tuple[Values, ArmModel]:
     study, true_values, records = shaken(cubic, spring)
     joints = joint_models(study, true_values, 0.05, FACTORS)
-    return true_values, tune(
+    return true_values, fit_whole_arm(
         records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm)
     )
 
@@ -103,7 +103,7 @@ def test_a_law_from_elsewhere_is_fitted_and_drawn() -> None:
     try:
         true_values, model = run(True, "hardening")
         study = scara.study(Path("nowhere"), "hardening")
-        result = replace(elastic_identification(), study=study, tuned=model)
+        result = replace(elastic_identification(), study=study, whole_arm=model)
         curves = gears.stiffness_curves(result)
         estimates = {p.label: p for p in result.parameters}
     finally:

@@ -44,17 +44,17 @@ def run(folder: Path, sensors: Sequence[str], seed: int = SEED) -> tuple[Identif
 def check(found: Identification, known: Values, close: float) -> None:
     """Check that the result is determined, and that stiffness and inertia errors are small."""
     assert found.verdict.status == "determined", found.verdict.reasons
-    assert found.tuned is not None
+    assert found.whole_arm is not None
     errors = {
         p.label: abs(p.value / known[p.name, p.joint] - 1.0)
-        for p in found.tuned.parameters
+        for p in found.whole_arm.parameters
         if p.value is not None and p.name.startswith(("gear_stiffness", "motor_inertia", "beta"))
     }
     assert len(errors) >= 5
     assert max(errors.values()) < close, errors
     inside = [
         p.ci95[0] <= known[p.name, p.joint] <= p.ci95[1]
-        for p in found.tuned.parameters
+        for p in found.whole_arm.parameters
         if p.ci95 is not None and (p.name, p.joint) in known and p.name not in _OF_NO_ONE
     ]
     # of about twenty 95 % intervals, more than four miss the true value with a probability of 1/400
@@ -99,14 +99,14 @@ def test_lab_arms_without_link_sensors(tmp_path: Path, shared_data: Path, arm: s
     result = identify(study, options={"tuning": {"rival_effort": 0.0}})
     true_values = derived(read_parameters(folder / "truth.json"), study.arm)
     assert result.verdict.status == "determined", result.verdict.reasons
-    assert result.tuned is not None
+    assert result.whole_arm is not None
     assert all(joint.method == "motor-response" for joint in result.joints)
-    springs = [p for p in result.tuned.parameters if p.name.startswith("gear_stiffness")]
+    springs = [p for p in result.whole_arm.parameters if p.name.startswith("gear_stiffness")]
     for p in springs:
         assert p.value == pytest.approx(true_values[p.name, p.joint], rel=0.005), p.label
     inside = [
         p.ci95[0] <= true_values[p.name, p.joint] <= p.ci95[1]
-        for p in result.tuned.parameters
+        for p in result.whole_arm.parameters
         if p.ci95 is not None and (p.name, p.joint) in true_values
     ]
     assert np.sum(~np.array(inside)) <= 2

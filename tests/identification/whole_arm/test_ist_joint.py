@@ -38,16 +38,16 @@ def both(
     return identify(measured / "study.toml"), identify(folder / "study.toml")
 
 
-def _tuned(found: Identification, name: str) -> Parameter:
-    assert found.tuned is not None
-    return next(p for p in found.tuned.parameters if p.name == name)
+def _whole_arm(found: Identification, name: str) -> Parameter:
+    assert found.whole_arm is not None
+    return next(p for p in found.whole_arm.parameters if p.name == name)
 
 
 def test_the_motor_encoder_alone_gives_the_estimates_of_both_sensors(
     both: tuple[Identification, Identification],
 ) -> None:
     for name in PRIMARY:
-        full, alone = (_tuned(result, name) for result in both)
+        full, alone = (_whole_arm(result, name) for result in both)
         print(f"| {name} | {_cell(full)} | {_cell(alone)} |")
         if alone.value is None or full.value is None:
             continue
@@ -55,7 +55,7 @@ def test_the_motor_encoder_alone_gives_the_estimates_of_both_sensors(
         assert full.std is not None
         difference = abs(alone.value - full.value) / np.hypot(alone.std, full.std)
         assert difference < 3.0, name
-    stiffness = _tuned(both[1], "gear_stiffness")
+    stiffness = _whole_arm(both[1], "gear_stiffness")
     assert stiffness.value is not None
     assert stiffness.std is not None
     assert stiffness.std < 0.15 * stiffness.value

@@ -15,7 +15,7 @@ from strainwave.domain.kinds import change_arm_keys
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -46,7 +46,7 @@ def remove_sensor_keys(study: Study, *names: str) -> Study:
 def from_five_percent(study: Study, known: Values, logs: list[Log]) -> ArmModel:
     """Fit from joint models with errors of 5 %."""
     joints = joint_models(study, known, 0.05, FACTORS)
-    return tune(logs, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
+    return fit_whole_arm(logs, rigid_model(study, known, 0.01, 1.0), joints, Arm.of(study.arm))
 
 
 @cache

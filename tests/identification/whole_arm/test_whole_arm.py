@@ -27,7 +27,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
-from strainwave.identification.whole_arm import TuningOptions, tune
+from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
@@ -68,14 +68,14 @@ def from_wrong_starts(
     records: Sequence[Log],
     study: Study,
     known: Values,
-    options: TuningOptions | None = None,
+    options: WholeArmOptions | None = None,
     share: float = 0.05,
     start: Values | None = None,
 ) -> ArmModel:
     """Fit from joint models with relative errors `share`; inertias of the rigid model have 1 %."""
     joints = joint_models(study, known, share, FACTORS)
     model = rigid_model(study, known, 0.01, 1.0)
-    return tune(records, model, joints, Arm.of(study.arm), options, start=start)
+    return fit_whole_arm(records, model, joints, Arm.of(study.arm), options, start=start)
 
 
 def rig_records() -> tuple[Study, Values, list[Log]]:
@@ -86,14 +86,14 @@ def rig_records() -> tuple[Study, Values, list[Log]]:
     return study, true_values, [*shakes, replace(step, time=step.time[:3200], channels=first)]
 
 
-def tuned(options: TuningOptions | None = None, share: float = 0.2) -> ArmModel:
+def whole_arm(options: WholeArmOptions | None = None, share: float = 0.2) -> ArmModel:
     study, true_values, records = rig_records()
     return from_wrong_starts(records, study, true_values, options, share)
 
 
 @cache
 def standard() -> ArmModel:
-    return tuned()
+    return whole_arm()
 
 
 def test_wrong_starts_come_back() -> None:
@@ -189,7 +189,7 @@ def test_derived_parameters_are_the_sums_of_their_parts() -> None:
 
 @cache
 def started_close() -> ArmModel:
-    return tuned(share=0.05)
+    return whole_arm(share=0.05)
 
 
 @cache
@@ -256,7 +256,7 @@ def test_a_friction_settling_time_is_recovered() -> None:
     where = [f"friction_settling_time of joint {joint}" for joint in (1, 2)]
     assert warnings(model, "friction-settles") == where
     # without the settling time, other parameters compensate for it
-    at_once = from_wrong_starts(records, study, true_values, TuningOptions(settling=False))
+    at_once = from_wrong_starts(records, study, true_values, WholeArmOptions(settling=False))
     assert at_once.values[SETTLING, 1] == 0.0
     assert errors_of(at_once, true_values)["motor_inertia", 1][0] > 0.004
     for name, fits in model.fit_percent.items():
@@ -268,7 +268,7 @@ def test_friction_that_acts_at_once_needs_no_time() -> None:
     assert warnings(model, "friction-settles") == []
     assert not any(p.name == SETTLING for p in model.parameters)
     assert model.values[SETTLING, 1] == model.values[SETTLING, 2] == 0.0
-    with_settling = tuned(TuningOptions(settling=True), share=0.05)
+    with_settling = whole_arm(WholeArmOptions(settling=True), share=0.05)
     assert 0.0 < with_settling.values[SETTLING, 1] < 3e-5
 
 
@@ -332,7 +332,9 @@ def test_a_single_joint_under_gravity() -> None:
     wrong = true * (1.0 + 0.05 * np.append(FACTORS[0], 0.0))
     named = dict(zip(JOINT_NAMES, wrong.tolist(), strict=True))
     start = joint_model(study, 1, named, np.diag((0.05 * true) ** 2))
-    model = tune(records, rigid_model(study, values, 0.01, 1.0), [start], Arm.of(study.arm))
+    model = fit_whole_arm(
+        records, rigid_model(study, values, 0.01, 1.0), [start], Arm.of(study.arm)
+    )
     # one step hardly determines the individual viscous frictions, so they may converge slowly
     for name, limit in [
         ("motor_inertia", 0.005),
@@ -346,7 +348,7 @@ def test_a_single_joint_under_gravity() -> None:
     names = [(p.name, p.joint) for p in model.parameters]
     assert names.count(("link_inertia", 1)) == 1
     with pytest.raises(NotIdentifiable, match="gravity_torque_1"):
-        tune(records, None, [start], Arm.of(study.arm))
+        fit_whole_arm(records, None, [start], Arm.of(study.arm))
 
 
 def test_a_negative_viscous_friction_starts_positive() -> None:
@@ -354,7 +356,9 @@ def test_a_negative_viscous_friction_starts_positive() -> None:
     joints = list(joint_models(study, true_values, 0.05, FACTORS))
     values = {**joints[0].values, "link_viscous_friction": -0.1, "motor_viscous_friction": 2.6e-4}
     joints[0] = replace(joints[0], values=values)
-    model = tune(records[:2], rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
+    model = fit_whole_arm(
+        records[:2], rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm)
+    )
     assert model.values["link_viscous_friction", 1] > 0.0
     assert model.values["motor_viscous_friction", 1] > 0.0
     total = next(p for p in model.parameters if p.name == "total_viscous_friction")
@@ -384,12 +388,12 @@ def test_a_parameter_at_the_end_of_its_range_is_reported() -> None:
     joints = list(joint_models(study, true_values, 0.0, FACTORS))
     start = 0.3 * true_values["gear_stiffness", 2]
     joints[1] = replace(joints[1], values={**joints[1].values, "gear_stiffness": start})
-    model = tune(
+    model = fit_whole_arm(
         records[1:2],
         rigid_model(study, true_values, 0.01),
         joints,
         Arm.of(study.arm),
-        TuningOptions(settling=False),
+        WholeArmOptions(settling=False),
     )
     assert model.status == "at-bounds"
     assert "gear_stiffness of joint 2" in warnings(model, "at-bounds")
@@ -399,18 +403,18 @@ def test_a_parameter_at_the_end_of_its_range_is_reported() -> None:
 def test_inertias_that_rest_on_one_at_its_bound_are_at_it_as_well() -> None:
     """beta is limited to 0.9 of the true value; the link inertias depend on it."""
     study, true_values, records = rig_records()
-    model = tune(
+    model = fit_whole_arm(
         records[1:2],
         rigid_model(study, true_values, 0.01),
         joint_models(study, true_values, 0.0, FACTORS),
         Arm.of(study.arm),
-        TuningOptions(settling=False, ranges={"beta": (0.5, 0.9)}),
+        WholeArmOptions(settling=False, ranges={"beta": (0.5, 0.9)}),
     )
     assert model.at_bounds == (("beta", None), ("link_inertia", 1), ("link_inertia", 2))
 
 
 def test_too_few_iterations_are_reported() -> None:
-    model = tuned(TuningOptions(max_iterations=2))
+    model = whole_arm(WholeArmOptions(max_iterations=2))
     assert model.status == "iteration-limit"
     assert "iteration-limit" in [warning.code for warning in model.warnings]
     assert model.iterations < standard().iterations
@@ -419,16 +423,16 @@ def test_too_few_iterations_are_reported() -> None:
 
 
 def test_iterations_stay_below_their_limit() -> None:
-    assert tuned(TuningOptions(max_iterations=4)).iterations <= 4
+    assert whole_arm(WholeArmOptions(max_iterations=4)).iterations <= 4
 
 
 def test_the_other_options_change_the_outcome() -> None:
     reference = started_close()
-    low = tuned(TuningOptions(cutoff_hz=30.0), share=0.05)
+    low = whole_arm(WholeArmOptions(cutoff_hz=30.0), share=0.05)
     assert low.values != reference.values
     assert low.values["gear_stiffness", 1] == pytest.approx(25000.0, rel=0.01)
     # the option sets the weight of the correct friction of the rigid model
-    weak_prior = tuned(TuningOptions(least_deviation=0.5), share=0.05)
+    weak_prior = whole_arm(WholeArmOptions(least_deviation=0.5), share=0.05)
     study, known_values, _ = rig_records()
     friction = ("total_viscous_friction", 1)
     errors = [
@@ -446,22 +450,22 @@ def test_refusals() -> None:
     model = rigid_model(study, true_values, 0.01)
     checks = [log for log in rig_logs()[1] if log.experiment.use == "check"]
     with pytest.raises(NotIdentifiable, match='use = "frequency", "sweep" or "tuning"'):
-        tune(checks, model, joints, Arm.of(study.arm))
+        fit_whole_arm(checks, model, joints, Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match='joint 2 has none: record it with use = "frequency"'):
-        tune(records, model, joints[:1], Arm.of(study.arm))
+        fit_whole_arm(records, model, joints[:1], Arm.of(study.arm))
     with pytest.raises(NotIdentifiable, match="needs gamma, which"):
-        tune(records, None, joints, Arm.of(study.arm))
+        fit_whole_arm(records, None, joints, Arm.of(study.arm))
     brief = {name: channel[:60] for name, channel in records[0].channels.items()}
     short = replace(records[0], time=records[0].time[:60], channels=brief)
     with pytest.raises(InvalidInput, match="record at least"):
-        tune([short], model, joints, Arm.of(study.arm))
+        fit_whole_arm([short], model, joints, Arm.of(study.arm))
     # a record that cannot be simulated is not used
     without_encoder = [
         replace(log, channels={k: x for k, x in log.channels.items() if k != "theta_m1"})
         for log in records
     ]
     with pytest.raises(NotIdentifiable, match="angle and the voltage of every motor"):
-        tune(without_encoder, model, joints, Arm.of(study.arm))
+        fit_whole_arm(without_encoder, model, joints, Arm.of(study.arm))
 
 
 def test_a_motor_that_has_not_moved_yet_is_no_obstacle() -> None:
@@ -490,7 +494,7 @@ def test_an_impossible_start_is_replaced(joint: int, name: str, value: float, wh
     joints = list(joint_models(study, true_values, 0.05, FACTORS))
     wrong = joints[joint - 1]
     joints[joint - 1] = replace(wrong, values={**wrong.values, name: value})
-    model = tune(records, rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
+    model = fit_whole_arm(records, rigid_model(study, true_values, 0.01), joints, Arm.of(study.arm))
     assert model.status == "converged"
     assert warnings(model, "start-rejected") == [where]
     for key, (relative, normalised) in errors_of(model, true_values).items():
@@ -507,7 +511,7 @@ def test_undetermined_starting_values_are_refused() -> None:
     wrong = tuple(replace(p, value=-0.6) if p.name == "beta" else p for p in model.parameters)
     negative_beta = replace(model, parameters=wrong, solution=np.array([p.value for p in wrong]))
     with pytest.raises(NotIdentifiable, match="signs, units and assignment"):
-        tune(records, negative_beta, [joints[0], negative_inertia], Arm.of(study.arm))
+        fit_whole_arm(records, negative_beta, [joints[0], negative_inertia], Arm.of(study.arm))
 
 
 @cache
@@ -529,7 +533,7 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
         joints.append(
             physical.identify_joint([(link_signals, decoupled_joint)], model, Arm.of(study.arm))
         )
-    return study, records, tune(records, model, joints, Arm.of(study.arm))
+    return study, records, fit_whole_arm(records, model, joints, Arm.of(study.arm))
 
 
 @pytest.mark.parametrize(

@@ -132,8 +132,8 @@ def test_a_prismatic_joint_has_its_own_units() -> None:
 
 def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
     covariance = np.diag((0.01 * JOINT.vector) ** 2)
-    tuned = bode.TunedJoint(1.1 * JOINT.vector, covariance)
-    figure = bode.bode(joint_model(), RATIO, measured(), tuned=tuned)
+    whole_arm = bode.TunedJoint(1.1 * JOINT.vector, covariance)
+    figure = bode.bode(joint_model(), RATIO, measured(), whole_arm=whole_arm)
     f, size = line_of(figure, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
     assert size == pytest.approx(20.0 * np.log10(np.abs(expected)), abs=0.005)
@@ -141,7 +141,7 @@ def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> N
     assert order.index("measured") < order.index("joint model")  # the line is on top
     assert marks(figure, Markers)[0].opacity < 0.5
     assert {band.name for band in marks(figure, Band)} >= {"joint model", "whole-arm fit"}
-    without = bode.bode(joint_model(), RATIO, None, tuned=replace(tuned, covariance=None))
+    without = bode.bode(joint_model(), RATIO, None, whole_arm=replace(whole_arm, covariance=None))
     assert [band.name for band in marks(without, Band)] == ["joint model"]
 
 

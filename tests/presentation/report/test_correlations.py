@@ -20,8 +20,8 @@ def parameter(name: str, value: float | None = 1.0, joint: int | None = 1) -> Pa
 
 
 def correlations_of(names: list[str], covariance: list[list[float]]) -> Correlations | None:
-    tuned = arm_model(tuple(parameter(name) for name in names), np.array(covariance))
-    return correlations.correlations(replace(identification(), tuned=tuned))
+    whole_arm = arm_model(tuple(parameter(name) for name in names), np.array(covariance))
+    return correlations.correlations(replace(identification(), whole_arm=whole_arm))
 
 
 def test_correlations_are_normalised_covariances() -> None:

@@ -44,9 +44,11 @@ def test_the_torsion_scatters_as_its_standard_deviation_states() -> None:
 
 def test_unidentified_parameters_are_not_drawn() -> None:
     one = elastic_identification()
-    assert one.tuned is not None
+    assert one.whole_arm is not None
     parameters, covariance = curve_parameters(gear_stiffness_k3=None, gear_knee_t2=None)
-    two = replace(one, tuned=replace(one.tuned, parameters=parameters, covariance=covariance))
+    two = replace(
+        one, whole_arm=replace(one.whole_arm, parameters=parameters, covariance=covariance)
+    )
     gear = gears.stiffness_curves(two)[0]
     assert gear.values == {
         "gear_stiffness_k1": 16000.0,
@@ -58,7 +60,7 @@ def test_unidentified_parameters_are_not_drawn() -> None:
 
 
 def test_without_a_whole_arm_fit_one_stiffness_is_drawn() -> None:
-    gear = gears.stiffness_curves(replace(elastic_identification(), tuned=None))[0]
+    gear = gears.stiffness_curves(replace(elastic_identification(), whole_arm=None))[0]
     assert gear.values == {"gear_stiffness": 25000.0}
     assert gear.is_equivalent
     assert gear.covariance[0, 0] == pytest.approx(joint_model().covariance[4, 4])

@@ -202,8 +202,8 @@ def test_long_records_are_decimated() -> None:
 
 def test_residual_tests_and_likely_effects_are_shown() -> None:
     parameters = (Parameter("motor_inertia", 1, 1e-4, 1e-6, "kg m^2", "tuned", (0.9e-4, 1.1e-4)),)
-    tuned = arm_model(parameters, np.array([[1e-12]]))
-    page = render(replace(identification(), tuned=tuned))
+    whole_arm = arm_model(parameters, np.array([[1e-12]]))
+    page = render(replace(identification(), whole_arm=whole_arm))
     for text in (
         "22 Hz",
         "p &lt; 0.001",
@@ -222,8 +222,8 @@ def test_residual_tests_and_likely_effects_are_shown() -> None:
 
 
 def test_fits_before_and_after_the_fit_are_shown() -> None:
-    tuned = replace(arm_model((), np.zeros((0, 0))), criticism=None)
-    page = render(replace(identification(), tuned=tuned))
+    whole_arm = replace(arm_model((), np.zeros((0, 0))), criticism=None)
+    page = render(replace(identification(), whole_arm=whole_arm))
     assert "80.0 % → 99.0 %" in page
     assert "converged, 7 evaluations" in page
 

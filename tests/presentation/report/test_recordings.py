@@ -49,7 +49,7 @@ def test_records_are_folded_if_there_are_results() -> None:
     one = elastic_identification()
     (fold,) = recordings(one, 600)
     assert isinstance(fold, Fold)
-    bare = replace(one, rigid=None, joints=(), tuned=None)
+    bare = replace(one, rigid=None, joints=(), whole_arm=None)
     (plot,) = recordings(bare, 600)
     assert isinstance(plot, Plot)
     assert "4000 samples, 3.999 s, sample time 1 ms" in plot.words

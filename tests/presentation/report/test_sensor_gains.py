@@ -33,8 +33,8 @@ def gain(parameter: Parameter, share: float, sensor: LinkSensor, link: int) -> S
 def run_with(*gains: SensorGain) -> Identification:
     parameters = (STIFFNESS, DAMPING)
     covariance = np.diag([p.std**2 for p in parameters if p.std is not None])
-    tuned = replace(arm_model(parameters, covariance), sensor_gains=gains)
-    return replace(identification(), tuned=tuned, stages=("rigid", "decoupled", "tuned"))
+    whole_arm = replace(arm_model(parameters, covariance), sensor_gains=gains)
+    return replace(identification(), whole_arm=whole_arm, stages=("rigid", "decoupled", "tuned"))
 
 
 def test_the_largest_improvement_is_first() -> None:

@@ -93,9 +93,9 @@ def test_identified_parameters_are_counted() -> None:
 
 def test_likely_causes_of_a_disagreement_have_their_experiment() -> None:
     one = elastic_identification()
-    assert one.tuned is not None
+    assert one.whole_arm is not None
     suspect = SuspectConstant("torque_per_volt", 2, 0.42, 0.0321, "N m/V", "measure the current")
-    text = words_of(verdict(replace(one, tuned=replace(one.tuned, suspects=(suspect,)))))
+    text = words_of(verdict(replace(one, whole_arm=replace(one.whole_arm, suspects=(suspect,)))))
     assert "|torque_per_volt of joint 2|0.0321 N m/V|42 %|measure the current|" in text
 
 

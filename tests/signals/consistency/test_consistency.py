@@ -258,7 +258,7 @@ def test_a_fault_gives_exit_code_3_and_a_remedy(arm: Input, tmp_path: Path) -> N
     assert [each.where for each in result.suspected] == ["a1"]
     assert result.rigid is not None
     assert not result.joints
-    assert result.tuned is None
+    assert result.whole_arm is None
 
 
 def test_time_in_milliseconds_gives_no_traceback(arm: Input, tmp_path: Path) -> None:

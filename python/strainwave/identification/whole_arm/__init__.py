@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from strainwave.domain import ArmModel, JointModel, Log, RigidModel, TuningOptions
+from strainwave.domain import ArmModel, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.conclusion import arm_model
@@ -32,7 +32,7 @@ from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = [
     "Fit",
-    "TuningOptions",
+    "WholeArmOptions",
     "fit_records",
     "has_likelier_effect",
     "predicted_parameters",
@@ -40,12 +40,12 @@ __all__ = [
 ]
 
 
-def tune(
+def fit_whole_arm(
     logs: Sequence[Log],
     model: RigidModel | None,
     joints: Sequence[JointModel],
     arm: Arm,
-    options: TuningOptions | None = None,
+    options: WholeArmOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
     others: Sequence[Sequence[JointModel]] = (),
@@ -72,7 +72,7 @@ def tune(
     "at-bounds". Raises `NotIdentifiable` without a usable record or start, and `InvalidInput` if a
     record lacks what its simulation needs.
     """
-    chosen = expand_published_options(options or TuningOptions())
+    chosen = expand_published_options(options or WholeArmOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
         begin = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
@@ -84,12 +84,12 @@ def fit_records(
     model: RigidModel | None,
     joints: Sequence[JointModel],
     arm: Arm,
-    options: TuningOptions | None = None,
+    options: WholeArmOptions | None = None,
     *,
     start: Mapping[Key, float] | None = None,
 ) -> Fit:
-    """Fit as `tune` does, and return the fit itself with its residuals."""
-    chosen = expand_published_options(options or TuningOptions())
+    """Fit as `fit_whole_arm` does, and return the fit itself with its residuals."""
+    chosen = expand_published_options(options or WholeArmOptions())
     with one_blas_thread():
         begin = prepare_start(logs, model, (joints,), arm, chosen, start)
         return _fit(begin, Selection(arm, chosen))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, TuningOptions
+from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key
@@ -77,7 +77,7 @@ def prepare_start(
     model: RigidModel | None,
     candidates: Sequence[Sequence[JointModel]],
     arm: Arm,
-    options: TuningOptions,
+    options: WholeArmOptions,
     given: Mapping[Key, float] | None,
 ) -> Start:
     """Prepare the records and choose the starting values of a fit.
@@ -143,7 +143,7 @@ def prepare_start(
 
 
 def _records(
-    used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: TuningOptions
+    used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
 ) -> tuple[tuple[Dataset, ...], list[Dataset]]:
     """Prepare the records in the band of the joints' resonances, in short and in long steps."""
     cutoff = options.cutoff_hz or _cutoff(used, joints, arm)
@@ -200,7 +200,7 @@ def _space(
     model: RigidModel | None,
     joints: Sequence[JointModel],
     arm: Arm,
-    options: TuningOptions,
+    options: WholeArmOptions,
 ) -> ParameterSpace:
     """Unknowns with starting values from the joint models, gear curves included."""
     voltage = np.max([np.max(np.abs(r.drive.voltage), axis=0) for r in records], axis=0)

@@ -79,7 +79,7 @@ def bode(
     measured: FrequencyResponse | None,
     state_space: Mapping[str, StateSpace] | None = None,
     *,
-    tuned: TunedJoint | None = None,
+    whole_arm: TunedJoint | None = None,
     is_prismatic: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence if it is known.
@@ -97,9 +97,9 @@ def bode(
     _add_joint(
         panels, vector_of(joint), covariance, gear_ratio, f, ("joint model", MODEL_COLOUR, SOLID)
     )
-    if tuned is not None:
+    if whole_arm is not None:
         style = ("whole-arm fit", TUNED_COLOUR, _TUNED_DASH)
-        _add_joint(panels, tuned.vector, tuned.covariance, gear_ratio, f, style)
+        _add_joint(panels, whole_arm.vector, whole_arm.covariance, gear_ratio, f, style)
     axes = [
         Axis(f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"),
         Axis("phase [°]", step=90.0),

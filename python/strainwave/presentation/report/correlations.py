@@ -33,9 +33,9 @@ class Correlations:
 
 def correlations(identification: Identification) -> Correlations | None:
     """Of the whole-arm fit, else of the last stage before; None with fewer than two parameters."""
-    tuned, joints, rigid = identification.tuned, identification.joints, identification.rigid
-    if tuned is not None:
-        return _of(tuned.parameters, tuned.covariance)
+    whole_arm, joints, rigid = identification.whole_arm, identification.joints, identification.rigid
+    if whole_arm is not None:
+        return _of(whole_arm.parameters, whole_arm.covariance)
     if len(joints) == 1:
         size = len(joints[0].parameters)
         return _of(joints[0].parameters, joints[0].covariance[:size, :size])

@@ -68,15 +68,19 @@ class StiffnessCurve:
 
 def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
     """The curve of every elastic gear: of the whole-arm fit, else of the joint model."""
-    tuned = identification.tuned
+    whole_arm = identification.whole_arm
     curves = []
     for number, joint in enumerate(identification.study.arm.joints, start=1):
         if not joint.elastic:
             continue
-        loads = next((h for h in (tuned.gear_loads if tuned else ()) if h.joint == number), None)
+        loads = next(
+            (h for h in (whole_arm.gear_loads if whole_arm else ()) if h.joint == number), None
+        )
         curve = None
-        if tuned is not None:
-            curve = _stiffness_curve(number, joint.law, tuned.parameters, tuned.covariance, loads)
+        if whole_arm is not None:
+            curve = _stiffness_curve(
+                number, joint.law, whole_arm.parameters, whole_arm.covariance, loads
+            )
         for model in identification.joints:
             if curve is None and model.joint == number:
                 size = len(model.parameters)

@@ -152,7 +152,7 @@ def _bode_plot(result: Identification, joint: JointModel) -> Plot:
             for record in _full_amplitude(result, joint)
             if record.state_space is not None
         },
-        tuned=_tuned_joint(result, joint),
+        whole_arm=_tuned_joint(result, joint),
         is_prismatic=description.motion == "prismatic",
     )
     label = f"Joint {joint.joint}: motor torque to motor velocity"
@@ -167,7 +167,7 @@ def _pole_blocks(result: Identification) -> Iterator[Block]:
             for record in _full_amplitude(result, joint)
             if record.modes is not None
         }
-        figure = pole_zero_map(joint, ratio, modes, tuned=_tuned_joint(result, joint))
+        figure = pole_zero_map(joint, ratio, modes, whole_arm=_tuned_joint(result, joint))
         label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
         caption = (
             "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
@@ -189,10 +189,10 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
 
     A gear curve is represented by the joint model's equivalent stiffness, without a band.
     """
-    tuned = result.tuned
-    if tuned is None:
+    whole_arm = result.whole_arm
+    if whole_arm is None:
         return None
-    values = dict(tuned.values)
+    values = dict(whole_arm.values)
     values_of_joint = {
         name: value for (name, number), value in values.items() if number == joint.joint
     }
@@ -204,18 +204,18 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
     names = list(joint.values)[:6]
     if not set(names) <= set(values_of_joint):
         return None
-    rows = {p.name: k for k, p in enumerate(tuned.parameters) if p.joint == joint.joint}
+    rows = {p.name: k for k, p in enumerate(whole_arm.parameters) if p.joint == joint.joint}
     vector = np.array([values_of_joint[name] for name in names])
     if not set(names) <= set(rows):
         return bode.TunedJoint(vector, None)
     order = [rows[name] for name in names]
-    return bode.TunedJoint(vector, tuned.covariance[np.ix_(order, order)])
+    return bode.TunedJoint(vector, whole_arm.covariance[np.ix_(order, order)])
 
 
 def _prediction_blocks(result: Identification) -> Iterator[Block]:
     """Check records first, then fitted records, folded."""
-    tuned = result.tuned
-    fitted = [("tuning", p) for p in (tuned.simulated if tuned else ())]
+    whole_arm = result.whole_arm
+    fitted = [("tuning", p) for p in (whole_arm.simulated if whole_arm else ())]
     fitted += [("fitted", p) for p in result.fitted]
     channels = sum(len(p.channels) for p in (*result.checks, *(p for _, p in fitted)))
     limit = _line_points(_MAX_PREDICTION_POINTS, 3 * channels)
@@ -224,8 +224,8 @@ def _prediction_blocks(result: Identification) -> Iterator[Block]:
     if fitted:
         plots = [_prediction_plot(result, p, (kind, "fitted record"), limit) for kind, p in fitted]
         yield Fold(f"Fitted records ({len(plots)})", tuple(plots))
-    if tuned is not None:
-        yield from _fit_blocks(tuned)
+    if whole_arm is not None:
+        yield from _fit_blocks(whole_arm)
 
 
 def _line_points(total: int, lines: int) -> int:
@@ -260,17 +260,16 @@ def _fit_change_cell(before: float, after: float | None) -> Cell:
     return number(f"{percent(before)} → {percent(after)}")
 
 
-def _fit_blocks(tuned: ArmModel) -> Iterator[Block]:
+def _fit_blocks(whole_arm: ArmModel) -> Iterator[Block]:
     """Fits of each record before and after the whole-arm fit."""
-    channels = list(dict.fromkeys(name for fits in tuned.fit_percent.values() for name in fits))
+    channels = list(dict.fromkeys(name for fits in whole_arm.fit_percent.values() for name in fits))
     rows: list[Row] = []
-    for experiment, fits in tuned.fit_percent.items():
-        before = tuned.initial_fit_percent.get(experiment, {})
+    for experiment, fits in whole_arm.fit_percent.items():
+        before = whole_arm.initial_fit_percent.get(experiment, {})
         cells = [_fit_change_cell(before.get(name, math.nan), fits.get(name)) for name in channels]
         rows.append((experiment, *cells))
-    title = (
-        f"Fits before → after the whole-arm fit ({tuned.status}, {tuned.iterations} evaluations)"
-    )
+    outcome = f"{whole_arm.status}, {whole_arm.iterations} evaluations"
+    title = f"Fits before → after the whole-arm fit ({outcome})"
     yield from table(title, ("record", *map(number, channels)), rows)
 
 
@@ -302,7 +301,7 @@ def _gear_blocks(result: Identification) -> Iterator[Block]:
 
 
 def _residual_blocks(result: Identification) -> Iterator[Block]:
-    criticism = result.tuned.criticism if result.tuned else None
+    criticism = result.whole_arm.criticism if result.whole_arm else None
     if criticism is not None:
         yield from residual_tests(criticism)
     yield from residual_correlations(result)

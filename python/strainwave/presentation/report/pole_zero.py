@@ -40,7 +40,7 @@ def pole_zero_map(
     gear_ratio: float,
     state_space: Mapping[str, Modes] | None = None,
     *,
-    tuned: TunedJoint | None = None,
+    whole_arm: TunedJoint | None = None,
 ) -> Figure:
     """Poles (crosses) and zeros (circles) in continuous time.
 
@@ -55,8 +55,8 @@ def pole_zero_map(
     marks += _marks(
         *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", MODEL_COLOUR
     )
-    if tuned is not None:
-        roots = _joint_roots(tuned.vector, tuned.covariance, gear_ratio)
+    if whole_arm is not None:
+        roots = _joint_roots(whole_arm.vector, whole_arm.covariance, gear_ratio)
         marks += _marks(*roots, "whole-arm fit", TUNED_COLOUR)
     panel = Panel(Axis("imaginary part [rad/s]"), tuple(marks), height=_HEIGHT)
     return Figure(Axis("real part [rad/s]"), (panel,))

@@ -95,7 +95,7 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
 
 def residual_correlations(identification: Identification) -> Iterator[Block]:
     """Auto- and cross-correlations: check records open, fitted records and state space folded."""
-    tests = identification.tuned.criticism if identification.tuned else None
+    tests = identification.whole_arm.criticism if identification.whole_arm else None
     by_record: dict[str, list[ResidualTest]] = {}
     for test in tests.residuals if tests else ():
         by_record.setdefault(test.experiment, []).append(test)

@@ -32,7 +32,7 @@ def _sentences(identification: Identification) -> Iterator[str]:
         if d.identified and d.parameter.stage == "tuned"
     }
     groups: dict[LinkSensor, dict[int, list[SensorGain]]] = {}
-    for gain in identification.tuned.sensor_gains if identification.tuned else ():
+    for gain in identification.whole_arm.sensor_gains if identification.whole_arm else ():
         helps = gain.predicted_std < _MAX_INTERVAL_RATIO * gain.std
         helps = helps and gain.percent > _MIN_HALF_WIDTH_PERCENT
         if helps and (gain.name, gain.joint) in published:

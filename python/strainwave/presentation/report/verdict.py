@@ -79,7 +79,7 @@ def _suspicion_blocks(identification: Identification) -> Iterator[Block]:
 
 def _cause_blocks(identification: Identification) -> Iterator[Block]:
     """If the stages disagree: likely causes, each with the experiment that separates it."""
-    tuned = identification.tuned
+    whole_arm = identification.whole_arm
     rows: list[Row] = [
         (
             cause.name if cause.joint is None else f"{cause.name} of joint {cause.joint}",
@@ -87,7 +87,7 @@ def _cause_blocks(identification: Identification) -> Iterator[Block]:
             number(f"{100.0 * cause.share:.3g} %"),
             prose(cause.experiment),
         )
-        for cause in (tuned.suspects if tuned else ())
+        for cause in (whole_arm.suspects if whole_arm else ())
     ]
     heads: Row = (
         "likely cause, most likely first",

@@ -156,8 +156,8 @@ def fast_clock(name: str, x: FloatArray) -> FloatArray:
 
 def test_on_a_clean_arm_the_stages_agree(tmp_path: Path) -> None:
     result = altered(tmp_path, lambda _, x: x)
-    assert result.tuned is not None
-    tests = result.tuned.agreement
+    assert result.whole_arm is not None
+    tests = result.whole_arm.agreement
     scopes = [(test.scope, test.joint) for test in tests]
     assert scopes == [("all", None), ("inertias", None), ("friction", 1), ("friction", 2)]
     assert all(test.deviations < MAX_NOISE_DEVIATIONS for test in tests), tests
@@ -167,8 +167,8 @@ def test_on_a_clean_arm_the_stages_agree(tmp_path: Path) -> None:
 def test_a_motor_that_weakens_at_full_voltage_is_a_contradiction(tmp_path: Path) -> None:
     """Inertias have errors of 10 %, which the fit values do not show. No inertia is published."""
     result = altered(tmp_path, weakening)
-    assert result.tuned is not None
-    by_scope = {test.scope: test.deviations for test in result.tuned.agreement}
+    assert result.whole_arm is not None
+    by_scope = {test.scope: test.deviations for test in result.whole_arm.agreement}
     assert by_scope["inertias"] > 8.0
     assert "stages-disagree" in [w.code for w in result.warnings]
     assert (result.verdict.status, result.verdict.exit_code) == ("not-determined", 3)
@@ -180,7 +180,7 @@ def test_a_link_length_that_is_wrong_is_named_before_any_fit(tmp_path: Path) -> 
     length = records()[0].arm.joints[1].origin.xyz[0]
     assert length is not None
     result = altered(tmp_path, lambda _, x: x, 1.08 * length)
-    assert result.tuned is None
+    assert result.whole_arm is None
     assert result.verdict.status == "inconsistent-input"
     (suspicion,) = result.verdict.suspected
     assert suspicion.code == "wrong-geometry"

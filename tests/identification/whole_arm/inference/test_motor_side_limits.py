@@ -10,7 +10,7 @@ import pytest
 from strainwave.domain import ArmModel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.virtual.experiments import derived
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth
 
@@ -32,7 +32,7 @@ def said(
     if not sensors:
         motor = ("u1", "u2", "theta_m1", "theta_m2")
         logs = tuple(replace(log, channels={c: log.channels[c] for c in motor}) for log in logs)
-    model = tune(
+    model = fit_whole_arm(
         logs,
         rigid_model(study, values, 0.01),
         joint_models(study, values, 0.02, FACTORS),

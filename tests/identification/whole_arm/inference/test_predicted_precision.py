@@ -9,7 +9,7 @@ import pytest
 
 from strainwave.domain import Log, Parameter, Study
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm import predicted_parameters, tune
+from strainwave.identification.whole_arm import fit_whole_arm, predicted_parameters
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -38,7 +38,9 @@ def test_a_fit_s_intervals_are_those_predicted(spring: str, channels: tuple[str,
     predicted = relative(predicted_parameters(records, Arm.of(study.arm), true_values))
     joints = joint_models(study, true_values, 0.02, FACTORS)
     estimated = relative(
-        tune(records, rigid_model(study, true_values, 0.002), joints, Arm.of(study.arm)).parameters
+        fit_whole_arm(
+            records, rigid_model(study, true_values, 0.002), joints, Arm.of(study.arm)
+        ).parameters
     )
     shared = predicted.keys() & estimated.keys()
     assert len(shared) >= 8

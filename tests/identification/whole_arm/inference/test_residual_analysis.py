@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from effect_runs import ALL, SIZES, tuned
+from effect_runs import ALL, SIZES, whole_arm
 from strainwave.domain import EffectName, FloatArray, ResidualTest
 from strainwave.domain.effects import all_effects
 from strainwave.identification.whole_arm.inference.residual_analysis import (
@@ -109,7 +109,7 @@ def test_only_residuals_far_above_the_noise_have_a_warning() -> None:
 @pytest.mark.parametrize("effect", ALL)
 def test_an_effect_that_is_not_in_the_model_is_named(effect: EffectName) -> None:
     """The effect ranks first with about its size, and the warning states the remedy."""
-    model = tuned((effect,), ())
+    model = whole_arm((effect,), ())
     assert model.criticism is not None
     first = model.criticism.score_tests[0]
     assert (first.joint, first.effect) == (1, effect)
@@ -147,7 +147,7 @@ POSSIBLE = sum(1 if effect.first_joint_only else 2 for effect in all_effects())
 
 
 def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
-    model = tuned((), ())
+    model = whole_arm((), ())
     assert model.criticism is not None
     assert len(model.criticism.score_tests) == POSSIBLE
     assert not any(test.evident for test in model.criticism.score_tests)
@@ -156,7 +156,7 @@ def test_an_arm_without_effects_gives_no_evidence_of_any() -> None:
 
 
 def test_fitted_effects_are_not_candidates() -> None:
-    model = tuned(("hysteresis",), ("hysteresis",))
+    model = whole_arm(("hysteresis",), ("hysteresis",))
     assert model.criticism is not None
     tested = {(test.joint, test.effect) for test in model.criticism.score_tests}
     assert (1, "hysteresis") not in tested

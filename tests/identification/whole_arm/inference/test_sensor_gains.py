@@ -10,7 +10,7 @@ import pytest
 
 from strainwave.domain import ArmModel, Log, Parameter
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
@@ -27,11 +27,13 @@ def without_links(logs: tuple[Log, ...], joints: set[int]) -> list[Log]:
 
 
 @cache
-def tuned(*missing: int, spring: str = "linear") -> ArmModel:
+def whole_arm(*missing: int, spring: str = "linear") -> ArmModel:
     study, true_values, logs = shaken(spring)
     records = without_links(logs, set(missing))
     joints = joint_models(study, true_values, 0.05, FACTORS)
-    return tune(records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
+    return fit_whole_arm(
+        records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm)
+    )
 
 
 def std_of(model: ArmModel, name: str, joint: int) -> float:
@@ -55,25 +57,25 @@ def predicted(model: ArmModel, link: int, name: str, joint: int) -> float:
 
 @pytest.mark.parametrize("link", [1, 2])
 def test_an_additional_accelerometer_gives_the_predicted_gain(link: int) -> None:
-    without, with_it = tuned(1, 2), tuned(3 - link)
+    without, with_it = whole_arm(1, 2), whole_arm(3 - link)
     ratios = [predicted(without, link, *gear) / std_of(with_it, *gear) for gear in GEARS]
     assert all(1.0 / 1.5 < ratio < 1.5 for ratio in ratios), ratios
 
 
 def test_an_accelerometer_at_a_still_point_gives_no_gain() -> None:
     """At 0.27 m, the accelerometer is near the centre of percussion of the second link."""
-    without, with_it = tuned(1, 2), tuned(1)
+    without, with_it = whole_arm(1, 2), whole_arm(1)
     for gear in GEARS:
         assert predicted(without, 2, *gear) > 0.8 * std_of(without, *gear)
         assert std_of(with_it, *gear) > 0.8 * std_of(without, *gear)
 
 
 def test_a_link_with_a_sensor_needs_no_other() -> None:
-    assert tuned().sensor_gains == ()
-    assert {gain.link for gain in tuned(1).sensor_gains} == {1}
+    assert whole_arm().sensor_gains == ()
+    assert {gain.link for gain in whole_arm(1).sensor_gains} == {1}
 
 
 def test_no_sensor_makes_an_interval_wider() -> None:
-    gains = tuned(1, 2).sensor_gains
+    gains = whole_arm(1, 2).sensor_gains
     assert {gain.sensor for gain in gains} == {"accelerometer", "link-encoder", "gyro"}
     assert all(0.0 < gain.predicted_std <= gain.std for gain in gains)

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from effect_runs import ALIKE, ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, tuned
+from effect_runs import ALIKE, ALL, EVERY, OF_THE_CORE, SIZES, records, rig, single_tuned, whole_arm
 from strainwave.domain import ArmModel
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS
@@ -38,7 +38,7 @@ def reported_out(model: ArmModel) -> list[str]:
 
 
 def test_effects_that_are_there_come_back() -> None:
-    model = tuned(ALL, ALL)
+    model = whole_arm(ALL, ALL)
     assert model.status == "converged"
     assert reported_out(model) == []
     reported = {(p.name, p.joint): p for p in model.parameters}
@@ -54,17 +54,17 @@ def test_effects_that_are_there_come_back() -> None:
 
 
 def test_without_them_other_parameters_take_their_place() -> None:
-    model = tuned(ALL, ())
+    model = whole_arm(ALL, ())
     known_values = truth()[1]
     errors = [model.values[name, 1] / known_values[name, 1] - 1.0 for name in ("gear_stiffness",)]
     assert np.abs(errors).max() > 0.02
-    with_them = tuned(ALL, ALL)
+    with_them = whole_arm(ALL, ALL)
     for name, fits in with_them.fit_percent.items():
         assert all(fits[channel] > model.fit_percent[name][channel] for channel in fits)
 
 
 def test_an_arm_without_effects_gets_none() -> None:
-    model, reference = tuned((), ALL), tuned((), ())
+    model, reference = whole_arm((), ALL), whole_arm((), ())
     assert reported_out(model) == list(ALL)
     assert not any(key in model.values for key in SIZES)
     assert model.values == reference.values
@@ -72,13 +72,13 @@ def test_an_arm_without_effects_gets_none() -> None:
 
 
 def test_a_truncated_search_for_effects_has_the_status_iteration_limit() -> None:
-    model = tuned(ALL, ALL, most=8)
+    model = whole_arm(ALL, ALL, most=8)
     assert model.status == "iteration-limit"
     assert 8 < model.iterations <= 2 * 8
 
 
 def test_only_the_true_effects_remain() -> None:
-    model = tuned(("hysteresis",), ALL)
+    model = whole_arm(("hysteresis",), ALL)
     assert reported_out(model) == ["stribeck", "kinematic-error"]
     for name in effect_named("hysteresis").names:
         assert model.values[name, 1] == pytest.approx(SIZES[name, 1], rel=0.05)
@@ -149,7 +149,7 @@ def test_records_are_run_with_the_effects_that_are_known() -> None:
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
-    model = tuned((name,), ())
+    model = whole_arm((name,), ())
     assert model.criticism is not None
     first = model.criticism.score_tests[0]
     assert first.evident
@@ -160,7 +160,7 @@ def test_an_effect_that_the_model_lacks_is_named_first(name: str) -> None:
 
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_a_named_effect_is_recovered_and_removes_the_bias_of_the_others(name: str) -> None:
-    model = tuned((name,), (name,))
+    model = whole_arm((name,), (name,))
     assert model.status == "converged"
     reported = {(p.name, p.joint): p for p in model.parameters}
     for size in effect_named(name).names:

@@ -11,7 +11,7 @@ import pytest
 from strainwave.domain import ArmModel, JointModel
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken
 
 NEAR, FAR = 0.02, 6.0  # relative error of a good start; stiffness factor of a poor start
@@ -26,16 +26,16 @@ def starts(factor: float) -> tuple[JointModel, ...]:
     return joints[0], replace(joints[1], values={**joints[1].values, "gear_stiffness": stiffness})
 
 
-def tuned(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmModel:
+def whole_arm(first: Sequence[JointModel], *others: Sequence[JointModel]) -> ArmModel:
     study, values, logs = shaken()
     model = rigid_model(study, values, 0.02)
-    return tune(logs, model, first, Arm.of(study.arm), others=others)
+    return fit_whole_arm(logs, model, first, Arm.of(study.arm), others=others)
 
 
 def test_the_records_choose_in_any_order() -> None:
-    reference = tuned(starts(1.0))
+    reference = whole_arm(starts(1.0))
     for order in ((1.0, FAR), (FAR, 1.0)):
-        model = tuned(*(starts(factor) for factor in order))
+        model = whole_arm(*(starts(factor) for factor in order))
         assert model.status == "converged"
         for p, q in zip(model.parameters, reference.parameters, strict=True):
             if p.value is not None and q.value is not None and q.std:
@@ -45,7 +45,7 @@ def test_the_records_choose_in_any_order() -> None:
 
 def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
     _, values, _ = shaken()
-    model = tuned(starts(FAR), starts(0.9 * FAR))
+    model = whole_arm(starts(FAR), starts(0.9 * FAR))
     k = model.values["gear_stiffness", 2]
     assert model.status == "converged"
     assert k == pytest.approx(values["gear_stiffness", 2], rel=0.02)
@@ -53,10 +53,10 @@ def test_a_start_at_the_limit_of_its_range_moves_the_range() -> None:
 
 def test_candidates_that_cannot_be_simulated_are_skipped() -> None:
     _, values, _ = shaken()
-    model = tuned(starts(STIFF), starts(1.0))
+    model = whole_arm(starts(STIFF), starts(1.0))
     assert model.values["gear_stiffness", 2] == pytest.approx(values["gear_stiffness", 2], rel=0.02)
 
 
 def test_starts_that_cannot_be_simulated_are_refused() -> None:
     with pytest.raises(NotIdentifiable):
-        tuned(starts(STIFF), starts(2.0 * STIFF))
+        whole_arm(starts(STIFF), starts(2.0 * STIFF))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from effect_runs import ALIKE, EVERY, OF_THE_CORE, SHARES, tuned
+from effect_runs import ALIKE, EVERY, OF_THE_CORE, SHARES, whole_arm
 from strainwave.domain import ArmModel
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named
 from strainwave.domain.gear_laws import STIFFNESS
@@ -33,7 +33,7 @@ def added_effects(model: ArmModel) -> list[str]:
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
     """The effect has the correct size, and the predicted shifts equal the actual ones."""
-    model = tuned((name,), ())
+    model = whole_arm((name,), ())
     assert model.criticism is not None
     cause = model.criticism.causes[0]
     if cause.effect in ALIKE.get(name, ()):
@@ -54,7 +54,7 @@ def test_the_likeliest_cause_is_the_true_one(name: str) -> None:
 @pytest.mark.parametrize("name", OF_THE_CORE)
 def test_a_significant_effect_is_added(name: str) -> None:
     """With few rival fits: the test above tells the effects apart."""
-    model = tuned((name,), "auto", effort=0.1)
+    model = whole_arm((name,), "auto", effort=0.1)
     assert added_effects(model) == [name]
     assert model.status == "converged"
     for parameter in MENDED:
@@ -74,7 +74,7 @@ def test_a_significant_effect_is_added(name: str) -> None:
     ids=["a mode below", "a mode above", "another order", "another order of the gear"],
 )
 def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float) -> None:
-    model = tuned((name,), (), shapes=(((shape, 1), value),))
+    model = whole_arm((name,), (), shapes=(((shape, 1), value),))
     assert model.criticism is not None
     first = model.criticism.score_tests[0]
     assert first.evident
@@ -87,7 +87,7 @@ def test_an_effect_of_unusual_shape_is_named(name: str, shape: str, value: float
 
 
 def test_an_effect_of_unusual_shape_is_added() -> None:
-    model = tuned(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
+    model = whole_arm(("flexible-link",), "auto", shapes=((("flexible_frequency", 1), 15.0),))
     assert added_effects(model) == ["flexible-link"]
     for parameter in MENDED:
         assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.005), (
@@ -118,7 +118,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> Counter[NamedEffect]:
 
 
 def test_of_noise_each_effect_is_tested_once(counts: Counter[NamedEffect]) -> None:
-    tuned((), (), most=59)
+    whole_arm((), (), most=59)
     assert counts == dict.fromkeys(POSSIBLE, 1)
 
 
@@ -129,7 +129,7 @@ def test_of_noise_each_effect_is_tested_once(counts: Counter[NamedEffect]) -> No
 def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
     counts: Counter[NamedEffect], cutoff_hz: float, below: dict[str, int]
 ) -> None:
-    tuned(("hysteresis",), (), cutoff_hz=cutoff_hz)
+    whole_arm(("hysteresis",), (), cutoff_hz=cutoff_hz)
     joint_parameters = KnownJoint(0.01, 0.05, 2e4, 30.0, 10.0)
     numbers = {effect.name: len(effect.tested_shapes(joint_parameters)) for effect in all_effects()}
     numbers |= below
@@ -137,7 +137,7 @@ def test_of_more_than_noise_each_is_tested_at_all_its_shapes_within_the_band(
 
 
 def test_two_effects_are_added_one_after_the_other() -> None:
-    model = tuned(("hysteresis", "load-friction"), "auto")
+    model = whole_arm(("hysteresis", "load-friction"), "auto")
     assert sorted(added_effects(model)) == ["hysteresis", "load-friction"]
     for parameter in MENDED:
         assert model.values[parameter, 1] == pytest.approx(truth()[1][parameter, 1], rel=0.01), (
@@ -146,7 +146,7 @@ def test_two_effects_are_added_one_after_the_other() -> None:
 
 
 def test_an_arm_without_effects_takes_up_none() -> None:
-    model, reference = tuned((), "auto"), tuned((), ())
+    model, reference = whole_arm((), "auto"), whole_arm((), ())
     assert added_effects(model) == []
     assert model.values == reference.values
     assert model.criticism is not None
@@ -154,7 +154,7 @@ def test_an_arm_without_effects_takes_up_none() -> None:
 
 
 def test_the_parameter_shifts_of_a_cause_are_sorted() -> None:
-    model = tuned(("hysteresis",), ())
+    model = whole_arm(("hysteresis",), ())
     assert model.criticism is not None
     for cause in model.criticism.causes:
         shift_sizes = [abs(move.deviations) for move in cause.shifts]
@@ -164,11 +164,11 @@ def test_the_parameter_shifts_of_a_cause_are_sorted() -> None:
 
 def test_rivals_are_fitted_within_their_budget() -> None:
     """With zero effort no rival effect is fitted, and a warning lists the effects."""
-    named = tuned(("hysteresis",), ())
+    named = whole_arm(("hysteresis",), ())
     assert named.criticism is not None
     assert named.criticism.causes
     assert not [w for w in named.warnings if w.code == "causes-not-fitted"]
-    unfitted = tuned(("hysteresis",), (), effort=0.0)
+    unfitted = whole_arm(("hysteresis",), (), effort=0.0)
     assert unfitted.criticism is not None
     assert unfitted.criticism.causes == ()
     (warning,) = [w for w in unfitted.warnings if w.code == "causes-not-fitted"]

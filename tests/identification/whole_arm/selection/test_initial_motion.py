@@ -9,7 +9,7 @@ import pytest
 
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.arm_unknowns import space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.preparation import dataset_of
@@ -67,7 +67,7 @@ def test_records_from_turning_points_are_fitted() -> None:
     study, true_values, _ = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
     start = (rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
-    model = tune(cut(), *start)
+    model = fit_whole_arm(cut(), *start)
     assert model.status == "converged"
     # a start at standstill gives errors of 0.3 to 2 %, and fits of 68 to 93 %
     for name, joint in model.values:

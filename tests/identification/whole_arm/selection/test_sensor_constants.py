@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from strainwave.domain import ArmModel, Log, Study, TuningOptions
+from strainwave.domain import ArmModel, Log, Study, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import of_record
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import shift_samples
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.restrictions import is_held
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import joint_models, rigid_model, shaken
@@ -33,7 +33,7 @@ def read_so(log: Log, late: tuple[float, float], scale: tuple[float, float]) -> 
 
 
 @cache
-def tuned(
+def whole_arm(
     late: tuple[float, float] = (0.0, 0.0),
     scale: tuple[float, float] = (1.0, 1.0),
     *,
@@ -44,7 +44,7 @@ def tuned(
     joints = joint_models(study, true_values, 0.05, FACTORS)
     delays: dict[Key, float] = {("accelerometer_delay", i): late[i - 1] for i in (1, 2)}
     start = delays if reported else None
-    model = tune(
+    model = fit_whole_arm(
         records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm), start=start
     )
     return study, true_values, model
@@ -56,7 +56,7 @@ def constants(model: ArmModel) -> set[Key]:
 
 def test_a_clean_rig_has_no_sensor_constants() -> None:
     """Ideal sensors cost neither accuracy nor time."""
-    _, _, model = tuned()
+    _, _, model = whole_arm()
     assert constants(model) == set()
     assert not {c.code for c in model.warnings} & {"sensor-delay", "sensor-scale"}
 
@@ -73,7 +73,7 @@ def test_a_clean_rig_has_no_sensor_constants() -> None:
 def test_sensor_delays_and_scale_errors_are_corrected(
     late: tuple[float, float], scale: tuple[float, float], reported: bool
 ) -> None:
-    _, true_values, model = tuned(late, scale, reported=reported)
+    _, true_values, model = whole_arm(late, scale, reported=reported)
     assert model.status == "converged"
     estimates = {(p.name, p.joint): p for p in model.parameters}
     wrong = {("accelerometer_delay", i): d for i, d in enumerate(late, 1) if d}
@@ -99,8 +99,8 @@ def test_held_constants_are_not_estimated() -> None:
     study, true_values, logs = shaken()
     records = [read_so(log, (1e-3, 1e-3), (1.0, 1.0)) for log in logs]
     joints = joint_models(study, true_values, 0.05, FACTORS)
-    options = TuningOptions(hold=("accelerometer_delay 1",))
-    model = tune(
+    options = WholeArmOptions(hold=("accelerometer_delay 1",))
+    model = fit_whole_arm(
         records, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm), options
     )
     estimated = constants(model)
@@ -109,7 +109,7 @@ def test_held_constants_are_not_estimated() -> None:
 
 
 def test_an_end_of_the_range_is_a_bound() -> None:
-    _, _, model = tuned((0.0, 0.0), (1.25, 1.0))
+    _, _, model = whole_arm((0.0, 0.0), (1.25, 1.0))
     assert model.status == "at-bounds"
     assert "accelerometer_scale of joint 1" in {
         c.where for c in model.warnings if c.code == "at-bounds"
@@ -161,8 +161,8 @@ def drifting(rates: Mapping[str, float]) -> list[Log]:
 def tuned_drifting(*held: str) -> ArmModel:
     study, true_values, _ = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
-    rigid, options = rigid_model(study, true_values, 0.01, 1.0), TuningOptions(hold=held)
-    return tune(drifting(RATES), rigid, joints, Arm.of(study.arm), options)
+    rigid, options = rigid_model(study, true_values, 0.01, 1.0), WholeArmOptions(hold=held)
+    return fit_whole_arm(drifting(RATES), rigid, joints, Arm.of(study.arm), options)
 
 
 def test_sensor_drifts_are_corrected() -> None:
@@ -191,9 +191,9 @@ def test_sensor_drifts_are_corrected() -> None:
 )
 def test_drifts_that_are_held_are_not_estimated(held: str) -> None:
     key: Key = ("accelerometer_drift[prbs-j1]", 1)
-    assert is_held(key, TuningOptions(hold=(held,)))
-    assert not is_held(("accelerometer_drift[prbs-j1]", 2), TuningOptions(hold=(f"{held} 1",)))
-    assert not is_held(("accelerometer_scale", 1), TuningOptions(hold=(held,)))
+    assert is_held(key, WholeArmOptions(hold=(held,)))
+    assert not is_held(("accelerometer_drift[prbs-j1]", 2), WholeArmOptions(hold=(f"{held} 1",)))
+    assert not is_held(("accelerometer_scale", 1), WholeArmOptions(hold=(held,)))
 
 
 def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
@@ -220,5 +220,5 @@ def test_an_insignificant_scale_is_removed() -> None:
     joints = joint_models(study, true_values, 0.05, FACTORS)
     rigid = rigid_model(study, true_values, 0.01, 1.0)
     start: dict[Key, float] = {("accelerometer_scale", 1): 1.0}
-    model = tune(shaken()[2], rigid, joints, Arm.of(study.arm), start=start)
+    model = fit_whole_arm(shaken()[2], rigid, joints, Arm.of(study.arm), start=start)
     assert constants(model) == set()

@@ -8,21 +8,21 @@ from functools import cache
 import numpy as np
 import pytest
 
-from effect_runs import tuned
+from effect_runs import whole_arm
 from mount_runs import OnMount
-from strainwave.domain import ArmModel, EffectName, Log, Study, TuningOptions
+from strainwave.domain import ArmModel, EffectName, Log, Study, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.identification.whole_arm import tune
+from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth
 
 FACTORS = np.random.default_rng(0).choice([-1.0, 1.0], size=(2, 6))
 CUTOFF = 80.0
-HELD = TuningOptions(hold=("accelerometer_mount_frequency",))
+HELD = WholeArmOptions(hold=("accelerometer_mount_frequency",))
 
 
 def names(joint: int) -> tuple[Key, Key]:
@@ -39,12 +39,12 @@ def mounted(joint: int, frequency: float, damping: float) -> tuple[Study, Values
 
 
 def fit_of(
-    joint: int, frequency: float, damping: float, options: TuningOptions | None = None
+    joint: int, frequency: float, damping: float, options: WholeArmOptions | None = None
 ) -> tuple[Values, ArmModel]:
     study, true_values, logs = mounted(joint, frequency, damping)
     joints = joint_models(study, true_values, 0.05, FACTORS)
     rigid = rigid_model(study, true_values, 0.01, 1.0)
-    return true_values, tune(logs, rigid, joints, Arm.of(study.arm), options)
+    return true_values, fit_whole_arm(logs, rigid, joints, Arm.of(study.arm), options)
 
 
 def errors(known: Values, model: ArmModel, name: str) -> list[float]:
@@ -101,13 +101,15 @@ def test_no_mount_is_tested_if_residuals_are_noise(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(Dataset, "mount_tangent", refused)
     study, true_values, logs = shaken()
     joints = joint_models(study, true_values, 0.05, FACTORS)
-    model = tune(logs, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm))
+    model = fit_whole_arm(
+        logs, rigid_model(study, true_values, 0.01, 1.0), joints, Arm.of(study.arm)
+    )
     assert not {p.name for p in model.parameters if "mount" in p.name}
 
 
 @pytest.mark.parametrize("frequency", [18.0, 40.0, 65.0])
 def test_a_flexible_link_is_no_mount(frequency: float) -> None:
-    model = tuned(("flexible-link",), (), shapes=((("flexible_frequency", 1), frequency),))
+    model = whole_arm(("flexible-link",), (), shapes=((("flexible_frequency", 1), frequency),))
     mount_warnings = [
         w for w in model.warnings if w.code in ("flexible-link-likely", "sensor-mount")
     ]
@@ -116,11 +118,11 @@ def test_a_flexible_link_is_no_mount(frequency: float) -> None:
 
 @pytest.mark.parametrize("effect", ["hysteresis", "kinematic-error", "backlash", "torque-ripple"])
 def test_effects_of_a_gear_are_no_mounts(effect: EffectName) -> None:
-    assert "sensor-mount" not in {w.code for w in tuned((effect,), ()).warnings}
+    assert "sensor-mount" not in {w.code for w in whole_arm((effect,), ()).warnings}
 
 
 def test_a_soft_base_is_no_mount() -> None:
-    assert "sensor-mount" not in {w.code for w in tuned(("soft-base",), ()).warnings}
+    assert "sensor-mount" not in {w.code for w in whole_arm(("soft-base",), ()).warnings}
 
 
 def test_a_sensor_of_unknown_place_may_ring_as_well() -> None:
@@ -128,7 +130,7 @@ def test_a_sensor_of_unknown_place_may_ring_as_well() -> None:
     joints = tuple(replace(joint, accelerometer_distance=None) for joint in study.arm.joints)
     unknown_position = replace(study, arm=replace(study.arm, joints=joints))
     start_joints = joint_models(study, true_values, 0.05, FACTORS)
-    model = tune(
+    model = fit_whole_arm(
         logs, rigid_model(study, true_values, 0.01, 1.0), start_joints, Arm.of(unknown_position.arm)
     )
     assert model.status == "converged"

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, TuningOptions
+from strainwave.domain import FloatArray, Log, WholeArmOptions
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key
 from strainwave.domain.options import PUBLISHED_RANGE
@@ -20,7 +20,7 @@ from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.signals.recorded_input import missing_recorded_input
 
 
-def expand_published_options(options: TuningOptions) -> TuningOptions:
+def expand_published_options(options: WholeArmOptions) -> WholeArmOptions:
     """Expand the option `as_published` into the options that it implies."""
     if not options.as_published:
         return options
@@ -54,7 +54,9 @@ def published_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     return selected
 
 
-def restrict_space(space: ParameterSpace, options: TuningOptions, z: FloatArray) -> ParameterSpace:
+def restrict_space(
+    space: ParameterSpace, options: WholeArmOptions, z: FloatArray
+) -> ParameterSpace:
     """Hold parameters and limit the ranges of the others, as the options require.
 
     `z` (n_unknowns,) is the start of the fit: it fixes the held values and the centres of the
@@ -77,7 +79,7 @@ def restrict_space(space: ParameterSpace, options: TuningOptions, z: FloatArray)
     return replace(space, unknowns=limited).fix_values(held)
 
 
-def is_held(key: Key, options: TuningOptions) -> bool:
+def is_held(key: Key, options: WholeArmOptions) -> bool:
     """Whether the options hold a parameter at its start."""
     return bool(set(_names(key)) & set(options.hold))
 
@@ -96,7 +98,7 @@ def _names(key: Key) -> list[str]:
     return names
 
 
-def _factors_of(options: TuningOptions, key: Key) -> tuple[float, float] | None:
+def _factors_of(options: WholeArmOptions, key: Key) -> tuple[float, float] | None:
     """Lower and upper factor of the start; None if the options do not limit the parameter."""
     given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
     is_limited = options.as_published and not is_sensor_constant(key)

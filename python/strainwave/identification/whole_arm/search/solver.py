@@ -11,7 +11,7 @@ from itertools import count
 
 import numpy as np
 
-from strainwave.domain import FloatArray, TuningOptions
+from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -50,7 +50,7 @@ def report_progress(progress: Progress | None) -> Iterator[None]:
         _progress.reset(token)
 
 
-def coarse_search(objective: Objective, start: FloatArray, options: TuningOptions) -> Fit:
+def coarse_search(objective: Objective, start: FloatArray, options: WholeArmOptions) -> Fit:
     """Search from `start` (n_unknowns,) with initial weights, then with updated weights.
 
     Large initial errors give small weights, and with these a search may end too early. The weights
@@ -70,7 +70,7 @@ def coarse_search(objective: Objective, start: FloatArray, options: TuningOption
 
 
 def resumed_coarse_search(
-    objective: Objective, z: FloatArray, n_evaluations: int, options: TuningOptions
+    objective: Objective, z: FloatArray, n_evaluations: int, options: WholeArmOptions
 ) -> Fit:
     """Continue a coarse search from `z` (n_unknowns,) after a change of records or unknowns.
 
@@ -81,7 +81,7 @@ def resumed_coarse_search(
     )
 
 
-def _reweight(fit: Fit, options: TuningOptions) -> Fit:
+def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
     search = partial(
@@ -101,7 +101,7 @@ def _reweight(fit: Fit, options: TuningOptions) -> Fit:
 
 
 def fine_search(
-    objective: Objective, z: FloatArray, n_evaluations: int, options: TuningOptions
+    objective: Objective, z: FloatArray, n_evaluations: int, options: WholeArmOptions
 ) -> Fit:
     """Alternate least squares and weight updates until the weights converge.
 
@@ -131,7 +131,7 @@ def _update_corrections(fit: Fit) -> Fit:
     return replace(fit, objective=fit.objective.correct_step_error(fit.z).update_weights(fit.z))
 
 
-def refine(fit: Fit, options: TuningOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
+def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
     """Run the last rounds of `fine_search` from a point near the minimum.
 
     The step error correction is not updated. With the default tolerance the result is within one
@@ -149,7 +149,7 @@ def refine(fit: Fit, options: TuningOptions, tolerance: float = COARSE_TOLERANCE
     return fit
 
 
-def polish(fit: Fit, options: TuningOptions) -> Fit:
+def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.converged or fit.iterations >= options.max_iterations:
         return fit
@@ -167,7 +167,7 @@ def search_minimum(
     objective: Objective,
     z: FloatArray,
     n_evaluations: int,
-    options: TuningOptions,
+    options: WholeArmOptions,
     *,
     tolerance: float,
     relative: float = 0.0,

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import JointModel, TuningOptions
+from strainwave.domain import JointModel, WholeArmOptions
 from strainwave.domain.gear_laws import STIFFNESS, gear_parameters, is_slope
 from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
@@ -41,7 +41,7 @@ class SelectedCandidate:
 def select_candidate(
     candidates: Sequence[Sequence[JointModel]],
     objective_of: Callable[[Sequence[JointModel]], Objective],
-    options: TuningOptions,
+    options: WholeArmOptions,
 ) -> SelectedCandidate:
     """The set of joints from which a short search reaches the lowest cost.
 
@@ -144,7 +144,7 @@ def _best_starts(
 def _continue_search(
     search: _SearchState,
     objective_of: Callable[[Sequence[JointModel]], Objective],
-    options: TuningOptions,
+    options: WholeArmOptions,
 ) -> _SearchState | None:
     """Continue a search for a few evaluations that do not count for the fit; None if it fails."""
     if search.is_finished:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from strainwave.domain import FloatArray, TuningOptions
+from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -29,7 +29,7 @@ class Selection:
     """Arm, options and evaluation budget of a model selection."""
 
     arm: Arm
-    options: TuningOptions  # `max_iterations` grows when a candidate is granted evaluations
+    options: WholeArmOptions  # `max_iterations` grows when a candidate is granted evaluations
     budget: int = field(init=False)  # evaluations that the user allows for one fit
 
     def __post_init__(self) -> None:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
-from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, TuningOptions
+from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, WholeArmOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
@@ -105,7 +105,7 @@ class _StepFits:
 class _Budget:
     """Evaluations available for fits with one additional effect."""
 
-    def __init__(self, fit: Fit, options: TuningOptions) -> None:
+    def __init__(self, fit: Fit, options: WholeArmOptions) -> None:
         n_rows = sum(len(record.time) for record in fit.objective.records)
         self.evaluations = int(options.rival_effort * RIVAL_ROWS / n_rows)
         self.remaining = self.evaluations
@@ -118,7 +118,7 @@ class _Budget:
 
 
 def fit_missing_effects(
-    fit: Fit, tested: Sequence[TestedEffect], arm: Arm, options: TuningOptions
+    fit: Fit, tested: Sequence[TestedEffect], arm: Arm, options: WholeArmOptions
 ) -> Refits:
     """Fit each of the most significant effects, within a budget of evaluations.
 
@@ -168,7 +168,7 @@ def _fit_rivals(
     fits: _StepFits,
     rivals: Sequence[TestedEffect],
     arm: Arm,
-    options: TuningOptions,
+    options: WholeArmOptions,
     budget: _Budget,
 ) -> list[Refit]:
     """Fit each effect; keep those significant beyond chance, the most likely first."""
@@ -191,7 +191,7 @@ def _predicted_gain(tested: TestedEffect) -> float:
 
 
 def _refit(
-    fit: Fit, tested: TestedEffect, arm: Arm, options: TuningOptions, budget: _Budget
+    fit: Fit, tested: TestedEffect, arm: Arm, options: WholeArmOptions, budget: _Budget
 ) -> Refit | None:
     """Fit with one additional effect; None if no such arm can be simulated.
 
@@ -234,7 +234,7 @@ def _search_with_effect(
     start: Values,
     loads: Loads,
     arm: Arm,
-    options: TuningOptions,
+    options: WholeArmOptions,
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
     space = fit.objective.space

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, TuningOptions
+from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
@@ -45,7 +45,7 @@ _MIN_TILT_COST_SHARE = 0.1  # minimum cost reduction of a tilt out of the plane 
 
 
 def select_mountings(
-    objective: Objective, z: FloatArray, arm: Arm, options: TuningOptions
+    objective: Objective, z: FloatArray, arm: Arm, options: WholeArmOptions
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of each sensor by short searches.
 
@@ -63,7 +63,7 @@ def select_mountings(
 
 
 def _choose_mounting(
-    objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: TuningOptions
+    objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: WholeArmOptions
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, objective.space.values(z)

@@ -18,7 +18,7 @@ from strainwave.domain import (
     FloatArray,
     Parameter,
     Place,
-    TuningOptions,
+    WholeArmOptions,
 )
 from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.keys import Key, Values
@@ -196,7 +196,7 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
     return fit
 
 
-def _refine_from(fit: Fit, objective: Objective, z: FloatArray, options: TuningOptions) -> Fit:
+def _refine_from(fit: Fit, objective: Objective, z: FloatArray, options: WholeArmOptions) -> Fit:
     """Refine from `z` (n_unknowns,) with the changed unknowns of `objective`."""
     start = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
     return refine(start, options)
@@ -263,7 +263,7 @@ def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
     return is_bandwidth(key) and bool(fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k])
 
 
-def _significant_constants(fit: Fit, options: TuningOptions, min_gain: float) -> dict[Key, float]:
+def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
     """Significant sensor constants and their values after one linear step.
 
     Forward selection: each constant must reduce the cost by `min_gain` and significantly, given the
@@ -300,7 +300,7 @@ def _significant_constants(fit: Fit, options: TuningOptions, min_gain: float) ->
     }
 
 
-def _significant_drifts(fit: Fit, options: TuningOptions) -> dict[Key, float]:
+def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
     """Significant drifts of sensor biases and their rates.
 
     The weights of the fit count a drift as correlated errors. The standard deviation of a rate
