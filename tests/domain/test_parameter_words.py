@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from strainwave.domain.effects import all_effects
+from strainwave.domain.link_sensors import optional_constants
 from strainwave.domain.parameter_table import family_of
 from strainwave.domain.parameter_words import parameter_descriptions
-from strainwave.domain.parameters import SENSOR_PARAMETERS
 
 NOTATION = Path(__file__).parents[2] / "docs" / "notation.md"
 
@@ -51,7 +51,7 @@ def test_the_notation_lists_every_parameter() -> None:
 
 
 def test_every_parameter_has_a_description() -> None:
-    listed = {*SENSOR_PARAMETERS, *(name for effect in all_effects() for name in effect.names)}
+    listed = {*optional_constants(), *(name for effect in all_effects() for name in effect.names)}
     assert listed <= set(parameter_descriptions())
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
 from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     ACCELEROMETER_BASIS,
@@ -20,7 +21,6 @@ from strainwave.dynamics.mounting import (
     slopes,
     unknowns_of,
 )
-from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.signals.imu_attitude import estimate_imu_starts
 from strainwave.signals.mounting_start import estimate_mounting_starts, kinematics

@@ -112,7 +112,6 @@ from strainwave.domain.signals import (
     Signals,
 )
 from strainwave.domain.study import (
-    CHANNELS,
     Channel,
     Control,
     Experiment,
@@ -120,6 +119,7 @@ from strainwave.domain.study import (
     Study,
     TopicChannel,
     Use,
+    channel_kinds,
     channel_names,
     channel_parts,
 )
@@ -127,7 +127,6 @@ from strainwave.domain.study_limits import SizeLimit
 from strainwave.domain.verdict import Status, Validation, Verdict
 
 __all__ = [
-    "CHANNELS",
     "CONDITION_TEXTS",
     "OUTCOME_TEXTS",
     "Activity",
@@ -227,6 +226,7 @@ __all__ = [
     "Validation",
     "Verdict",
     "WholeArmOptions",
+    "channel_kinds",
     "channel_names",
     "channel_parts",
     "half_width",

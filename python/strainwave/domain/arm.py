@@ -15,6 +15,7 @@ from annotated_types import Ge, Gt
 
 from strainwave.domain.effects import all_effects
 from strainwave.domain.gear_laws import RIGID, GearLaw, gear_law
+from strainwave.domain.link_sensors import LinkSensor, sensors_of
 
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
@@ -68,6 +69,11 @@ class Joint:
     def law(self) -> GearLaw:
         """Elastic law of the gear."""
         return gear_law(self.spring)
+
+    @property
+    def sensors(self) -> tuple[LinkSensor, ...]:
+        """Sensors that the link can have, with the constants that the table gives."""
+        return sensors_of(self)
 
     @property
     def elastic(self) -> bool:

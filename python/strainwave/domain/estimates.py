@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.corrections import Correction
-from strainwave.domain.study import LINK_KINDS, channel_parts
+from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.study import channel_parts
 
 CI95_STDS = 1.96
 """Half-width of a 95 % interval in standard deviations of a normal variable."""
@@ -100,7 +101,9 @@ class Consistency:
 
 
 def _is_on_link(place: Place) -> bool:
-    is_link_channel = place.channel is not None and channel_parts(place.channel)[0] in LINK_KINDS
+    is_link_channel = (
+        place.channel is not None and channel_parts(place.channel)[0] in link_channel_kinds()
+    )
     return is_link_channel or place.key in _LINK_GEOMETRY
 
 

@@ -20,11 +20,12 @@ from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
+from strainwave.domain.link_sensors import link_channel_kinds, link_keys
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
-from strainwave.domain.study import LINK_KINDS, Study, channel_parts
+from strainwave.domain.study import Study, channel_parts
 
 MAX_EFFECT_SHIFT = 0.05
 """Largest relative shift of a value due to an effect that the model omits.
@@ -34,18 +35,7 @@ A value is rejected if the shift exceeds this limit and its 95 % confidence inte
 
 _RIGID, _DECOUPLED, _TUNED, _NONE = range(4)
 _STAGE_OF_USE = {"motion": _RIGID, "frequency": _DECOUPLED, "sweep": _DECOUPLED, "tuning": _TUNED}
-_LINK_CHANNELS = LINK_KINDS | {"ax", "ay", "az", "gx", "gy", "gz"}
 _MOTOR_CHANNELS = frozenset({"u", "torque", "theta_m", "omega_m", "ref"})
-_LINK_KEYS = frozenset(
-    {
-        "accelerometer_distance",
-        "accelerometer_hz",
-        "gyro_hz",
-        "link_length",
-        "link_encoder_counts",
-        "imu",
-    }
-)
 # standard deviations below zero from which a negative value is significant
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
@@ -148,8 +138,8 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     places = suspicion.places
     kinds = {channel_parts(place.channel)[0] for place in places if place.channel is not None}
     is_on_link = (
-        not kinds.isdisjoint(_LINK_CHANNELS)
-        or any(place.key in _LINK_KEYS for place in places)
+        not kinds.isdisjoint(link_channel_kinds())
+        or any(place.key in ("link_length", *link_keys()) for place in places)
         or suspicion.code == "wrong-geometry"
     )
     is_on_motor = not kinds.isdisjoint(_MOTOR_CHANNELS)

@@ -9,36 +9,10 @@ from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameter_table import base_name, parameter_table
 
 __all__ = [
-    "SENSOR_PARAMETERS",
     "complete_values",
     "unit_of",
     "whole_arm_parameter_names",
 ]
-
-SENSOR_PARAMETERS = (
-    "accelerometer_delay",
-    "accelerometer_scale",
-    "gyro_delay",
-    "gyro_scale",
-    "link_encoder_delay",
-    "accelerometer_bandwidth",
-    "accelerometer_tilt",
-    "gyro_bandwidth",
-    "imu_accelerometer_delay",
-    "imu_accelerometer_bandwidth",
-    "imu_gyro_delay",
-    *(f"imu_{axis}_scale" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
-    "imu_gyro_bandwidth",
-    *(
-        f"{sensor}_mount_{what}"
-        for sensor in ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
-        for what in ("frequency", "damping")
-    ),
-    "accelerometer_drift",
-    "gyro_drift",
-    *(f"imu_{axis}_drift" for axis in ("ax", "ay", "az", "gx", "gy", "gz")),
-)
-"""Sensor constants that the whole-arm fit estimates if the data support them."""
 
 
 def unit_of(name: str, joint: Joint | None = None) -> str:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from annotated_types import Ge, MinLen
 
 from strainwave.domain.arm import ArmDescription, Positive
+from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.options import Options
 
 Use = Literal["motion", "frequency", "sweep", "tuning", "check"]
@@ -88,19 +89,14 @@ class Study:
         return self.path.parent / experiment.file
 
 
-CHANNELS = (
-    *("u", "torque", "theta_m", "omega_m", "a", "theta_l", "deflection", "gyro", "ref"),
-    *("ax", "ay", "az", "gx", "gy", "gz"),  # IMU
-)
-"""Channels of each joint. The channel `t` belongs to the whole record."""
-
-LINK_KINDS = frozenset({"a", "theta_l", "deflection", "gyro"})
-"""Kinds of channels that a sensor on a link gives."""
+def channel_kinds() -> tuple[str, ...]:
+    """Channels of each joint. The channel `t` belongs to the whole record."""
+    return ("u", "torque", "theta_m", "omega_m", *link_channel_kinds(), "ref")
 
 
 def channel_names(count: int) -> tuple[str, ...]:
     """All channels that an arm of `count` joints can have."""
-    return ("t", *(f"{name}{i}" for name in CHANNELS for i in range(1, count + 1)))
+    return ("t", *(f"{name}{i}" for name in channel_kinds() for i in range(1, count + 1)))
 
 
 def channel_parts(name: str) -> tuple[str, int]:

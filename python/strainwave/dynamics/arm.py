@@ -21,6 +21,7 @@ from strainwave.domain.combinations import (
 from strainwave.domain.effects import RecordEffect, effect_named
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn, kind_of
+from strainwave.domain.link_sensors import low_passes
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
 
@@ -64,21 +65,15 @@ class Arm(ArmDescription):
             current_loop_hz=[joint.current_loop_hz for joint in joints],
             encoder_counts=[joint.encoder_counts for joint in joints],
             accelerometer_distance=[joint.accelerometer_distance or 1.0 for joint in joints],
-            accelerometer_hz=[joint.accelerometer_hz for joint in joints],
-            gyro_hz=[joint.gyro_hz for joint in joints],
             effects=[_core_effects(joint) for joint in joints],
-            **self._imu_bandwidths(),
+            **self._low_passes(),
         )
 
-    def _imu_bandwidths(self) -> dict[str, Any]:
-        """Low-passes of IMUs as arguments of the core; empty without an IMU."""
-        imus = [joint.imu for joint in self.joints]
-        if not any(imus):
-            return {}
-        return {
-            "imu_accelerometer_hz": [imu.accelerometer_hz if imu else None for imu in imus],
-            "imu_gyro_hz": [imu.gyro_hz if imu else None for imu in imus],
-        }
+    def _low_passes(self) -> dict[str, Any]:
+        """Low-passes [Hz] of the sensors as arguments of the core."""
+        passes = [low_passes(joint) for joint in self.joints]
+        names = {name for one in passes for name in one}
+        return {name: [one.get(name) for one in passes] for name in names}
 
     @cached_property
     def gear_ratios(self) -> FloatArray:

@@ -19,8 +19,8 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Imu
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rotations import angles, attitude, rotation
 from strainwave.dynamics.simulation import Quantity
 
 ACCELEROMETER_BASIS: tuple[Quantity, ...] = (

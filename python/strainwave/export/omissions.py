@@ -7,8 +7,8 @@ from enum import Enum
 
 from strainwave.domain import Joint
 from strainwave.domain.effects import effect_named
+from strainwave.domain.link_sensors import sensor_constants
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameters import SENSOR_PARAMETERS
 from strainwave.export.source import IdentifiedArm
 
 
@@ -117,8 +117,7 @@ def _part_of(name: str, joint: Joint | None) -> Part | None:
         return _PART_OF[name]
     if joint is not None and name in (*joint.law.names, "gear_stiffness", "gear_damping"):
         return Part.GEAR
-    is_sensor = name in SENSOR_PARAMETERS or name.startswith("imu_")
-    return Part.SENSORS if is_sensor or name.startswith("accelerometer") else Part.EFFECTS
+    return Part.SENSORS if name in sensor_constants() else Part.EFFECTS
 
 
 def _list_with_joints(names: Iterable[str], joints: Iterable[int]) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.rotations import angles, attitude
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import (
     IMU_BEARING,
@@ -27,7 +28,6 @@ from strainwave.dynamics.mounting import (
     slopes,
     unknowns_of,
 )
-from strainwave.dynamics.rotations import angles, attitude
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from math import pi
 from typing import Literal
 
-from strainwave.domain import CHANNELS
+from strainwave.domain import channel_kinds
 
 Quantity = Literal[
     "time",
@@ -156,7 +156,7 @@ def parse(name: str) -> ParsedName:
     unknown_word = next(
         (token for token in lowercase if token not in known_words and not token.isdecimal()), ""
     )
-    is_channel = re.fullmatch(rf"({'|'.join(CHANNELS)})\d", name) is not None
+    is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
     return ParsedName(
         quantity, number, label, unknown_word, unit, side, commanded, word, sure, is_channel

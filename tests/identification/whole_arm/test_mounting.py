@@ -12,8 +12,8 @@ import pytest
 from strainwave.domain import ArmModel, Imu, Joint, Log, Parameter, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.link_sensors.rotations import angles, attitude
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rotations import angles, attitude
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
 from tuning_runs import joint_models, rigid_model, shaken, shaken_study, simulated_logs, truth

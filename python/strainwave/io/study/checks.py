@@ -12,7 +12,8 @@ from typing import Any
 from strainwave.domain import ArmDescription, Study, channel_names
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.parameters import SENSOR_PARAMETERS, whole_arm_parameter_names
+from strainwave.domain.link_sensors import optional_constants
+from strainwave.domain.parameters import whole_arm_parameter_names
 from strainwave.domain.study_limits import (
     ARM_LIMITS,
     IMU_LIMITS,
@@ -86,9 +87,10 @@ def check_options(study: Study, reader: Reader) -> None:
             )
     fitted = whole_arm_parameter_names(study.arm)
     numbers = range(1, study.arm.n_joints + 1)
-    constants = [f"{name} {i}" for name in SENSOR_PARAMETERS for i in numbers]
+    constants = optional_constants()
+    of_joints = [f"{name} {i}" for name in constants for i in numbers]
     # `ranges` are factors, which cannot bound a sensor constant whose nominal value is zero
-    holdable_names = (*fitted, *SENSOR_PARAMETERS, *constants)
+    holdable_names = (*fitted, *constants, *of_joints)
     for key, names, known in (
         ("ranges", tuple(options.tuning.ranges), fitted),
         ("hold", options.tuning.hold, holdable_names),

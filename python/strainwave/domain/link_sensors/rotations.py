@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain.arrays import FloatArray
 
 
 def rotation(vector: FloatArray) -> FloatArray:

@@ -1,0 +1,161 @@
+"""Link sensors: one file per type.
+
+A new type needs a file in this package and an entry in `_TYPES`, and simulated quantities of the
+core. All other code loops over the sensors of a joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from functools import cache
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.gyro import Gyro
+from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.link_sensors.interface import (
+    Axis,
+    ConstantKind,
+    Group,
+    LinkSensor,
+    SensorConstant,
+)
+from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
+from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
+from strainwave.domain.parameter_table import base_name
+from strainwave.domain.registry import Registry
+
+if TYPE_CHECKING:
+    from strainwave.domain.arm import Joint
+
+__all__ = [
+    "Axis",
+    "ConstantKind",
+    "Group",
+    "LinkSensor",
+    "SensorConstant",
+    "all_types",
+    "compared_axes",
+    "constant_of",
+    "is_kind",
+    "link_channel_kinds",
+    "link_keys",
+    "low_passes",
+    "optional_constants",
+    "register",
+    "sensor_constants",
+    "sensors_of",
+    "unregister",
+    "with_bandwidths",
+]
+
+_TYPES = Registry[type[LinkSensor]](
+    "link sensor",
+    "a",
+    "joint",
+    (
+        Accelerometer,
+        LinkEncoder,
+        TorsionSensor,
+        Gyro,
+        ImuAccelerometers,
+        ImuGyros,
+        TorqueSensor,
+    ),
+)
+
+
+def all_types() -> tuple[type[LinkSensor], ...]:
+    """All types in the order of registration."""
+    return _TYPES.all()
+
+
+def link_channel_kinds() -> tuple[str, ...]:
+    """Channels of all types, without the joint's number."""
+    return tuple(kind for sensor in all_types() for kind in sensor.channel_kinds)
+
+
+def link_keys() -> tuple[str, ...]:
+    """Keys of a `[[joint]]` table that describe sensors of the link."""
+    return tuple(dict.fromkeys(key for sensor in all_types() for key in sensor.keys))
+
+
+def register(sensor: type[LinkSensor]) -> None:
+    """Register a type of sensor. Raises InvalidInput if the name is taken."""
+    _TYPES.check_new(sensor.name)
+    _TYPES.add(sensor)
+    sensor_constants.cache_clear()
+
+
+def unregister(name: str) -> None:
+    """Remove a type. Raises InvalidInput if there is none of that name."""
+    _TYPES.remove(name)
+    sensor_constants.cache_clear()
+
+
+@cache
+def sensor_constants() -> Mapping[str, SensorConstant]:
+    """Constants of all types by name, without records."""
+    constants = (constant for sensor in all_types() for constant in sensor.constants())
+    return MappingProxyType({constant.name: constant for constant in constants})
+
+
+def constant_of(key: Key) -> SensorConstant | None:
+    """The sensor constant that a key names; None for a parameter of the arm."""
+    return sensor_constants().get(base_name(key[0]))
+
+
+def is_kind(key: Key, *kinds: ConstantKind) -> bool:
+    """Whether a key names a sensor constant of one of these kinds."""
+    constant = constant_of(key)
+    return constant is not None and constant.kind in kinds
+
+
+def optional_constants() -> tuple[str, ...]:
+    """Names of the constants that the whole-arm fit estimates if the data support them."""
+    return tuple(name for name, constant in sensor_constants().items() if constant.is_optional)
+
+
+def sensors_of(joint: Joint) -> tuple[LinkSensor, ...]:
+    """Sensors that the link of a joint can have, with the constants of the joint's table."""
+    sensors = (sensor.of_joint(joint) for sensor in all_types())
+    return tuple(sensor for sensor in sensors if sensor is not None)
+
+
+def low_passes(joint: Joint) -> dict[str, float | None]:
+    """Low-passes [Hz] of a joint's simulated quantities by argument of the core."""
+    passes: dict[str, float | None] = {}
+    for sensor in joint.sensors:
+        passes |= sensor.low_passes()
+    return passes
+
+
+def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+    """Axes on a link, from 1, that a fit compares if a log has these channels.
+
+    Of each group of sensors, these are the axes of least rank.
+    """
+    axes = [
+        axis
+        for sensor in joint.sensors
+        if sensor.is_compared
+        for axis in sensor.axes(number)
+        if axis.channel in channels
+    ]
+    least: dict[Group, int] = {}
+    for sensor in (axis.sensor for axis in axes):
+        least[sensor.group] = min(sensor.rank, least.get(sensor.group, sensor.rank))
+    return tuple(axis for axis in axes if axis.sensor.rank == least[axis.sensor.group])
+
+
+def with_bandwidths(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
+    """The table of a joint, from 1, with the finite bandwidths among some sensor constants."""
+    for sensor in joint.sensors:
+        hz = sensor.axes(number)[0].value(ConstantKind.BANDWIDTH, values)
+        joint = sensor.with_bandwidth(joint, hz) if np.isfinite(hz) else joint
+    return joint

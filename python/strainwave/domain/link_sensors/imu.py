@@ -1,0 +1,255 @@
+"""IMU: accelerometers and gyros in one case at any position and attitude on a link.
+
+Axis 1 is fixed. On link 1 an unknown position is therefore a distance from the axis and, under
+gravity, a bearing, and the attitude is relative to the bearing. These coordinates separate
+identifiable from unidentifiable quantities in short motions. A single accelerometer is assumed to
+lie in the plane of motion, and each gyro axis then has an unknown share of the rate.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar, Self
+
+import numpy as np
+
+from strainwave.domain.arrays import FloatArray
+from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.interface import (
+    Axis,
+    ConstantKind,
+    Group,
+    LinkSensor,
+    SensorConstant,
+)
+from strainwave.domain.link_sensors.link_signals import (
+    ACCELEROMETER_QUANTITIES,
+    GYRO_QUANTITIES,
+    accelerometer_weights,
+)
+from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
+
+if TYPE_CHECKING:
+    from strainwave.domain.arm import Imu, Joint
+
+IMU_POSITION = ("imu_x", "imu_y")
+IMU_DISTANCE, IMU_BEARING = "imu_distance", "imu_bearing"
+IMU_ROTATION = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
+"""Rotation vector from the starting attitude, without singular point."""
+IMU_START_ATTITUDE = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
+"""Starting attitude, fixed in a fit."""
+
+_K = ConstantKind
+_MOUNTING_CONSTANTS = (
+    SensorConstant(
+        "imu",
+        _K.POSITION_X,
+        "m",
+        "position of the IMU along its link, from the link's own axis",
+        "x",
+    ),
+    SensorConstant(
+        "imu",
+        _K.POSITION_Y,
+        "m",
+        "position of the IMU across its link, from the link's own axis",
+        "y",
+    ),
+    SensorConstant("imu", _K.DISTANCE, "m", "distance of the IMU from its link's own axis"),
+    SensorConstant("imu", _K.ROLL, "rad", "roll of the IMU in its link's frame, as in URDF"),
+    SensorConstant("imu", _K.PITCH, "rad", "pitch of the IMU in its link's frame, as in URDF"),
+    SensorConstant("imu", _K.YAW, "rad", "yaw of the IMU in its link's frame, as in URDF"),
+    *(
+        SensorConstant("imu", kind, "1")
+        for kind in (_K.BEARING, _K.ROTATION_X, _K.ROTATION_Y, _K.ROTATION_Z)
+    ),
+    *(SensorConstant("imu", kind, "rad") for kind in (_K.START_ROLL, _K.START_PITCH, _K.START_YAW)),
+)
+
+
+@dataclass(frozen=True)
+class ImuSensor(LinkSensor):
+    """Accelerometers or gyros of an IMU, with three axes."""
+
+    case: Imu | None = None  # None: the joint's table has none, and nothing is known
+
+    keys = ("imu",)
+    axis_name: ClassVar[str]
+    symbols = False
+
+    @classmethod
+    def of_joint(cls, joint: Joint) -> Self | None:
+        return cls(joint.imu) if joint.motion == "revolute" else None
+
+    @property
+    def group(self) -> Group:
+        return Group.MOUNTED
+
+    @property
+    def xyz(self) -> Sequence[float] | None:
+        """Position [m]; None: estimated."""
+        return None if self.case is None else self.case.xyz
+
+    @property
+    def rpy(self) -> Sequence[float] | None:
+        """Attitude [rad]; None: estimated."""
+        return None if self.case is None else self.case.rpy
+
+    @classmethod
+    def owner(cls, number: int) -> str:
+        return f"imu_{cls.channel_kinds[number]}"
+
+    @classmethod
+    def axis_noun(cls, number: int) -> str:
+        return f"IMU's {'xyz'[number]} {cls.axis_name}"
+
+    def attitude(self, joint: int, values: Mapping[Key, float]) -> FloatArray:
+        """Attitude (3, 3); its columns are the sensor's axes in the link's frame."""
+        return attitude_of(values, joint) if self.rpy is None else attitude(self.rpy)
+
+    def pose(self, joint: int, values: Mapping[Key, float]) -> tuple[FloatArray, Sequence[float]]:
+        """Attitude (3, 3) and position (3,) [m] in the link's frame, turned by the bearing."""
+        matrix = self.attitude(joint, values)
+        if self.xyz is not None:
+            return matrix, self.xyz
+        if not self._is_polar(joint):
+            x, y = (values[name, joint] for name in IMU_POSITION)
+            return matrix, (x, y, 0.0)
+        bearing, distance = values.get((IMU_BEARING, joint), 0.0), values[IMU_DISTANCE, joint]
+        position = (distance * math.cos(bearing), distance * math.sin(bearing), 0.0)
+        return attitude((0.0, 0.0, bearing)) @ matrix, position
+
+    def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
+        joint, count = axes[0].joint, _count_accelerometers(axes)
+        names: list[str] = []
+        if count and self.xyz is None:
+            bearing = (IMU_BEARING,) if has_gravity else ()
+            names += (IMU_DISTANCE, *bearing) if self._is_polar(joint) else IMU_POSITION
+        if count and self.rpy is None:
+            names += IMU_ROTATION if count > 1 else IMU_ROTATION[2:]
+        shares = (axis.key(ConstantKind.SHARE) for axis in axes)
+        keys: list[Key] = [(name, joint) for name in names]
+        has_shares = self.rpy is None and count < 2
+        return [*keys, *(key for key in shares if key and has_shares)]
+
+    def report(
+        self, axes: Sequence[Axis], values: Mapping[Key, float]
+    ) -> dict[str, tuple[float, str]]:
+        """Position and attitude as far as they follow from unknowns that are not in results.
+
+        Roll and pitch need three accelerometers, or two and gyros. Two accelerometers without gyros
+        do not distinguish mirror images, so only the yaw is reported, and only if the x axis is one
+        of them. On link 1 without gravity the yaw counts from the direction of the position.
+        """
+        joint = axes[0].joint
+        if (IMU_ROTATION[2], joint) not in values:
+            return {}
+        report: dict[str, tuple[float, str]] = {}
+        matrix = self.attitude(joint, values)
+        if (IMU_BEARING, joint) in values:
+            matrix, position = self.pose(joint, values)
+            report |= {name: (x, "m") for name, x in zip(IMU_POSITION, position, strict=False)}
+        roll, pitch, yaw = angles(matrix).tolist()
+        count = _count_accelerometers(axes)
+        has_gyros = count < len(axes)
+        if count == 2 and not has_gyros and axes[0].number > 0:
+            return report
+        if count == 3 or (count == 2 and has_gyros):
+            report |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}
+        return report | {"imu_yaw": (yaw, "rad")}
+
+    def _is_polar(self, joint: int) -> bool:
+        """Whether position and attitude are both unknown and the link's axis is fixed."""
+        return joint == 1 and self.xyz is None and self.rpy is None
+
+
+@dataclass(frozen=True)
+class ImuAccelerometers(ImuSensor):
+    """Accelerometers `ax{i}`, `ay{i}`, `az{i}` of an IMU."""
+
+    name = "imu_accelerometer"
+    noun = "IMU's accelerometers"
+    axis_name = "accelerometer"
+    channel_kinds = ("ax", "ay", "az")
+    drift_unit = "m/s^3"
+
+    @property
+    def hz(self) -> float | None:
+        return None if self.case is None else self.case.accelerometer_hz
+
+    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
+        return replace(joint, imu=joint.imu and replace(joint.imu, accelerometer_hz=hz))
+
+    def low_passes(self) -> Mapping[str, float | None]:
+        return {} if self.case is None else {"imu_accelerometer_hz": self.hz}
+
+    def quantities(self) -> tuple[str, ...]:
+        return ACCELEROMETER_QUANTITIES
+
+    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+        matrix, position = self.pose(axis.joint, values)
+        return accelerometer_weights(matrix[:, axis.number].tolist(), position)
+
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
+        has_varying_force = axis.joint > 1 or has_gravity
+        return has_varying_force or _count_accelerometers(axes) > 1 or self.xyz is not None
+
+    @classmethod
+    def extra_constants(cls) -> tuple[SensorConstant, ...]:
+        return _MOUNTING_CONSTANTS
+
+
+@dataclass(frozen=True)
+class ImuGyros(ImuSensor):
+    """Gyros `gx{i}`, `gy{i}`, `gz{i}` of an IMU."""
+
+    name = "imu_gyro"
+    noun = "IMU's gyros"
+    axis_name = "gyro"
+    channel_kinds = ("gx", "gy", "gz")
+    drift_unit = "rad/s^2"
+
+    @property
+    def hz(self) -> float | None:
+        return None if self.case is None else self.case.gyro_hz
+
+    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
+        return replace(joint, imu=joint.imu and replace(joint.imu, gyro_hz=hz))
+
+    def low_passes(self) -> Mapping[str, float | None]:
+        return {} if self.case is None else {"imu_gyro_hz": self.hz}
+
+    def quantities(self) -> tuple[str, ...]:
+        return GYRO_QUANTITIES
+
+    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+        share = values.get(axis.key(ConstantKind.SHARE) or ("", None))
+        if share is None:
+            share = self.attitude(axis.joint, values)[2, axis.number]
+        return np.array([share])
+
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
+        return self.rpy is not None or _count_accelerometers(axes) > 1
+
+    @classmethod
+    def extra_constants(cls) -> tuple[SensorConstant, ...]:
+        """Share of each axis in the link's rate."""
+        numbers = range(len(cls.channel_kinds))
+        return tuple(SensorConstant(cls.owner(k), ConstantKind.SHARE, "1") for k in numbers)
+
+
+def attitude_of(values: Mapping[Key, float], joint: int) -> FloatArray:
+    """Attitude (3, 3) from a mounting's unknowns: the start, followed by the rotation vector.
+
+    Its columns are the sensor's axes in the link's frame.
+    """
+    turn = np.array([values.get((name, joint), 0.0) for name in IMU_ROTATION])
+    start = attitude([values.get((name, joint), 0.0) for name in IMU_START_ATTITUDE])
+    return np.asarray(start @ rotation(turn))
+
+
+def _count_accelerometers(axes: Sequence[Axis]) -> int:
+    """Number of accelerometers among the axes of an IMU."""
+    return sum(isinstance(axis.sensor, ImuAccelerometers) for axis in axes)

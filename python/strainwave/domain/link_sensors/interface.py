@@ -1,0 +1,312 @@
+"""Interface of a link sensor: its channels, the simulated quantities it reads, its constants.
+
+A sensor maps link motion and torsion to a reading
+
+    y(t) = s x(t - D) + bias + r (t - t_m)
+
+x is a weighted sum of simulated quantities behind the sensor's low-pass and after the resonance of
+its mount, if it has one. t_m is the middle of the record. Joints count from 1.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import Enum
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+import numpy as np
+
+from strainwave.domain.arrays import FloatArray
+from strainwave.domain.keys import Key
+from strainwave.domain.parameter_table import of_record
+
+if TYPE_CHECKING:
+    from strainwave.domain.arm import Joint
+
+_DIFFERENCE_STEP = 1e-6  # of central differences: weights are smooth, of the order of one
+
+
+class ConstantKind(Enum):
+    """Kind of a sensor constant; the value ends its name."""
+
+    DELAY = "delay"
+    SCALE = "scale"
+    DRIFT = "drift"
+    BANDWIDTH = "bandwidth"
+    MOUNT_FREQUENCY = "mount_frequency"
+    MOUNT_DAMPING = "mount_damping"
+    TILT = "tilt"
+    DISTANCE = "distance"
+    POSITION_X = "x"
+    POSITION_Y = "y"
+    BEARING = "bearing"
+    ROTATION_X = "turn_x"
+    ROTATION_Y = "turn_y"
+    ROTATION_Z = "turn_z"
+    SHARE = "z"
+    START_ROLL = "start_roll"
+    START_PITCH = "start_pitch"
+    START_YAW = "start_yaw"
+    ROLL = "roll"
+    PITCH = "pitch"
+    YAW = "yaw"
+
+
+K = ConstantKind
+_OPTIONAL = frozenset(
+    {K.DELAY, K.SCALE, K.DRIFT, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING, K.TILT}
+)
+_HIDDEN = frozenset({K.BEARING, K.ROTATION_X, K.ROTATION_Y, K.ROTATION_Z, K.SHARE})
+_MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y}
+_NOMINAL = {K.SCALE: 1.0, K.BANDWIDTH: np.inf, K.MOUNT_FREQUENCY: np.inf}
+# unit, symbol and description of the constants of every sensor
+_COMMON_TEXTS = {
+    K.DELAY: ("s", "D", "delay of the {} relative to the motor encoder"),
+    K.BANDWIDTH: ("Hz", "", "bandwidth of the {}"),
+    K.MOUNT_FREQUENCY: ("Hz", "f_h", "natural frequency of the mount of the {}"),
+    K.MOUNT_DAMPING: ("1", "zeta_h", "damping ratio of the mount of the {}"),
+    K.SCALE: ("1", "s", "scale factor of the {}"),
+    K.DRIFT: ("", "r", "drift of the bias of the {} in one record"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SensorConstant:
+    """A constant of a type of sensor, on any joint."""
+
+    owner: str  # the sensor, or its axis, in names
+    kind: ConstantKind
+    unit: str
+    description: str = ""
+    symbol: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name in docs/notation.md and in results."""
+        return f"{self.owner}_{self.kind.value}"
+
+    def key(self, joint: int, record: str | None = None) -> Key:
+        """Name and joint; a drift belongs to one record."""
+        return self.name if record is None else of_record(self.name, record), joint
+
+    @property
+    def nominal(self) -> float:
+        """Value for an ideal sensor; the bandwidth and the mount's frequency are infinite."""
+        return _NOMINAL.get(self.kind, 0.0)
+
+    @property
+    def is_optional(self) -> bool:
+        """Whether a fit includes the constant only if the data support it."""
+        return self.kind in _OPTIONAL
+
+    @property
+    def is_mounting(self) -> bool:
+        """Whether the constant is a position or an attitude, which changes the weights."""
+        return self.kind in _MOUNTING
+
+    @property
+    def is_hidden(self) -> bool:
+        """Whether it is internal to the fit; results report position and attitude instead."""
+        return self.kind in _HIDDEN
+
+    @property
+    def is_of_mount(self) -> bool:
+        """Whether it describes the resonance of the sensor's mount."""
+        return self.kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
+
+
+class Group(Enum):
+    """Sensors of one link that replace each other in a fit."""
+
+    MOTION = "link motion, as one simulated quantity"
+    MOUNTED = "link motion, as a combination of quantities that depends on the mounting"
+    TORQUE = "joint torque"
+
+
+class LinkSensor(ABC):
+    """A sensor on a link, with the constants that the `[[joint]]` table gives.
+
+    Sensors are values: those of equal joints are equal.
+    """
+
+    name: ClassVar[str]
+    """Name in sensor constants."""
+
+    noun: ClassVar[str]
+    """Noun in descriptions of its constants."""
+
+    channel_kinds: ClassVar[tuple[str, ...]]
+    """Channels without the joint's number, one per axis."""
+
+    drift_unit: ClassVar[str] = ""
+    """SI unit of a reading per second."""
+
+    keys: ClassVar[tuple[str, ...]] = ()
+    """Keys of a `[[joint]]` table that describe it."""
+
+    bandwidth_key: ClassVar[str | None] = None
+    """Key of its bandwidth [Hz] in the table."""
+
+    is_compared: ClassVar[bool] = True
+    """Whether a fit compares its readings as they are."""
+
+    reads_angle: ClassVar[bool] = False
+    """Whether a reading is an angle, which is compared as a velocity: open-loop angles drift."""
+
+    has_bias: ClassVar[bool] = True
+    """Whether a reading has an unknown bias."""
+
+    common: ClassVar[tuple[ConstantKind, ...]] = (
+        K.DELAY,
+        K.BANDWIDTH,
+        K.MOUNT_FREQUENCY,
+        K.MOUNT_DAMPING,
+    )
+    """Kinds of constants that all axes share."""
+
+    per_axis: ClassVar[tuple[ConstantKind, ...]] = (K.SCALE, K.DRIFT)
+    """Kinds of constants that each axis has."""
+
+    symbols: ClassVar[bool] = True
+    """Whether docs/notation.md has symbols for delay, scale and drift."""
+
+    @classmethod
+    @abstractmethod
+    def of_joint(cls, joint: Joint) -> Self | None:
+        """The sensor on the link of a joint; None if the joint cannot have it."""
+
+    @abstractmethod
+    def quantities(self) -> tuple[str, ...]:
+        """Simulated quantities that each axis reads."""
+
+    def axes(self, joint: int) -> tuple[Axis, ...]:
+        """All axes of the sensor on the link of a joint."""
+        return tuple(Axis(self, joint, number) for number in range(len(self.channel_kinds)))
+
+    def low_passes(self) -> Mapping[str, float | None]:
+        """Low-passes [Hz] of the core that its quantities pass, by argument; None: no low-pass."""
+        return {}
+
+    @property
+    def hz(self) -> float | None:
+        """Bandwidth [Hz] of the table; None if it gives none."""
+        return None
+
+    @property
+    def group(self) -> Group:
+        """Group of the sensor."""
+        return Group.MOTION
+
+    @property
+    def rank(self) -> int:
+        """Order in the group; a fit compares those of least rank."""
+        return 0
+
+    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
+        """The joint's table with another bandwidth of the sensor."""
+        changes: dict[str, Any] = {} if self.bandwidth_key is None else {self.bandwidth_key: hz}
+        return replace(joint, **changes)
+
+    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+        """Weights (n_quantities,) of the quantities for values of the mounting's unknowns."""
+        return np.ones(1)
+
+    def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
+        """Unknowns of the mounting of one link's logged axes, in the coordinates of a fit."""
+        return []
+
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
+        """Whether the scale of an axis is identifiable in addition to the mounting of `axes`."""
+        return True
+
+    def report(
+        self, axes: Sequence[Axis], values: Mapping[Key, float]
+    ) -> dict[str, tuple[float, str]]:
+        """Position and attitude as far as they follow from unknowns: value and unit by name."""
+        return {}
+
+    @classmethod
+    def axis_noun(cls, number: int) -> str:
+        """Noun of one axis."""
+        return cls.noun
+
+    @classmethod
+    def owner(cls, number: int) -> str:
+        """Owner of the constants of one axis, in names."""
+        return cls.name
+
+    @classmethod
+    def extra_constants(cls) -> tuple[SensorConstant, ...]:
+        """Further constants, such as those of the mounting."""
+        return ()
+
+    @classmethod
+    @cache
+    def constants(cls) -> tuple[SensorConstant, ...]:
+        """All constants of sensors of this type."""
+        common = [cls._constant(cls.name, cls.noun, kind) for kind in cls.common]
+        of_axes = [
+            cls._constant(cls.owner(number), cls.axis_noun(number), kind)
+            for number in range(len(cls.channel_kinds))
+            for kind in cls.per_axis
+        ]
+        return (*common, *of_axes, *cls.extra_constants())
+
+    @classmethod
+    def _constant(cls, owner: str, noun: str, kind: ConstantKind) -> SensorConstant:
+        unit, symbol, text = _COMMON_TEXTS[kind]
+        has_symbol = cls.symbols or kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
+        unit = cls.drift_unit if kind is K.DRIFT else unit
+        return SensorConstant(owner, kind, unit, text.format(noun), symbol if has_symbol else "")
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """One axis of a sensor on the link of a joint."""
+
+    sensor: LinkSensor
+    joint: int  # from 1
+    number: int = 0
+
+    @property
+    def channel(self) -> str:
+        """Channel of its readings."""
+        return f"{self.sensor.channel_kinds[self.number]}{self.joint}"
+
+    def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
+        """Key of one of its constants; None if it has none of this kind."""
+        owners = (self.sensor.owner(self.number), self.sensor.name)
+        for constant in self.sensor.constants():
+            if constant.kind is kind and constant.owner in owners:
+                return constant.key(self.joint, record)
+        return None
+
+    def value(
+        self, kind: ConstantKind, values: Mapping[Key, float], record: str | None = None
+    ) -> float:
+        """Value of one of its constants; that of an ideal sensor if it is not in `values`."""
+        key = self.key(kind, record)
+        return values.get(key, _NOMINAL.get(kind, 0.0)) if key else _NOMINAL.get(kind, 0.0)
+
+    @property
+    def mount(self) -> tuple[Key, Key] | None:
+        """Natural frequency and damping ratio of the sensor's mount; None if it has none."""
+        frequency, damping = self.key(K.MOUNT_FREQUENCY), self.key(K.MOUNT_DAMPING)
+        return (frequency, damping) if frequency and damping else None
+
+    def weights(self, values: Mapping[Key, float]) -> FloatArray:
+        """Weights (n_quantities,) of the sensor's quantities in the reading."""
+        return self.sensor.weights(self, values)
+
+    def slopes(self, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
+        """Derivatives of the weights with respect to mounting unknowns: (n_quantities, n_keys)."""
+        derivatives = np.zeros((len(self.sensor.quantities()), len(keys)))
+        for k, key in enumerate(keys):
+            if key[1] == self.joint:
+                value, step = values.get(key, 0.0), _DIFFERENCE_STEP
+                high, low = (self.weights({**values, key: value + s}) for s in (step, -step))
+                derivatives[:, k] = (high - low) / (2.0 * step)
+        return derivatives

@@ -1,0 +1,41 @@
+"""Sensor of a gear's torsion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from strainwave.domain.arrays import FloatArray
+from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.interface import Axis, LinkSensor
+
+if TYPE_CHECKING:
+    from strainwave.domain.arm import Joint
+
+
+@dataclass(frozen=True)
+class TorsionSensor(LinkSensor):
+    """Sensor `deflection{i}` of theta_L - n theta_M. With the motor's angle, a link encoder."""
+
+    gear_ratio: float
+
+    name = "torsion_sensor"
+    noun = "torsion sensor"
+    channel_kinds = ("deflection",)
+    is_compared = False  # as the link angle that it gives with the motor encoder
+    reads_angle = True
+    has_bias = False
+    common = per_axis = ()
+
+    @classmethod
+    def of_joint(cls, joint: Joint) -> Self:
+        return cls(joint.gear_ratio)
+
+    def quantities(self) -> tuple[str, ...]:
+        return ("link_angle", "motor_angle")
+
+    def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
+        return np.array([1.0, -self.gear_ratio])
