@@ -25,7 +25,7 @@ from strainwave.domain import (
     Study,
     Verdict,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name

@@ -11,9 +11,6 @@ from strainwave.domain.corrections import Correction
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.study import channel_parts
 
-CI95_STDS = 1.96
-"""Half-width of a 95 % interval in standard deviations of a normal variable."""
-
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")
 """Keys of the study that affect only predictions of link sensors."""
 

@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
 from strainwave.domain.combinations import lumped_inertias
-from strainwave.domain.estimates import CI95_STDS, Parameter, Suspicion
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row

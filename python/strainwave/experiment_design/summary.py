@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from strainwave.domain import Study
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.plan import Design, Planned, clock_of
 from strainwave.experiment_design.written import HEADER_FILE

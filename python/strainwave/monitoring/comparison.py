@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
 from strainwave.monitoring.estimates import Estimates, degrees_of_freedom
 from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test

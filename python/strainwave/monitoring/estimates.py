@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Parameter
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance, covariance_of

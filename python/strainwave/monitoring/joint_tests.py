@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.distributions import chi_square_tail
 
 _RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the correlation matrix; below: dependent
 
@@ -35,7 +36,7 @@ def joint_test(
     nu - r + 1 degrees with nu = (r + r^2) / sum_i (tr G_i^2 + (tr G_i)^2)/nu_i, G_i the part in
     coordinates where S is the identity (Krishnamoorthy and Yu, 2004). None if nu <= r.
     """
-    from scipy.stats import chi2, f
+    from scipy.stats import f
 
     S = np.sum(parts, axis=0)
     scale = np.sqrt(np.diag(S))
@@ -52,7 +53,7 @@ def joint_test(
         spread += float(np.sum(G * G) + np.trace(G) ** 2) / nu_i
     nu = (r + r * r) / spread if spread > 0.0 else float("inf")
     if not np.isfinite(nu):
-        return JointTest(statistic, r, len(difference), nu, float(chi2.sf(statistic, r)))
+        return JointTest(statistic, r, len(difference), nu, chi_square_tail(statistic, r))
     if nu <= r:
         return None
     p = float(f.sf(statistic * (nu - r + 1.0) / (nu * r), r, nu - r + 1.0))

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import BoolArray, FloatArray, IntArray
+from strainwave.domain.distributions import STD_PER_MEDIAN
 from strainwave.numerics.banded import Banded
 
 HUBER_LIMIT_STDS = 4.0
@@ -227,7 +228,7 @@ def residual_of(equations: Equations, factor: Factor) -> FloatArray:
 def root_weights(equations: Equations, factor: Factor) -> FloatArray:
     """Square roots (n_rows,) of Huber's weights with a robust standard deviation for each group.
 
-    w = min(1, HUBER_LIMIT_STDS / |r / s|) / s^2,   s = 1.4826 median |r / sqrt(1 - h)|
+    w = min(1, HUBER_LIMIT_STDS / |r / s|) / s^2,   s = STD_PER_MEDIAN median |r / sqrt(1 - h)|
 
     with the leverage h.
     """
@@ -243,7 +244,7 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         )
         # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
-        std = max(1.4826 * float(np.median(size)), 1e-6 * rms, 1e-300)
+        std = max(STD_PER_MEDIAN * float(np.median(size)), 1e-6 * rms, 1e-300)
         normalised = np.abs(residual[rows]) / std
         root[rows] = np.sqrt(HUBER_LIMIT_STDS / np.maximum(normalised, HUBER_LIMIT_STDS)) / std
     return root

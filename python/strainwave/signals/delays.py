@@ -12,6 +12,7 @@ from strainwave.domain import (
     LinkSignals,
     Place,
 )
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key
 
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
@@ -77,9 +78,8 @@ def build_delay_warnings(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
         if not delay.value:
             continue
         side = "behind" if delay.value > 0.0 else "ahead of"
-        text = (
-            f"the link sensor is {1e3 * abs(delay.value):.3g} ± {1.96e3 * delay.std:.2g} ms {side}"
-        )
+        half_width_ms = 1e3 * CI95_STDS * delay.std
+        text = f"the link sensor is {1e3 * abs(delay.value):.3g} ± {half_width_ms:.2g} ms {side}"
         text += " the motor encoder; its channel was shifted by this delay. Likely causes: a"
         text += " missing sensor bandwidth in the study, latency of its converter or bus, wrong"
         text += " time stamps"

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, HypothesisTest, ModelCheck, StateSpace
+from strainwave.domain.distributions import CI99_STDS, chi_square_tail
 from strainwave.errors import InvalidInput
-from strainwave.numerics.distributions import chi_square_tail
 from strainwave.statespace._entries import Matrices, rescale
 from strainwave.statespace._evaluate import Evaluator, fit_percent
 from strainwave.statespace._stack import Data, Stack, stack
@@ -43,7 +43,7 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
         tests=(whiteness(residuals, stacked, lags=lags), past_test, feedback_test),
         autocorrelation=_normalised(_correlations(residuals, residuals, stacked, lags), residuals),
         cross_correlation=cross_correlation,
-        confidence_99=2.5758 / float(np.sqrt(stacked.n_samples)),
+        confidence_99=CI99_STDS / float(np.sqrt(stacked.n_samples)),
     )
 
 

@@ -14,7 +14,7 @@ from strainwave.domain import (
     FrequencyResponse,
     JointModel,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
 
 BAND_EXTENSION_FACTOR = 3.0

@@ -14,7 +14,7 @@ from strainwave.domain import (
     Parameter,
     Place,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.parameters import unit_of
 
 _MAX_VISCOUS_RELATIVE_STD = (

@@ -25,6 +25,7 @@ from strainwave.domain import (
     RigidOptions,
     Signals,
 )
+from strainwave.domain.distributions import student_quantile
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
@@ -45,7 +46,6 @@ from strainwave.identification.rigid.equations import (
 from strainwave.identification.rigid.repetition import period_of
 from strainwave.identification.rigid.torque_constants import TorqueRatio, torque_ratio
 from strainwave.numerics import least_squares as ls
-from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
 __all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "fit"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.presentation.figures.records import (
     SOLID,
     Axis,

@@ -1,4 +1,4 @@
-"""Numbers behind the drawings: decimated rows, decibels, tick labels, normal quantiles."""
+"""Numbers behind the drawings: decimated rows, decibels, tick labels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import numpy as np
 from strainwave.domain import FloatArray, IntArray
 
 MAX_POINTS = 1200  # points of one line: two per pixel column of a figure 600 px wide
-NORMAL_99 = 2.576  # the same of 99 %
 MIN_BAND_SHARE = 1e-2  # of a modulus: a lower band edge of zero has no value in dB
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, RecordModel, Sweep
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of

@@ -15,7 +15,7 @@ from strainwave.domain import (
     Mode,
     StateSpace,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
     BAND_EXTENSION_FACTOR,

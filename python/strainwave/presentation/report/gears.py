@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Parameter, TorqueHistogram
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
     MEASURED_COLOUR,

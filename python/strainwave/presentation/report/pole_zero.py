@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, JointModel, Mode, Modes
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.presentation.figures import (
@@ -25,7 +26,6 @@ from strainwave.presentation.figures import (
 from strainwave.presentation.report.bode import TunedJoint
 from strainwave.statespace import nearest
 
-_CHI_SQUARE_95 = 5.991  # two degrees of freedom: real and imaginary part
 _ELLIPSE_POINTS = 40
 _MAX_DAMPING = 0.5  # of the oscillating roots shown: others describe the edge of the band
 _SYMBOL_SIZE = 9.0  # [px]
@@ -158,6 +158,6 @@ def _ellipse(centre: complex, covariance: FloatArray) -> tuple[FloatArray, Float
     """The 95 % confidence region of real and imaginary part."""
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, _ELLIPSE_POINTS)
-    radii = np.sqrt(_CHI_SQUARE_95 * np.clip(values, 0.0, None))
+    radii = np.sqrt(chi_square_limit(0.05, 2) * np.clip(values, 0.0, None))
     points = vectors @ (radii[:, None] * np.stack([np.cos(angle), np.sin(angle)]))
     return centre.real + points[0], centre.imag + points[1]

@@ -20,6 +20,7 @@ from strainwave.domain import (
     ResidualTest,
     ScoreTest,
 )
+from strainwave.domain.distributions import CI99_STDS
 from strainwave.domain.effects import effect_named
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.whole_arm.inference.score_tests import (
@@ -31,7 +32,6 @@ from strainwave.presentation.figures import (
     DASHES,
     MEASURED_COLOUR,
     MODEL_COLOUR,
-    NORMAL_99,
     PALETTE,
     RESIDUAL_COLOUR,
     SHORT_DASH,
@@ -312,7 +312,7 @@ def _residual_panels(
             len(auto) - 1,
             correlation.n_samples,
         )
-        limits = (expected - NORMAL_99 * std, expected + NORMAL_99 * std)
+        limits = (expected - CI99_STDS * std, expected + CI99_STDS * std)
     lag = np.asarray(
         1e3 * correlation.lag_time * np.arange(-len(auto) + 1, len(auto)), dtype=np.float64
     )
@@ -322,7 +322,7 @@ def _residual_panels(
         auto,
         limits,
         {
-            f"input of joint {j + 1}": (column, NORMAL_99 * limit)
+            f"input of joint {j + 1}": (column, CI99_STDS * limit)
             for j, (column, limit) in enumerate(
                 zip(correlation.cross_correlation.T, correlation.cross_std.tolist(), strict=True)
             )

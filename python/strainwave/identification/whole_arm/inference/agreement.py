@@ -19,6 +19,7 @@ from strainwave.domain import (
     StageDifference,
     SuspectConstant,
 )
+from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import family_of
 from strainwave.domain.parameters import unit_of
@@ -32,7 +33,6 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 from strainwave.identification.whole_arm.problem.prior import reference_sizes
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.distributions import chi_square_tail
 
 Scope = Literal["all", "inertias", "friction"]
 

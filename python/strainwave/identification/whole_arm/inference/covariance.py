@@ -39,11 +39,10 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS, student_quantile
 from strainwave.identification.whole_arm.inference.gradient_evidence import Evidence, evidence_of
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.distributions import student_quantile
 from strainwave.numerics.parallel import run_parallel
 
 MIN_VARIANCE_SHARE = 1e-3

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, Parameter
 from strainwave.domain.combinations import value_of
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import VISCOUS

@@ -11,7 +11,7 @@ from strainwave.domain import (
     FloatArray,
     Parameter,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import VISCOUS

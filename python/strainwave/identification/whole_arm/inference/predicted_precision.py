@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.combinations import value_of
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values, unit_of

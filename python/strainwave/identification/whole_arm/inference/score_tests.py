@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
+from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.effects import Effect, all_effects, effect_named
-from strainwave.domain.estimates import CI95_STDS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.dynamics.arm import Arm
@@ -34,7 +34,6 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 )
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.distributions import chi_square_limit
 
 FALSE_ALARMS = 1e-4
 """Probability that any effect is significant if the residuals are noise."""

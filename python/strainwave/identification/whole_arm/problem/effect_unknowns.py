@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, EffectName, FloatArray
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import COULOMB, base_name, of_record
@@ -17,7 +18,6 @@ from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.largest_loads import Loads
-from strainwave.numerics.distributions import chi_square_limit
 
 NamedEffect = tuple[int, EffectName]
 """A joint, from 1, and an effect that it may have."""

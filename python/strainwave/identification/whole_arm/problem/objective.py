@@ -16,6 +16,7 @@ from typing import TypeVar
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
+from strainwave.domain.distributions import STD_PER_MEDIAN
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
@@ -37,7 +38,6 @@ BLOCKS_PER_RECORD = 10
 
 _MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
 _INITIAL_ERROR_SHARE = 0.1  # initial standard deviation of residuals, as a share of the channel's
-_STD_PER_MEDIAN = 1.4826  # standard deviation over median absolute deviation, normal distribution
 
 # predicted cost reduction at which the search for initial states ends
 _INITIAL_STATE_TOLERANCE = 0.1
@@ -381,5 +381,5 @@ def _shifts(record: Dataset) -> FloatArray:
 
 def _robust_std(errors: FloatArray) -> FloatArray:
     """Robust standard deviations (n_channels,) of errors (n_rows, n_channels)."""
-    typical = _STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
+    typical = STD_PER_MEDIAN * np.median(np.abs(errors), axis=0)
     return np.asarray(np.maximum(typical, 0.5 * np.std(errors, axis=0)))

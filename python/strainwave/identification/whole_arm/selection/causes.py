@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, WholeArmOptions
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
@@ -37,7 +38,6 @@ from strainwave.identification.whole_arm.records.largest_loads import Loads, loa
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
-from strainwave.numerics.distributions import chi_square_limit
 
 MAX_RIVAL_EFFECTS = 3  # fitted effects of largest predicted gain
 MAX_OTHER_EFFECTS = 4  # fitted effects of the same joint if the rivals explain too little

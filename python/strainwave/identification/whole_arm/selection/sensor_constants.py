@@ -20,7 +20,7 @@ from strainwave.domain import (
     Place,
     WholeArmOptions,
 )
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter
-from strainwave.domain.estimates import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.keys import Key
 from strainwave.dynamics.link_sensors import is_of_mount, mount_of
 from strainwave.dynamics.mount_resonance import MountResonance
@@ -25,7 +25,6 @@ from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
-from strainwave.numerics.distributions import chi_square_limit
 
 # natural frequencies [Hz] of the tested mounts
 _TESTED_FREQUENCIES_HZ = (30.0, 37.0, 45.0, 55.0, 67.0, 82.0, 100.0, 122.0, 150.0, 183.0, 223.0)

@@ -1,12 +1,21 @@
-"""Chi-square and Student's t distributions in closed form, for integer degrees of freedom.
+"""Factors of intervals; chi-square and Student's t distributions for integer degrees of freedom.
 
-SciPy provides them too, but its import takes longer than most stages.
+SciPy provides the distributions too, but its import takes longer than most stages.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
+
+CI95_STDS = 1.96
+"""Half-width of a 95 % interval in standard deviations of a normal variable."""
+
+CI99_STDS = 2.5758
+"""The same of a 99 % interval."""
+
+STD_PER_MEDIAN = 1.4826
+"""Standard deviation of a normal variable over the median of its absolute value."""
 
 
 def chi_square_tail(value: float, degrees: int) -> float:

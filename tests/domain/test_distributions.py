@@ -1,16 +1,17 @@
-"""Closed-form distributions and the matrix exponential against SciPy."""
+"""Closed-form distributions against SciPy."""
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 from scipy.special import chdtrc, chdtri, stdtrit
 
-from strainwave.numerics.distributions import (
+from strainwave.domain.distributions import (
+    CI95_STDS,
+    CI99_STDS,
+    STD_PER_MEDIAN,
     chi_square_limit,
     chi_square_tail,
     student_quantile,
 )
-from strainwave.numerics.linalg import exponential
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3, 10, 25, 100, 101, 300])
@@ -36,12 +37,8 @@ def test_student_quantile(probability: float, degrees: int) -> None:
     assert student_quantile(probability, degrees) == pytest.approx(expected, rel=1e-10, abs=1e-14)
 
 
-@pytest.mark.parametrize("size", [0.0, 1e-3, 0.1, 1.0, 5.0, 50.0])
-def test_matrix_exponential(size: float) -> None:
-    matrix = size * np.random.default_rng(5).normal(size=(5, 5))
-    expected = expm(matrix)
-    # squaring doubles the relative error: 1e-16 times about 2 |M|
-    assert (
-        np.abs(exponential(matrix) - expected).max()
-        < 1e-13 * max(1.0, size) * np.abs(expected).max()
-    )
+def test_factors_of_intervals() -> None:
+    normal = 10**6  # degrees of freedom from which Student's t is normal to six digits
+    assert pytest.approx(stdtrit(normal, 0.975), abs=5e-5) == CI95_STDS
+    assert pytest.approx(stdtrit(normal, 0.995), abs=5e-5) == CI99_STDS
+    assert pytest.approx(1.0 / stdtrit(normal, 0.75), abs=5e-5) == STD_PER_MEDIAN
