@@ -24,7 +24,7 @@ from strainwave.domain import (
     Study,
     TorqueHistogram,
 )
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.two_inertia import (
     NAMES,
     TwoInertia,

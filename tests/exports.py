@@ -10,7 +10,7 @@ from pathlib import Path
 from strainwave.domain import Experiment, Joint, Motion, Spring, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys, single_joint
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.export import IdentifiedArm, read_arm
 from strainwave.io.study import write_study
 from strainwave.virtual import scara

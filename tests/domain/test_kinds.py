@@ -9,7 +9,9 @@ import pytest
 
 from strainwave.domain import ArmDescription, Joint
 from strainwave.domain.arm import ArmKind
+from strainwave.domain.base_parameters import base_parameters, link_inertia
 from strainwave.domain.combinations import (
+    inertias_of_links,
     is_rigid_drive,
     lumped_inertias,
     reported,
@@ -18,7 +20,7 @@ from strainwave.domain.combinations import (
     value_of,
 )
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds import KINDS, kind_of, planar_two_link, single_joint
+from strainwave.domain.kinds import KINDS, planar_two_link, single_joint
 
 RATIOS = (0.02, 0.01)
 
@@ -35,9 +37,8 @@ def random_values(arm: ArmDescription, seed: int) -> Values:
     rng = np.random.default_rng(seed)
     names = ("motor_inertia", "motor_viscous_friction", "link_viscous_friction", "friction_offset")
     numbers = range(1, arm.n_joints + 1)
-    keys = [*kind_of(arm).inertias, *((name, i) for name in names for i in numbers)]
+    keys = [*base_parameters(arm).links, *((name, i) for name in names for i in numbers)]
     keys += [("motor_coulomb_friction", i) for i in numbers]
-    keys += [(f"gravity_torque_{i}", None) for i in numbers]
     return {key: float(rng.uniform(0.5, 2.0)) for key in keys}
 
 
@@ -46,16 +47,15 @@ def test_every_kind_is_registered() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_from_link_inertias_inverts_link_inertia(kind: ArmKind) -> None:
+def test_inertias_follow_from_link_inertias(kind: ArmKind) -> None:
     arm = description(kind)
     values = random_values(arm, 1)
-    kind_ = kind_of(arm)
     numbers = range(1, arm.n_joints + 1)
-    links = {("link_inertia", i): value_of(kind_.link_inertia(i), values) for i in numbers}
+    links = {("link_inertia", i): value_of(link_inertia(arm, i), values) for i in numbers}
     inverted: Values = {
-        key: v for key, v in values.items() if key not in dict(kind_.from_link_inertias)
+        key: v for key, v in values.items() if key not in dict(inertias_of_links(arm))
     }
-    for key, row in kind_.from_link_inertias:
+    for key, row in inertias_of_links(arm):
         inverted[key] = value_of(row, inverted | links)
     assert inverted == pytest.approx(values)
 
@@ -67,7 +67,7 @@ def test_the_total_inertia_follows_from_the_rigid_unknowns(kind: ArmKind) -> Non
     values = random_values(arm, 2)
     rigid = {column.key: value_of(column.parts, values) for column in rigid_columns(arm)}
     for number, joint in enumerate(arm.joints, start=1):
-        link = value_of(kind_of(arm).link_inertia(number), values)
+        link = value_of(link_inertia(arm, number), values)
         expected = values["motor_inertia", number] + joint.gear_ratio**2 * link
         assert value_of(total_inertia(arm, number), rigid) == pytest.approx(expected)
 

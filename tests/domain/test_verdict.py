@@ -33,7 +33,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.diagnostics import merge_by_cause, published_warnings
 from strainwave.domain.identification import model_defects
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link
 

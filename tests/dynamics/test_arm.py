@@ -64,8 +64,8 @@ def test_rigid_torque_does_not_depend_on_the_motor_share(name: str) -> None:
     expected = arm.rigid_regressor(angle, velocity, acceleration) @ solution
     for share in (0.0, 0.3, 1.0):
         base, motors = (
-            arm.base_of_rigid(share) @ solution,
-            arm.motor_inertias_of_rigid(share) @ solution,
+            arm.links_of_rigid(share) @ solution,
+            arm.motors_of_rigid(share) @ solution,
         )
         links = arm.link_torques(base, angle, velocity, acceleration)
         np.testing.assert_allclose(n * links + motors * acceleration / n, expected, rtol=1e-10)
@@ -73,7 +73,7 @@ def test_rigid_torque_does_not_depend_on_the_motor_share(name: str) -> None:
 
 def test_torques_of_accelerations_match_the_inertia_matrix() -> None:
     angle, _, acceleration = motion(TWO)
-    base = TWO.base_of_rigid() @ rigid_values(TWO)
+    base = TWO.links_of_rigid() @ rigid_values(TWO)
     torque = TWO.torques_of_accelerations(base, angle, acceleration)
     M = np.stack([TWO.inertia_matrix(base, at) for at in angle])
     np.testing.assert_allclose(torque, M * acceleration[:, None, :], rtol=1e-9, atol=1e-12)

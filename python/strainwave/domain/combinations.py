@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from strainwave.domain.arm import ArmDescription
+from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, link_inertia
 from strainwave.domain.keys import Key, Row
-from strainwave.domain.kinds import RigidColumn, kind_of
+from strainwave.domain.kinds import RigidColumn
+
+LINK_INERTIA = "link_inertia"
 
 FRICTION_COLUMNS = 3
 """Viscous friction, Coulomb friction and offset: the last columns of each joint."""
 
 
 def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
-    """Unknowns of the rigid model: inertias and gravity, then friction joint by joint."""
-    columns = list(rigid_body_columns(arm))
+    """Unknowns of the rigid model: base parameters, then friction joint by joint."""
+    columns = list(base_parameters(arm).columns)
     for number, joint in enumerate(arm.joints, start=1):
         revolute = joint.motion == "revolute"
         force = "N m" if revolute else "N"
@@ -25,18 +28,6 @@ def rigid_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
         columns.append(RigidColumn(viscous, number, "N m s/rad" if revolute else "N s/m", parts))
         for name in ("motor_coulomb_friction", "friction_offset"):
             columns.append(RigidColumn(name, number, force, {(name, number): 1.0}))
-    return tuple(columns)
-
-
-def rigid_body_columns(arm: ArmDescription) -> tuple[RigidColumn, ...]:
-    """Unknowns of the rigid model without friction: inertias and gravity."""
-    columns = list(kind_of(arm).rigid_inertias(arm))
-    if arm.gravity is not None:
-        for number, joint in enumerate(arm.joints, start=1):
-            key: Key = (f"gravity_torque_{number}", None)
-            columns.append(
-                RigidColumn(*key, "N m" if joint.motion == "revolute" else "N", {key: 1.0})
-            )
     return tuple(columns)
 
 
@@ -67,12 +58,12 @@ def reported(arm: ArmDescription) -> dict[Key, Row]:
     They are `total_viscous_friction` of each joint, `link_inertia` if the links share inertias, and
     the inertia that rigid motion does not separate into motor and link.
     """
-    kind, lumped = kind_of(arm), lumped_inertias(arm)
+    lumped, links = lumped_inertias(arm), base_parameters(arm).links
     rows: dict[Key, Row] = {}
     for number in range(1, arm.n_joints + 1):
         rows["total_viscous_friction", number] = total_viscous_friction(arm, number)
-        if ("link_inertia", number) not in kind.inertias:
-            rows["link_inertia", number] = kind.link_inertia(number)
+        if (LINK_INERTIA, number) not in links:
+            rows[LINK_INERTIA, number] = link_inertia(arm, number)
         rows |= {key: row for key, row in lumped.items() if key[1] == number}
     return rows
 
@@ -83,22 +74,32 @@ def lumped_inertias(arm: ArmDescription) -> dict[Key, Row]:
     They are `rigid_inertia`, alpha + m_M1/n_1^2, for two links, and `inertia`, m_M + n^2 m_L, for
     one joint.
     """
-    columns = kind_of(arm).rigid_inertias(arm)
+    columns = base_parameters(arm).columns
     return {column.key: column.parts for column in columns if len(column.parts) > 1}
 
 
 def total_inertia(arm: ArmDescription, joint: int) -> Row:
     """c_1 = m_M + n^2 m_L of a joint, from 1, (18), over the unknowns of `rigid_columns`."""
-    kind, motor = kind_of(arm), ("motor_inertia", joint)
     n2 = arm.joints[joint - 1].gear_ratio ** 2
-    rest: dict[Key, float] = {key: n2 * weight for key, weight in kind.link_inertia(joint).items()}
-    rest[motor] = 1.0
-    combination: dict[Key, float] = {}
-    for column in kind.rigid_inertias(arm):
-        if motor in column.parts:
-            combination[column.key] = 1.0 / column.parts[motor]
-            rest = {key: weight for key, weight in rest.items() if key not in column.parts}
-    return combination | rest
+    row = {key: n2 * weight for key, weight in link_inertia(arm, joint).items()}
+    return base_parameters(arm).weights({(MOTOR_INERTIA, joint): 1.0, **row})
+
+
+def inertias_of_links(arm: ArmDescription) -> tuple[tuple[Key, Row], ...]:
+    """Parameters of links that follow from the joints' `link_inertia`, last joint first.
+
+    Each row may use the parameters before it and other parameters of links. For two links, beta =
+    m_L2 and alpha = m_L1 - beta - 2 gamma.
+    """
+    derived: dict[Key, Row] = {}
+    for joint in range(arm.n_joints, 0, -1):
+        row = dict(link_inertia(arm, joint))
+        key = next((part for part in row if part not in derived), None)
+        if key is not None:
+            weight = row.pop(key)
+            rest = {part: -w / weight for part, w in row.items()}
+            derived[key] = {(LINK_INERTIA, joint): 1.0 / weight, **rest}
+    return tuple(derived.items())
 
 
 def value_of(row: Row, values: Mapping[Key, float]) -> float:

@@ -14,13 +14,12 @@ from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
-from strainwave.domain.combinations import lumped_inertias
+from strainwave.domain.combinations import inertias_of_links, lumped_inertias
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
-from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import link_channel_kinds, link_keys
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
@@ -272,7 +271,7 @@ def _make_consistent(
         return list(known)
 
     derived_rows: dict[Key, Row] = {}
-    for key, row in kind_of(arm).from_link_inertias:
+    for key, row in inertias_of_links(arm):
         parameter = (
             _renamed_parameter(key, parts(row))
             if len(row) == 1

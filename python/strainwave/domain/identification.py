@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
 from strainwave.domain.arm_model import ArmModel, MotorResponse, ResidualTest, contradictions
+from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Parameter, Place, Prediction, Suspicion
 from strainwave.domain.final_table import Decision, decide
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
-from strainwave.domain.kinds import kind_of
 from strainwave.domain.linear_models import FrequencyResponse
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.rigid_model import RigidModel
@@ -116,7 +116,7 @@ def compute_verdict(result: Identification) -> Verdict:
 def _required_stages(result: Identification) -> _Requirements:
     """Required stages among those requested, and the primary parameters that they estimate."""
     study = result.study
-    arm, kind = study.arm, kind_of(study.arm)
+    arm, base = study.arm, base_parameters(study.arm)
     elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
     has_motion = any(e.use == "motion" for e in study.experiments)
     is_independent = is_uncoupled(arm) and bool(elastic)
@@ -124,9 +124,7 @@ def _required_stages(result: Identification) -> _Requirements:
     stages = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
     names: list[str] = []
     if stages:
-        names += kind.primary
-        if arm.gravity is not None:
-            names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
+        names += [column.label for column in base.columns]
     viscous = viscous_friction(arm)
     for number in range(1, arm.n_joints + 1):
         names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
@@ -141,7 +139,11 @@ def _required_stages(result: Identification) -> _Requirements:
             names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
     if has_whole_arm:
         stages.append("tuned")
-        names += kind.primary_of_all
+        names += [
+            name if joint is None else f"{name} {joint}"
+            for name, joint in base.effective
+            if (name, joint) not in base.separate_links
+        ]
     return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
 
 

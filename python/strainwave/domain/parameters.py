@@ -3,26 +3,15 @@
 from __future__ import annotations
 
 from strainwave.domain.arm import ArmDescription, Joint
+from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.parameter_table import base_name, parameter_table
 
 __all__ = [
     "complete_values",
-    "unit_of",
     "whole_arm_parameter_names",
 ]
-
-
-def unit_of(name: str, joint: Joint | None = None) -> str:
-    """SI unit of a parameter, by its name in docs/notation.md; None for a parameter of the arm.
-
-    Raises KeyError if there is no parameter of that name.
-    """
-    return parameter_table()[base_name(name)].units[
-        joint is not None and joint.motion == "prismatic"
-    ]
 
 
 def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
@@ -31,15 +20,13 @@ def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:
     They are names of the arm and of all joints, "gear_stiffness", or of one joint, "gear_stiffness
     1".
     """
-    inertias = kind_of(arm).inertias
-    names = [name for name, joint in inertias if joint is None]
-    if arm.gravity is not None:
-        names += [f"gravity_torque_{i}" for i in range(1, arm.n_joints + 1)]
+    links = base_parameters(arm).effective
+    names = [name for name, joint in links if joint is None]
     joints_by_name: dict[str, list[int]] = {}
     for number, joint in enumerate(arm.joints, start=1):
         joint_names = ["motor_inertia", "motor_viscous_friction", "motor_coulomb_friction"]
         joint_names += ["friction_offset", "link_viscous_friction", STIFFNESS, "gear_damping"]
-        joint_names += [name for name, owner in inertias if owner == number]
+        joint_names += [name for name, owner in links if owner == number]
         for name in dict.fromkeys((*joint_names, *joint.law.names)):
             joints_by_name.setdefault(name, []).append(number)
     for name, numbers in joints_by_name.items():

@@ -12,15 +12,12 @@ import numpy as np
 
 from strainwave import _core
 from strainwave.domain import ArmDescription, FloatArray, Joint
-from strainwave.domain.combinations import (
-    lumped_inertias,
-    reported,
-    rigid_body_columns,
-    rigid_columns,
-)
+from strainwave.domain.base_parameters import BaseParameters, base_parameters, link_inertia
+from strainwave.domain.combinations import lumped_inertias, reported, rigid_columns
+from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.effects import RecordEffect, effect_named
 from strainwave.domain.keys import Key, Row, Values
-from strainwave.domain.kinds import RigidColumn, kind_of
+from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.link_sensors import low_passes
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -54,14 +51,10 @@ class Arm(ArmDescription):
     def core(self) -> _core.Arm:
         """The compiled arm: kind, gears and effects, electronics, sensors."""
         joints = self.joints
-        return _core.Arm(
-            self.kind,
+        return core_arm(
+            self,
             [joint.law.core_name for joint in joints],
-            [joint.gear_ratio for joint in joints],
-            motion=joints[0].motion,
             torque_per_volt=self.torque_per_volt.tolist(),
-            link_length=self.joints[-1].origin.xyz[0],
-            gravity=self.gravity_size,
             current_loop_hz=[joint.current_loop_hz for joint in joints],
             encoder_counts=[joint.encoder_counts for joint in joints],
             accelerometer_distance=[joint.accelerometer_distance or 1.0 for joint in joints],
@@ -83,8 +76,7 @@ class Arm(ArmDescription):
     @cached_property
     def transmission(self) -> FloatArray:
         """C N: link angles per motor angle, (n_joints, n_joints)."""
-        coupling = np.eye(self.n_joints) if self.coupling is None else np.array(self.coupling)
-        return _constant((coupling * self.gear_ratios).tolist())
+        return _constant(transmission(self).tolist())
 
     def links_of(self, motors: FloatArray) -> FloatArray:
         """Link motion of a motor motion behind rigid gears, C N theta_M: (..., n_joints)."""
@@ -111,8 +103,7 @@ class Arm(ArmDescription):
     @cached_property
     def base_names(self) -> tuple[Key, ...]:
         """Base parameters, which come first in the core; the links' torques are linear in them."""
-        still = np.zeros((1, self.n_joints))
-        return self.parameter_names[: self.core.base_regressor(still, still, still).shape[2]]
+        return self.base.links
 
     @cached_property
     def rigid_columns(self) -> tuple[RigidColumn, ...]:
@@ -120,9 +111,14 @@ class Arm(ArmDescription):
         return rigid_columns(self)
 
     @cached_property
+    def base(self) -> BaseParameters:
+        """Base parameters of rigid motion; they come first in `rigid_columns`."""
+        return base_parameters(self)
+
+    @property
     def n_body(self) -> int:
-        """Number of `rigid_columns` that are not friction; they come first."""
-        return len(rigid_body_columns(self))
+        """Number of `rigid_columns` that are not friction."""
+        return len(self.base.columns)
 
     @cached_property
     def reported(self) -> Mapping[Key, Row]:
@@ -136,7 +132,7 @@ class Arm(ArmDescription):
 
     def link_inertia(self, joint: int) -> Row:
         """m_L of (3) for a joint, from 1, with the arm stretched: a row over the parameters."""
-        return kind_of(self).link_inertia(joint)
+        return link_inertia(self, joint)
 
     def parameter_vector(self, values: Values) -> FloatArray:
         """Values by name and joint as the vector (n_parameters,) in the order of `parameter_names`.
@@ -203,48 +199,32 @@ class Arm(ArmDescription):
     def rigid_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
-        """Motor torques per inertia and gravity torque of the rigid model, (5), (S2), (S3).
+        """Motor torques per base parameter, (5), (S2), (S3): (n_samples, n_joints, n_body)."""
+        parameters = self.base.particular()
+        n_links = len(self.base.links)
+        of_links = self.base_regressor(angle, velocity, acceleration) @ parameters[:n_links]
+        torques = np.swapaxes(self.motors_of(np.swapaxes(of_links, 1, 2)), 1, 2)
+        motors = parameters[n_links:]
+        if motors.any():
+            torques += self.motor_accelerations(acceleration)[:, :, None] * motors
+        return np.asarray(torques)
 
-        This is the core's regressor reflected to the motors. A motor inertia that is not part of a
-        lumped inertia adds a column. Shape (n_samples, n_joints, n_body), columns as in
-        `rigid_columns`.
-        """
-        base = self.base_regressor(angle, velocity, acceleration)
-        phi = np.zeros((*angle.shape, self.n_body))
-        for k, column in enumerate(self.rigid_columns[: self.n_body]):
-            key = next(iter(column.parts))
-            if key in self.base_names:
-                phi[:, :, k] = self.gear_ratios * base[:, :, self.base_names.index(key)]
-            elif key[1] is not None:
-                i = key[1] - 1
-                phi[:, i, k] = acceleration[:, i] / self.gear_ratios[i]
-        return phi
+    def motor_accelerations(self, links: FloatArray) -> FloatArray:
+        """Motor motion of a link motion behind rigid gears, (C N)^-1 q: (..., n_joints)."""
+        if self.coupling is None:
+            return np.asarray(links / self.gear_ratios)
+        return np.asarray(links @ np.linalg.inv(self.transmission).T)
 
-    def base_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
-        """Base parameters from the rigid model's unknowns: (n_base, n_body).
+    def links_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
+        """Link parameters that have given base parameters: (n_links, n_body).
 
         `motor_share` is the share of the motors in inertias that rigid motion does not separate.
         """
-        rows = np.zeros((len(self.base_names), self.n_body))
-        for k, column in enumerate(self.rigid_columns[: self.n_body]):
-            share = motor_share if column.motor else 0.0
-            for key, weight in column.parts.items():
-                if key in self.base_names:
-                    rows[self.base_names.index(key), k] = (1.0 - share) / weight
-        return rows
+        return self.base.particular(motor_share)[: len(self.base.links)]
 
-    def motor_inertias_of_rigid(self, motor_share: float) -> FloatArray:
-        """Motor inertias from the rigid model's unknowns: (n_joints, n_body).
-
-        `motor_share` is the same as in `base_of_rigid`. It does not apply to unknowns that are a
-        motor inertia alone.
-        """
-        rows = np.zeros((self.n_joints, self.n_body))
-        for k, column in enumerate(self.rigid_columns[: self.n_body]):
-            if column.motor is not None:
-                joint, weight = column.motor
-                rows[joint - 1, k] = (motor_share if len(column.parts) > 1 else 1.0) / weight
-        return rows
+    def motors_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
+        """Motor inertias that have given base parameters: (n_joints, n_body)."""
+        return self.base.particular(motor_share)[len(self.base.links) :]
 
     def inertia_matrix(self, base: FloatArray, angle: FloatArray) -> FloatArray:
         """M(q) of the links, (3), from the core's regressor: (n_joints, n_joints) [kg m^2].
@@ -263,23 +243,18 @@ class Arm(ArmDescription):
 
         Shape (n_samples, n_joints, n_joints) [N m]: by link, then by accelerated joint.
         """
-        without_gravity = np.where(self._is_gravity, 0.0, base)
         rest = np.zeros_like(angle)
+        gravity = self.link_torques(base, angle, rest, rest)
         torques = np.empty((*angle.shape, self.n_joints))
         for j in range(self.n_joints):
             single = rest.copy()
             single[:, j] = acceleration[:, j]
-            torques[:, :, j] = self.link_torques(without_gravity, angle, rest, single)
+            torques[:, :, j] = self.link_torques(base, angle, rest, single) - gravity
         return torques
 
     def link_inertias(self, base: FloatArray) -> FloatArray:
         """m_L of each joint, the diagonal of M(0): (n_joints,) [kg m^2]."""
         return np.diagonal(self.inertia_matrix(base, np.zeros(self.n_joints))).copy()
-
-    @cached_property
-    def _is_gravity(self) -> tuple[bool, ...]:
-        """Whether each base parameter is a gravity torque."""
-        return tuple(name.startswith("gravity") for name, _ in self.base_names)
 
     def holding_voltage(self, values: Values, motor_angle: tuple[float, ...]) -> tuple[float, ...]:
         """Voltage [V] of each joint that balances gravity at the motor angles [rad].
@@ -287,7 +262,7 @@ class Arm(ArmDescription):
         Raises InvalidInput if a parameter is missing or impossible.
         """
         rest = np.zeros((1, self.n_joints))
-        angle = np.array([motor_angle]) * self.gear_ratios
+        angle = self.links_of(np.array([motor_angle]))
         vector = self.parameter_vector(values)
         try:
             torque = self.core.inverse_dynamics(vector, angle, rest, rest)[0]
@@ -337,8 +312,8 @@ class Arm(ArmDescription):
             k = np.diag([joint.law.stiffness_range(values)[1] for joint, values in pairs])
             motor = np.diag([known["motor_inertia", i] for i in numbers] / self.gear_ratios**2)
             base = [
-                0.0 if is_gravity else known[key]
-                for key, is_gravity in zip(self.base_names, self._is_gravity, strict=True)
+                known.get(key, 0.0) if _is_zero_by_default(key) else known[key]
+                for key in self.base_names
             ]
         except KeyError:
             return 0.0

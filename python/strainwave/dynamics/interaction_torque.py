@@ -16,7 +16,7 @@ def base_parameters(model: RigidModel, arm: Arm) -> FloatArray:
     An inertia that rigid motion does not separate, such as alpha + m_M1/n1^2, counts as the link's;
     see `interaction_torques`. Raises NotIdentifiable if a parameter is unknown.
     """
-    rows = arm.base_of_rigid()
+    rows = arm.links_of_rigid()
     solution = [
         known(model, *column.key) if row.any() else 0.0
         for column, row in zip(arm.rigid_columns[: arm.n_body], rows.T, strict=True)
@@ -48,11 +48,11 @@ def interaction_torques(
 def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
     """Derivatives of the base parameters with respect to the rigid model's solution.
 
-    Shape (n_base, n_parameters). Lumped inertias cancel in `interaction_torques` and have zero
+    Shape (n_links, n_parameters). Lumped inertias cancel in `interaction_torques` and have zero
     derivatives.
     """
     derivatives = np.zeros((len(arm.base_names), len(model.parameters)))
-    derivatives[:, : arm.n_body] = arm.base_of_rigid(motor_share=1.0)
+    derivatives[:, : arm.n_body] = arm.links_of_rigid(motor_share=1.0)
     return derivatives
 
 

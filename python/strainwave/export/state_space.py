@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray
+from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.keys import Key
-from strainwave.domain.kinds import kind_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
@@ -82,7 +82,7 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
 def link_inertia_row(arm: IdentifiedArm, joint: int) -> dict[Key, float]:
     """m_L as a linear combination of parameters (3): (name, joint) -> weight."""
     key = ("link_inertia", joint)
-    return {key: 1.0} if key in arm.values else dict(kind_of(arm.study.arm).link_inertia(joint))
+    return {key: 1.0} if key in arm.values else dict(link_inertia(arm.study.arm, joint))
 
 
 def _link_inertia(arm: IdentifiedArm, joint: int) -> float:

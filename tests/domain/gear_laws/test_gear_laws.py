@@ -17,7 +17,8 @@ from strainwave.domain.gear_laws import STIFFNESS, GearLaw, GearParameter, gear_
 from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameter_words import parameter_descriptions
-from strainwave.domain.parameters import unit_of, whole_arm_parameter_names
+from strainwave.domain.parameters import whole_arm_parameter_names
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.errors import InvalidInput

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 class RigidColumn:
     """One unknown of the rigid model: a combination of parameters that motor torque identifies.
 
-    Its regressor is that of the first part, whose weight is one. If the combination adds a motor's
-    inertia to inertias of links, rigid motion does not separate them.
+    If the combination adds a motor's inertia to inertias of links, rigid motion does not separate
+    them.
     """
 
     name: str
@@ -40,6 +40,11 @@ class RigidColumn:
             if name == "motor_inertia" and joint is not None:
                 return joint, weight
         return None
+
+    @property
+    def label(self) -> str:
+        """Name and joint, as in a verdict."""
+        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
     def __str__(self) -> str:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
@@ -85,15 +90,6 @@ class Kind(ABC, Generic[Table]):
     table: type[Table]
     """Keys of `[arm]`, without `kind`."""
 
-    inertias: tuple[Key, ...]
-    """Inertial parameters of the links."""
-
-    primary: tuple[str, ...]
-    """Labels of the inertias that the rigid step is expected to identify, as in a verdict."""
-
-    primary_of_all: tuple[str, ...]
-    """Labels of the inertias that only the whole-arm fit identifies."""
-
     gravity_note: str = ""
     """Formula of `effective_gravity`, if it is not the gravity of the study."""
 
@@ -112,20 +108,12 @@ class Kind(ABC, Generic[Table]):
         """The `[arm]` table of a chain: the inverse of `construct`."""
 
     @abstractmethod
-    def link_inertia(self, joint: int) -> Row:
-        """m_L of (3) for a joint, from 1, over `inertias`: link inertia with the arm stretched."""
-
-    @property
-    @abstractmethod
-    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """Inertias as functions of the joints' `link_inertia`: the inverse of `link_inertia`.
-
-        Each entry may use the entries before it.
-        """
+    def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:
+        """Each parameter of the links as a row over the standard parameters of a chain."""
 
     @abstractmethod
-    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
-        """Inertias of links and motors that rigid motion identifies, (6)."""
+    def rigid_combinations(self, arm: ArmDescription) -> Mapping[Key, Row]:
+        """Names of combinations of link parameters and motor inertias in results."""
 
     @abstractmethod
     def starting_inertias(

@@ -5,7 +5,7 @@ M(q) = [alpha + beta + 2 gamma cos q2, beta + gamma cos q2; beta + gamma cos q2,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,6 @@ from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
     Fault,
     Kind,
-    RigidColumn,
     in_plane_gravity,
     wrong_number_of_joints,
 )
@@ -61,34 +60,24 @@ class PlanarTwoLink(Kind[PlanarTable]):
     """Joint 2 sits at the end of link 1 with its axis parallel to that of joint 1."""
 
     table = PlanarTable
-    inertias = (_ALPHA, _BETA, _GAMMA)
-    primary = ("beta", "gamma", "rigid_inertia 1", "motor_inertia 2")
-    primary_of_all = ("alpha",)
     gravity_note = "gravity_torque_2 link_length/gamma"
 
-    def link_inertia(self, joint: int) -> Row:
-        """Joint 1: alpha + beta + 2 gamma. Joint 2: beta."""
-        if joint == 1:
-            return {_ALPHA: 1.0, _BETA: 1.0, _GAMMA: 2.0}
-        return {_BETA: 1.0}
+    def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:
+        """Both centres of mass are on the x axes of their links."""
+        length, g = _link_length(arm), arm.gravity_size
+        mass, first, second = ("link_mass", 2), *((("link_first_moment_x", i)) for i in (1, 2))
+        return {
+            _ALPHA: {("link_inertia_zz", 1): 1.0, mass: length**2},
+            _BETA: {("link_inertia_zz", 2): 1.0},
+            _GAMMA: {second: length},
+            ("gravity_torque_1", None): {first: g, mass: g * length},
+            ("gravity_torque_2", None): {second: g},
+        }
 
-    @property
-    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """Beta = m_L2 and alpha = m_L1 - beta - 2 gamma."""
-        alpha: Row = {("link_inertia", 1): 1.0, _BETA: -1.0, _GAMMA: -2.0}
-        return (_BETA, {("link_inertia", 2): 1.0}), (_ALPHA, alpha)
-
-    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
-        """Alpha + m_M1/n_1^2, m_M2, beta and gamma: (6)."""
+    def rigid_combinations(self, arm: ArmDescription) -> Mapping[Key, Row]:
+        """Alpha + m_M1/n_1^2, (6)."""
         reflected = arm.joints[0].gear_ratio ** -2
-        return (
-            RigidColumn(
-                "rigid_inertia", 1, "kg m^2", {_ALPHA: 1.0, ("motor_inertia", 1): reflected}
-            ),
-            RigidColumn("motor_inertia", 2, "kg m^2", {("motor_inertia", 2): 1.0}),
-            RigidColumn("beta", None, "kg m^2", {_BETA: 1.0}),
-            RigidColumn("gamma", None, "kg m^2", {_GAMMA: 1.0}),
-        )
+        return {("rigid_inertia", 1): {_ALPHA: 1.0, ("motor_inertia", 1): reflected}}
 
     def starting_inertias(
         self, arm: ArmDescription, estimates: StageInertias
@@ -170,7 +159,7 @@ class PlanarTwoLink(Kind[PlanarTable]):
         first moment that its gravity torque implies.
         """
         length = _link_length(arm)
-        alpha, beta, gamma = (need(*key) for key in self.inertias)
+        alpha, beta, gamma = (need(*key) for key in (_ALPHA, _BETA, _GAMMA))
         if not (alpha > 0.0 and beta > 0.0 and alpha * beta > gamma**2):
             raise InvalidInput(
                 f"no bodies have alpha = {alpha:g}, beta = {beta:g}, gamma = {gamma:g} kg m^2: "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Servo
@@ -10,7 +10,6 @@ from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
     Fault,
     Kind,
-    RigidColumn,
     in_plane_gravity,
     wrong_number_of_joints,
 )
@@ -45,25 +44,19 @@ class SingleJoint(Kind[SingleJointTable]):
     """One motor, one gear and one link."""
 
     table = SingleJointTable
-    inertias = (_LINK,)
-    primary = ("inertia 1",)
-    primary_of_all = ()
 
-    def link_inertia(self, joint: int) -> Row:
-        """m_L."""
-        return {("link_inertia", joint): 1.0}
+    def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:
+        """The centre of mass of a revolute link is on its x axis."""
+        is_prismatic = arm.joints[0].motion == "prismatic"
+        inertia = ("link_mass" if is_prismatic else "link_inertia_zz", 1)
+        return {
+            _LINK: {inertia: 1.0},
+            ("gravity_torque_1", None): {("link_first_moment_x", 1): arm.gravity_size},
+        }
 
-    @property
-    def from_link_inertias(self) -> tuple[tuple[Key, Row], ...]:
-        """m_L."""
-        return ((_LINK, {_LINK: 1.0}),)
-
-    def rigid_inertias(self, arm: ArmDescription) -> tuple[RigidColumn, ...]:
+    def rigid_combinations(self, arm: ArmDescription) -> Mapping[Key, Row]:
         """c_1, the sum of motor and reflected link inertia."""
-        joint = arm.joints[0]
-        unit = "kg m^2" if joint.motion == "revolute" else "kg"
-        parts = {_MOTOR: 1.0, _LINK: joint.gear_ratio**2}
-        return (RigidColumn("inertia", 1, unit, parts),)
+        return {("inertia", 1): {_MOTOR: 1.0, _LINK: arm.joints[0].gear_ratio ** 2}}
 
     def starting_inertias(
         self, arm: ArmDescription, estimates: StageInertias

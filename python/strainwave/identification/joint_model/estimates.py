@@ -15,7 +15,7 @@ from strainwave.domain import (
     Place,
 )
 from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 
 _MAX_VISCOUS_RELATIVE_STD = (
     0.3  # relative standard deviation up to which a viscous friction is reported

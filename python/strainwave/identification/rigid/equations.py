@@ -368,7 +368,7 @@ def _body_equations(
     c = around.compliance
     phi = arm.rigid_regressor(q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motor inertia acts on the motor acceleration, not the link acceleration
-    motors = arm.motor_inertias_of_rigid(around.motor_share)
+    motors = arm.motors_of_rigid(around.motor_share)
     for i, k in np.argwhere(motors):
         phi[:, i, k] += motors[i, k] / n[i] * c[i] * ddgear[:, i]
     lags = _compliance_regressor(arm, around, q, ddgear) * elastic
@@ -387,7 +387,7 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
     solution = around.solution
     viscous, coulomb, offset = solution[arm.n_body :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * velocity + coulomb * direction + offset + standing
-    inertia = arm.motor_inertias_of_rigid(around.motor_share) @ solution[: arm.n_body]
+    inertia = arm.motors_of_rigid(around.motor_share) @ solution[: arm.n_body]
     net = (torque - friction - inertia * acceleration) / n
     T, step = stretch.signals.sample_time, stretch.motion_step
     return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
@@ -403,7 +403,7 @@ def _compliance_regressor(
 
 def _base(arm: Arm, around: Estimate) -> FloatArray:
     """Base parameters of the links, (n_base,)."""
-    return np.asarray(arm.base_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
+    return np.asarray(arm.links_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
 
 
 def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate | None) -> FloatArray:

@@ -15,10 +15,10 @@ from strainwave.domain import (
     Prediction,
     RecordModel,
 )
+from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.kinds import kind_of
 from strainwave.domain.options import changed_options
 from strainwave.presentation.figures import MAX_POINTS, Figure
 from strainwave.presentation.report import (
@@ -198,9 +198,9 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
     }
     if STIFFNESS not in values_of_joint or result.study.arm.joints[joint.joint - 1].law.is_curved:
         values_of_joint[STIFFNESS] = joint.values[STIFFNESS]
-    kind = kind_of(result.study.arm)
-    if all(key in values for key in kind.inertias):
-        values_of_joint["link_inertia"] = value_of(kind.link_inertia(joint.joint), values)
+    row = link_inertia(result.study.arm, joint.joint)
+    if all(key in values for key in row):
+        values_of_joint["link_inertia"] = value_of(row, values)
     names = list(joint.values)[:6]
     if not set(names) <= set(values_of_joint):
         return None

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.kinds import kind_of
+from strainwave.domain.combinations import inertias_of_links
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -147,7 +147,7 @@ class Family:
         """Base parameters (..., n_base) of arms with these link inertias when stretched."""
         base = np.broadcast_to(self.base, (*link_inertia.shape[:-1], len(self.base))).copy()
         at = {key: k for k, key in enumerate(self.arm.base_names)}
-        for key, row in kind_of(self.arm).from_link_inertias:
+        for key, row in inertias_of_links(self.arm):
             base[..., at[key]] = sum(
                 weight * (link_inertia[..., of - 1] if of else base[..., at[name, of]])
                 for (name, of), weight in row.items()

@@ -22,7 +22,7 @@ from strainwave.domain import (
 from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import family_of
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

@@ -15,7 +15,7 @@ from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import VISCOUS
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import is_mounting, reported
 from strainwave.identification.whole_arm.inference.covariance import confidence_of

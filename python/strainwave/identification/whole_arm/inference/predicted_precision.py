@@ -12,7 +12,8 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING
-from strainwave.domain.parameters import complete_values, unit_of
+from strainwave.domain.parameters import complete_values
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.inference.covariance import (

@@ -12,7 +12,7 @@ from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import COULOMB, base_name, of_record
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown

@@ -17,7 +17,7 @@ from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.starts import StageInertias, is_positive
 from strainwave.domain.parameter_table import COULOMB, OFFSET, VISCOUS
-from strainwave.domain.parameters import unit_of
+from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 
@@ -51,9 +51,8 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
         rigid={(p.name, p.joint): p.value for p in model.parameters} if model else {},
     )
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
-    if arm.gravity is not None:
-        for i in range(1, arm.n_joints + 1):
-            start[f"gravity_torque_{i}", None] = estimates.require_rigid(f"gravity_torque_{i}")
+    for key in arm.base.separate_links - start.keys():
+        start[key] = estimates.require_rigid(key[0])
     for number in sorted(models):
         values = models[number].values
         stiffness, damping = values["gear_stiffness"], values["gear_damping"]

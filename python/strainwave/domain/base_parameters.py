@@ -1,0 +1,184 @@
+"""Base parameters: the combinations of parameters that the torques of rigid motion identify.
+
+The torques are linear in the parameters of the links and in the motor inertias. Columns of the
+regressor that depend on others are grouped with them: with the independent columns W_b and the
+dependent ones W_d = W_b K, the base parameters are b = pi_b + K pi_d (Gautier, 1991).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+
+from strainwave.domain.arm import ArmDescription, Joint, Vector
+from strainwave.domain.arrays import FloatArray
+from strainwave.domain.core_arm import core_arm, transmission
+from strainwave.domain.keys import Key, Row
+from strainwave.domain.kinds import KINDS, RigidColumn
+from strainwave.domain.units import unit_of
+
+MOTOR_INERTIA = "motor_inertia"
+
+_SAMPLES = 60  # random states; each gives one equation per joint for at most 77 parameters
+_MAX_DEPENDENT_NORM = 1e-8  # of the part of a unit column that is independent of others
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Base parameters of an arm behind rigid gears, and the parameters of which they consist."""
+
+    links: tuple[Key, ...]  # parameters of the links, in the order of the core
+    effective: tuple[Key, ...]  # those on which the torques depend
+    columns: tuple[RigidColumn, ...]  # base parameters, those with a motor inertia first
+    rows: FloatArray  # (n_base, n_links + n_joints) weights of link parameters and motor inertias
+    independent: tuple[int, ...]  # (n_base,) index of the independent parameter of each
+
+    def particular(self, motor_share: float = 0.0) -> FloatArray:
+        """Parameters that have given base parameters: (n_links + n_joints, n_base).
+
+        `motor_share` is the share of the motors in base parameters that contain inertias of a motor
+        and of links. The torques do not depend on it.
+        """
+        n_links = len(self.links)
+        particular = np.zeros(self.rows.T.shape)
+        for k, at in enumerate(self.independent):
+            particular[at, k] = 1.0 / self.rows[k, at]
+        links_only = particular.copy()
+        for motor in range(n_links, self.rows.shape[1]):
+            groups = np.flatnonzero(self.rows[:, motor])
+            if not groups.size or motor in self.independent:
+                continue
+            unit = np.zeros(self.rows.shape[1])
+            unit[motor] = 1.0
+            shift = unit - links_only @ self.rows[:, motor]
+            particular[:, groups[0]] += motor_share / self.rows[groups[0], motor] * shift
+        return particular
+
+    @cached_property
+    def separate_links(self) -> frozenset[Key]:
+        """Parameters of links that are base parameters by themselves."""
+        return frozenset(column.key for column in self.columns if column.key in self.links)
+
+    def weights(self, row: Row) -> Row:
+        """A combination of link parameters and motor inertias over the base parameters.
+
+        The combination must be identifiable, such as a diagonal element of the inertia matrix with
+        the reflected motor inertia.
+        """
+        dense = np.zeros(self.rows.shape[1])
+        for (name, joint), weight in row.items():
+            at = (
+                len(self.links) + (joint or 1) - 1
+                if name == MOTOR_INERTIA
+                else self.links.index((name, joint))
+            )
+            dense[at] = weight
+        over_base = dense @ self.particular()
+        pairs = zip(self.columns, over_base.tolist(), strict=True)
+        return {column.key: weight for column, weight in pairs if weight}
+
+
+def base_parameters(arm: ArmDescription) -> BaseParameters:
+    """Base parameters of an arm; they depend on its geometry, gravity and transmission only."""
+    joints = (
+        Joint("rigid", j.gear_ratio, j.motion, origin=j.origin, axis=j.axis) for j in arm.joints
+    )
+    return _base_parameters(ArmDescription(arm.kind, tuple(joints), arm.gravity, arm.coupling))
+
+
+@lru_cache(maxsize=64)
+def _base_parameters(arm: ArmDescription) -> BaseParameters:
+    regressor, links = _regressor(arm)
+    norms = np.linalg.norm(regressor, axis=0)
+    scale = np.where(norms > 0.0, norms, 1.0)
+    order = _preference(links, arm)
+    triangular = np.linalg.qr(regressor[:, order] / scale[order], mode="r")
+    kept = np.abs(np.diag(triangular)) > _MAX_DEPENDENT_NORM
+    independent = sorted(np.array(order)[kept].tolist())
+    grouping = np.linalg.lstsq(regressor[:, independent] / scale[independent], regressor / scale)[0]
+    grouping = np.where(np.abs(grouping) > _MAX_DEPENDENT_NORM, grouping, 0.0)
+    grouping *= scale / scale[independent][:, None]
+    grouping[:, independent] = np.eye(len(independent))
+    keys = (*links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)))
+    named = KINDS[arm.kind].rigid_combinations(arm) if arm.kind in KINDS else {}
+    columns = []
+    for at, weights in zip(independent, grouping, strict=True):
+        row = {keys[k]: float(f"{weights[k]:.10g}") for k in np.flatnonzero(weights)}
+        columns.append((_named_column(keys[at], row, named, arm), at))
+    columns.sort(key=lambda pair: (pair[0].motor is None, pair[0].motor or (0, 0.0)))
+    return BaseParameters(
+        links=links,
+        effective=tuple(key for key, norm in zip(links, norms, strict=False) if norm > 0.0),
+        columns=tuple(column for column, _ in columns),
+        rows=np.array([[column.parts.get(key, 0.0) for key in keys] for column, _ in columns]),
+        independent=tuple(at for _, at in columns),
+    )
+
+
+def link_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:
+    """m_L of a joint, from 1: the diagonal element of M(q) as a row over link parameters.
+
+    `posture` (n_joints,) are link angles; None: all are zero.
+    """
+    core = core_arm(arm, ["rigid"] * arm.n_joints)
+    angle = np.zeros((1, arm.n_joints)) if posture is None else np.atleast_2d(posture)
+    rest, unit = np.zeros_like(angle), np.zeros_like(angle)
+    unit[0, joint - 1] = 1.0
+    weights = core.base_regressor(angle, rest, unit) - core.base_regressor(angle, rest, rest)
+    links = core.parameter_names[: weights.shape[2]]
+    pairs = zip(links, weights[0, joint - 1].tolist(), strict=True)
+    return {key: weight for key, weight in pairs if weight}
+
+
+def _regressor(arm: ArmDescription) -> tuple[FloatArray, tuple[Key, ...]]:
+    """Link torques per link parameter and motor inertia at random states, and the parameters."""
+    core, n = core_arm(arm, ["rigid"] * arm.n_joints), arm.n_joints
+    angle, velocity, acceleration = np.random.default_rng(0).normal(size=(3, _SAMPLES, n))
+    of_links = core.base_regressor(angle, velocity, acceleration)
+    inverse = np.linalg.inv(transmission(arm))
+    motors = inverse.T[None] * (acceleration @ inverse.T)[:, None, :]
+    links = tuple(core.parameter_names[: of_links.shape[2]])
+    return np.concatenate([of_links, motors], axis=2).reshape(_SAMPLES * n, -1), links
+
+
+def _preference(links: tuple[Key, ...], arm: ArmDescription) -> list[int]:
+    """Order in which columns become independent; the remaining ones are grouped with them.
+
+    The mass, the first moment along the axis and one moment of inertia across it come after all
+    others, as in the literature (Khalil and Dombre); motor inertias come last.
+    """
+
+    def rank(k: int) -> tuple[bool, int, int]:
+        name, joint = links[k]
+        number = (joint or 1) - 1
+        grouped = _grouped_names(arm.joints[number].axis)
+        return name in grouped, -number, k
+
+    return [*sorted(range(len(links)), key=rank), *range(len(links), len(links) + arm.n_joints)]
+
+
+def _grouped_names(axis: Vector) -> tuple[str, str, str]:
+    """Names of the standard parameters of a link that are grouped with those of others."""
+    along = int(np.argmax(np.abs(axis)))
+    across = "xyz"[(along + 2) % 3]
+    return "link_mass", f"link_first_moment_{'xyz'[along]}", f"link_inertia_{2 * across}"
+
+
+def _named_column(
+    leading: Key, row: Row, named: Mapping[Key, Row], arm: ArmDescription
+) -> RigidColumn:
+    """Base parameter with the name of a proportional combination, or else of its leading part."""
+    for key, declared in named.items():
+        if declared.keys() == row.keys():
+            factors = [declared[part] / weight for part, weight in row.items()]
+            if np.ptp(factors) < _MAX_DEPENDENT_NORM * abs(factors[0]):
+                return RigidColumn(*key, _unit(key, arm), declared)
+    return RigidColumn(*leading, _unit(leading, arm), row)
+
+
+def _unit(key: Key, arm: ArmDescription) -> str:
+    name, joint = key
+    return unit_of(name, arm.joints[(joint or 1) - 1])

@@ -1,0 +1,16 @@
+"""Units of parameters."""
+
+from __future__ import annotations
+
+from strainwave.domain.arm import Joint
+from strainwave.domain.parameter_table import base_name, parameter_table
+
+
+def unit_of(name: str, joint: Joint | None = None) -> str:
+    """SI unit of a parameter, by its name in docs/notation.md; None for a parameter of the arm.
+
+    Raises KeyError if there is no parameter of that name.
+    """
+    return parameter_table()[base_name(name)].units[
+        joint is not None and joint.motion == "prismatic"
+    ]

@@ -1,0 +1,121 @@
+"""Base parameters: rank, grouping, and the same torques as the parameters they replace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from strainwave.domain import ArmDescription, FloatArray, Joint, Origin
+from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.core_arm import core_arm
+from strainwave.domain.kinds import KINDS, planar_two_link, single_joint
+from strainwave.dynamics.arm import Arm
+
+PLANAR = planar_two_link([Joint("linear", -0.01), Joint("linear", 0.02)], 0.35, 9.81)
+PENDULUM = single_joint(Joint("linear", 0.01), 9.81)
+
+
+def random_chain(seed: int, n: int) -> ArmDescription:
+    """A chain with axes in any direction, prismatic joints, gears of either sign and coupling."""
+    rng = np.random.default_rng(seed)
+
+    def joint() -> Joint:
+        x, y, z, roll, pitch, yaw, a, b, c = rng.normal(size=9).tolist()
+        return Joint(
+            "linear",
+            float(rng.choice([-0.02, 0.01])),
+            "revolute" if rng.uniform() < 0.8 else "prismatic",
+            origin=Origin((0.2 * x, 0.2 * y, 0.2 * z), (roll, pitch, yaw)),
+            axis=(a, b, c),
+        )
+
+    coupling = np.eye(n) + 0.2 * np.tril(rng.normal(size=(n, n)), -1)
+    gx, gy, gz = (5.0 * rng.normal(size=3)).tolist()
+    return ArmDescription(
+        "serial",
+        tuple(joint() for _ in range(n)),
+        (gx, gy, gz),
+        tuple(tuple(row) for row in coupling.tolist()),
+    )
+
+
+def motion(n: int, seed: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
+    angle, velocity, acceleration = np.random.default_rng(seed).normal(size=(3, 40, n))
+    return angle, velocity, acceleration
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 6))
+def test_base_parameters_have_the_torques_of_all_parameters(seed: int, n: int) -> None:
+    arm = Arm.of(random_chain(seed, n))
+    base = arm.base
+    rng = np.random.default_rng(seed)
+    standard = rng.normal(size=base.rows.shape[1])
+    n_links = len(base.links)
+    angle, velocity, acceleration = motion(n)
+    links = arm.base_regressor(angle, velocity, acceleration) @ standard[:n_links]
+    expected = arm.motors_of(links)
+    expected = expected + standard[n_links:] * arm.motor_accelerations(acceleration)
+    torque = arm.rigid_regressor(angle, velocity, acceleration) @ (base.rows @ standard)
+    scale = np.abs(expected).max()
+    np.testing.assert_allclose(torque, expected, atol=1e-6 * scale)
+    for share in (0.0, 0.4):
+        product = base.rows @ base.particular(share)
+        np.testing.assert_allclose(product, np.eye(len(base.columns)), atol=1e-9)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.integers(1, 6))
+def test_their_number_is_the_rank_of_the_regressor(seed: int, n: int) -> None:
+    arm = Arm.of(random_chain(seed, n))
+    phi = arm.rigid_regressor(*motion(n, seed)).reshape(40 * n, -1)
+    phi = phi / np.linalg.norm(phi, axis=0)
+    assert np.linalg.matrix_rank(phi, tol=1e-7) == phi.shape[1]
+
+
+@pytest.mark.parametrize("arm", [PLANAR, PENDULUM], ids=["two links", "pendulum"])
+def test_named_parameters_are_rows_over_the_standard_parameters(arm: ArmDescription) -> None:
+    """The compiled fast path has the regressor of the chain, column by column."""
+    chain = core_arm(ArmDescription("serial", arm.joints, arm.gravity), ["rigid"] * arm.n_joints)
+    fast = core_arm(arm, ["rigid"] * arm.n_joints)
+    standard = {key: float(k + 1) for k, key in enumerate(chain.parameter_names)}
+    rows = KINDS[arm.kind].standard_rows(arm)
+    q, dq, ddq = motion(arm.n_joints)
+    full = chain.base_regressor(q, dq, ddq)
+    used = {key for row in rows.values() for key in row}
+    names = [tuple(name) for name in chain.parameter_names][: full.shape[2]]
+    torque = full @ np.array([standard[key] if key in used else 0.0 for key in names])
+    reduced = fast.base_regressor(q, dq, ddq)
+    values = [sum(w * standard[k] for k, w in rows[key].items()) for key in rows]
+    assert [tuple(name) for name in fast.parameter_names][: len(rows)] == list(rows)
+    np.testing.assert_allclose(reduced @ np.array(values), torque, rtol=1e-12, atol=1e-10)
+
+
+def test_grouping_of_two_parallel_axes_is_exact() -> None:
+    columns = {column.key: column.parts for column in base_parameters(PLANAR).columns}
+    assert columns == {
+        ("rigid_inertia", 1): {("alpha", None): 1.0, ("motor_inertia", 1): 0.01**-2},
+        ("motor_inertia", 2): {("motor_inertia", 2): 1.0},
+        **{(name, None): {(name, None): 1.0} for name in ("beta", "gamma")},
+        **{(f"gravity_torque_{i}", None): {(f"gravity_torque_{i}", None): 1.0} for i in (1, 2)},
+    }
+
+
+def test_groups_of_a_chain_are_those_of_the_literature() -> None:
+    """Vertical axis 1, horizontal axis 2: Izz1 + Iyy2 + n^-2 m_M1, and Ixx2 - Iyy2 (Khalil)."""
+    up = Origin((0.0, 0.0, 0.3), (np.pi / 2.0, 0.0, 0.0))
+    chain = ArmDescription(
+        "serial", (Joint("linear", 0.01), Joint("linear", 0.02, origin=up)), (0.0, 0.0, -9.81)
+    )
+    columns = {column.key: column.parts for column in base_parameters(chain).columns}
+    assert columns["link_inertia_zz", 1] == pytest.approx(
+        {("link_inertia_zz", 1): 1.0, ("link_inertia_yy", 2): 1.0, ("motor_inertia", 1): 1e4}
+    )
+    assert columns["link_inertia_xx", 2] == pytest.approx(
+        {("link_inertia_xx", 2): 1.0, ("link_inertia_yy", 2): -1.0}
+    )
+    assert columns["link_inertia_zz", 2] == pytest.approx(
+        {("link_inertia_zz", 2): 1.0, ("motor_inertia", 2): 0.02**-2}
+    )
