@@ -93,7 +93,7 @@ def test_numbers_that_are_not_finite_are_null() -> None:
 
 def test_the_torque_ratio_is_published() -> None:
     one = identification()
-    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratio=(0.98, 0.004)))
+    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratios={2: (0.98, 0.004)}))
     stage = json.loads(result.to_json(result.to_document(ratio)))["stages"]["rigid"]
     assert stage["torque_ratio"] == {"value": 0.98, "std": 0.004}
     text = "0.9800 ± 0.004; 1 if both torque constants are correct"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 from strainwave.display import Displayed
@@ -25,9 +25,9 @@ class RigidModel(Displayed):
     n_rows: int  # equations after decimation and rejection
     status: Literal["determined", "partly-determined", "not-identifiable"]
     warnings: tuple[Diagnostic, ...] = ()
-    # torque of joint 1 over joint 2 relative to the symmetry of M(q), and its standard deviation;
-    # 1 if both torque constants are right
-    torque_ratio: tuple[float, float] | None = None
+    # joint -> torque of joint 1 over that joint relative to the symmetry of M(q), and its standard
+    # deviation; 1 if both torque constants are right
+    torque_ratios: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     # friction per load torque, gravity included, of the joints whose friction grows with the load
     load_friction: tuple[Parameter, ...] = ()
 

@@ -327,8 +327,9 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "decimation": model.decimation,
         "n_rows": model.n_rows,
         "load_friction": [_parameter(p) for p in model.load_friction],
-        "torque_ratio": model.torque_ratio
-        and dict(zip(("value", "std"), model.torque_ratio, strict=True)),
+        "torque_ratio": next(
+            ({"value": value, "std": std} for value, std in model.torque_ratios.values()), None
+        ),
     }
 
 

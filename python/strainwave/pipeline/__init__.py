@@ -232,9 +232,10 @@ def _add_torque_constants(
     the_study: Study, input_check: Consistency, model: RigidModel | None
 ) -> Consistency:
     """Add to the consistency check the ratio of torque constants that the rigid fit estimates."""
-    if model is None or model.torque_ratio is None:
+    ratio = model.torque_ratios.get(2) if model is not None else None
+    if ratio is None:
         return input_check
-    torques = consistency.suspect_torque_constants(*model.torque_ratio, the_study)
+    torques = consistency.suspect_torque_constants(*ratio, the_study)
     return Consistency((*input_check.suspected, torques)) if torques else input_check
 
 

@@ -183,8 +183,7 @@ def test_correct_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     estimate = rigid.fit(
         [prepare_motor_signals(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm)
     )
-    assert estimate.torque_ratio is not None
-    value, std = estimate.torque_ratio
+    value, std = estimate.torque_ratios[2]
     assert abs(value - 1.0) < 4.0 * std + 1e-3
     assert std < 0.01
 

@@ -8,18 +8,18 @@ times the compliance, (1) and (2).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, IntArray, Signals
+from strainwave.domain import FloatArray, IntArray
 from strainwave.domain.combinations import FRICTION_COLUMNS
 from strainwave.dynamics.arm import Arm
+from strainwave.identification.rigid.stretch import Stretch, motion_of, n_compliances
 from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
-from strainwave.signals.standstill import free_friction, responses, running
 
 MOTOR_SHARE = 0.5
 """Assumed motor share of the rigid inertia of joint 1 (or of a single joint).
@@ -28,14 +28,6 @@ Only the gear compliance separates motor and link inertia. Designs match the two
 factor, and the fitted compliance compensates for an error of the share.
 """
 
-_ROWS_PER_CUTOFF = 4.0  # rows per period of the cut-off; the filter prevents aliasing
-# The equations are nonlinear in the motion, so the motion keeps a higher bandwidth: 8 cut-offs, at
-# four samples per period of that frequency. Products with higher frequencies are negligible.
-_MOTION_CUTOFFS, _SAMPLES_PER_ROW = 8.0, 8
-# Periods of the cut-off after which the filter response has decayed to 0.1 %. Rows nearer to the
-# ends of a record are not used: free friction is not defined beyond the ends.
-_EDGE_PERIODS = 2.5
-_KNOTS_PER_PERIOD = 16.0  # knots of the free friction per period of the cut-off; 8 suffice
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58
 _JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
@@ -54,131 +46,6 @@ class Estimate:
         FloatArray, ...
     ]  # per record (n_motion, n_joints) free friction [N m], or empty
     motor_share: float = MOTOR_SHARE
-
-
-@dataclass(frozen=True, slots=True)
-class Stretch:
-    """Parts of one record's equations that do not depend on the parameters."""
-
-    signals: Signals
-    bandwidth_hz: float
-    motion_step: int  # samples between successive rows of `motion`
-    motion: tuple[FloatArray, ...]  # angle, velocity, acceleration: (n_motion, n_joints)
-    drive: tuple[FloatArray, ...]  # torque and direction, as `motion`; empty if rigid
-    rows: IntArray  # (n_rows,) sample indices
-    keep: BoolArray  # (n_rows, n_joints)
-    torque: FloatArray  # (n_rows, n_joints)
-    friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
-    standing: tuple[
-        tuple[IntArray, Banded], ...
-    ]  # per joint, shape functions of the free friction at the motion's samples:
-    # indices (n_near,) with nonzero values and the values (n_near, n_free); empty if rigid
-    free: tuple[Banded, ...]  # per joint (n_rows, n_free), filtered shape functions
-    noise: FloatArray  # (n_parameters,) standard deviation of the noise of each column
-    period: float  # [samples] of the motion; the whole record if it does not repeat
-
-    @property
-    def duration(self) -> float:
-        """Duration [s] of one period of the motion."""
-        return self.period * self.signals.sample_time
-
-    def blocks(self, count: int) -> IntArray:
-        """Block number of each row, (n_rows,): one of `count` equal parts of the period."""
-        offset = self.rows - self.rows[:1]
-        step = decimation(self.signals.sample_time, self.bandwidth_hz)
-        span = min(self.period, step * len(self.rows))
-        # a block contains the same part of all periods
-        return np.asarray((offset % span) * count / span, dtype=np.int64)
-
-    def motion_samples(self) -> IntArray:
-        """Sample indices of the motion; they include the rows of the equations."""
-        start = _edge_samples(self.signals.sample_time, self.bandwidth_hz) % self.motion_step
-        return np.arange(start, len(self.signals.time), self.motion_step)
-
-    def filtered(self, signal: FloatArray) -> FloatArray:
-        """Apply the equations' filter to a signal at the motion's samples: (n_rows, ...)."""
-        step, T = self.motion_step, self.signals.sample_time
-        return low_pass(signal, self.bandwidth_hz, T, decimated=step)[self.rows // step]
-
-
-def decimation(sample_time: float, bandwidth_hz: float) -> int:
-    """Number of samples per equation."""
-    step = _motion_step(sample_time, bandwidth_hz)
-    return step * max(1, int(1.0 / (_ROWS_PER_CUTOFF * bandwidth_hz * sample_time)) // step)
-
-
-def _motion_step(sample_time: float, bandwidth_hz: float) -> int:
-    """Number of samples per sample of the motion."""
-    per_second = _SAMPLES_PER_ROW * _ROWS_PER_CUTOFF * bandwidth_hz
-    return max(1, int(1.0 / (per_second * sample_time)))
-
-
-def _edge_samples(sample_time: float, bandwidth_hz: float) -> int:
-    """Number of samples between an end of the record and the nearest equation."""
-    return int(_EDGE_PERIODS / (bandwidth_hz * sample_time))
-
-
-def prepare(arm: Arm, signals: Signals, bandwidth_hz: float, period: float) -> Stretch:
-    """Filter and decimate one record's torque, friction columns and free friction.
-
-    `period` [samples] is that of the motion, or the whole record if it does not repeat.
-    """
-    T = signals.sample_time
-    n_samples, n_joints = signals.motor_torque.shape
-    cutoff_period = 1.0 / (bandwidth_hz * T)  # samples per period of the cut-off
-    edge = _edge_samples(T, bandwidth_hz)
-    step = _motion_step(T, bandwidth_hz)
-    rows = np.arange(edge, n_samples - edge, decimation(T, bandwidth_hz))
-    motion_samples = np.arange(edge % step, n_samples, step)  # samples of the motion
-    kernel = _impulse_response(bandwidth_hz, T)
-    motion_kernel = _impulse_response(_MOTION_CUTOFFS * bandwidth_hz, T)
-    elastic = n_compliances(arm) > 0
-    keep, standing, free = [], [], []
-    for i in range(n_joints):
-        keep.append(_exclude_neighbours(~signals.valid[:, i], int(cutoff_period / 2))[rows])
-        spacing = max(2, round(cutoff_period / _KNOTS_PER_PERIOD))
-        shapes = free_friction(signals.direction[:, i], spacing)
-        if elastic:
-            at_rest = signals.direction[:, i] == 0.0
-            near = np.flatnonzero(~_exclude_neighbours(at_rest, len(motion_kernel))[motion_samples])
-            standing.append((near, responses(shapes, motion_samples[near], motion_kernel)))
-        free.append(responses(shapes, rows, kernel))
-    angle, velocity, acceleration, torque, direction = (
-        low_pass(x, _MOTION_CUTOFFS * bandwidth_hz, T, kept=slice(edge % step, None, step))
-        for x in (
-            signals.motor_angle,
-            signals.motor_velocity,
-            signals.motor_acceleration,
-            signals.motor_torque,
-            signals.direction,
-        )
-    )
-    unfiltered = np.stack([torque, velocity, direction, np.ones_like(torque)], axis=2)
-    # filter both sides at the same samples, so that edge effects are equal
-    filtered = low_pass(unfiltered, bandwidth_hz, T, decimated=step)[rows // step]
-    return Stretch(
-        signals=signals,
-        bandwidth_hz=bandwidth_hz,
-        motion_step=step,
-        motion=(angle, velocity, acceleration),
-        drive=(torque, direction) if elastic else (),
-        rows=rows,
-        keep=np.column_stack(keep),
-        torque=filtered[:, :, 0],
-        friction=filtered[:, :, 1:],
-        standing=tuple(standing),
-        free=tuple(free),
-        noise=_column_noise(arm, signals, bandwidth_hz),
-        period=period,
-    )
-
-
-def _impulse_response(cutoff_hz: float, sample_time: float) -> FloatArray:
-    """Impulse response of the low-pass, centred, until it has decayed."""
-    half_length = _edge_samples(sample_time, cutoff_hz)
-    impulse = np.zeros(2 * half_length + 1)
-    impulse[half_length] = 1.0
-    return low_pass(impulse, cutoff_hz, sample_time)
 
 
 def convert_estimate(
@@ -209,12 +76,9 @@ class Loads:
     @staticmethod
     def of(joints: Sequence[int], stretches: Sequence[Stretch]) -> Loads:
         """Loads of `joints` (from 0) in the records of a fit."""
-        directions = []
-        for stretch in stretches:
-            T, step = stretch.signals.sample_time, stretch.motion_step
-            motion_rows = slice(_edge_samples(T, stretch.bandwidth_hz) % step, None, step)
-            cutoff = _MOTION_CUTOFFS * stretch.bandwidth_hz
-            directions.append(low_pass(stretch.signals.direction, cutoff, T, kept=motion_rows))
+        directions = (
+            motion_of(s.signals.direction, s.bandwidth_hz, s.signals.sample_time) for s in stretches
+        )
         return Loads(tuple(joints), tuple(directions))
 
     def columns(self, arm: Arm, stretch: Stretch, record: int, around: Estimate) -> FloatArray:
@@ -247,61 +111,75 @@ def assemble(
     torque, and friction does not depend on the load. `loads` adds one share of the load per joint,
     common to all rows.
     """
-    elastic = np.array([joint.elastic for joint in arm.joints])
     n_elastic = n_compliances(arm) if around is not None else 0
-    total = sum(s.duration for s in stretches)
-    n_shared, n_of_body = len(arm.rigid_columns), arm.n_body
-    shared, common, local, target, group, block = [], [], [], [], [], []
-    free_friction_std: list[float] = []
-    first_block = n_before = 0
-    for record, stretch in enumerate(stretches):
-        body, lags, torque = _body_equations(arm, stretch, around, record, elastic)
-        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.duration / total))
-        block_of_row = first_block + stretch.blocks(n_blocks)
-        load_columns = np.zeros((len(lags), arm.n_joints, 0))
-        if loads is not None and around is not None:
-            load_columns = loads.columns(arm, stretch, record, around)
-        first_block += n_blocks
-        for i, free in enumerate(stretch.free):
-            friction = n_of_body + FRICTION_COLUMNS * i
-            X = np.zeros((len(stretch.rows), n_shared))
-            X[:, :n_of_body] = body[:, i]
-            X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
-            coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
-            free_friction_std += [max(_STICTION_STD * abs(float(coulomb)), 1e-300)] * free.n_columns
-            keep = np.flatnonzero(stretch.keep[:, i])
-            shared.append(X[keep])
-            common.append(
-                np.concatenate([lags[keep, i, :n_elastic], load_columns[keep, i]], axis=1)
-            )
-            columns = free if len(keep) == len(stretch.rows) else free.rows(keep)
-            local.append(Local(n_before + np.arange(len(keep)), columns))
-            n_before += len(keep)
-            target.append(torque[keep, i])
-            group.append(np.full(len(keep), i))
-            block.append(block_of_row[keep])
-    noise = np.mean([s.noise**2 for s in stretches], axis=0)
+    parts = list(_parts(arm, stretches, around, loads if around is not None else None))
+    n_loads = parts[0].common.shape[1] - n_elastic
+    compliance_std = np.zeros(0)
+    if around is not None and n_elastic:
+        compliance_std = _compliance_std(arm, stretches, around)
+    ends = np.cumsum([0, *(len(part.target) for part in parts)])
     return Equations(
-        shared=np.concatenate(shared),
-        noise=np.sqrt(noise),
-        common=np.concatenate(common),
-        common_deviation=np.concatenate(
-            [
-                _compliance_std(arm, stretches, around) if n_elastic else np.zeros(0),
-                np.full(load_columns.shape[2], _LOAD_FRICTION_STD),
-            ]
+        shared=np.concatenate([part.shared for part in parts]),
+        noise=np.sqrt(np.mean([s.noise**2 for s in stretches], axis=0)),
+        common=np.concatenate([part.common for part in parts]),
+        common_deviation=np.concatenate([compliance_std, np.full(n_loads, _LOAD_FRICTION_STD)]),
+        local=tuple(
+            Local(np.arange(first, last), part.free)
+            for part, first, last in zip(parts, ends, ends[1:], strict=False)
         ),
-        local=tuple(local),
-        local_deviation=np.array(free_friction_std),
-        target=np.concatenate(target),
-        group=np.concatenate(group),
-        block=np.concatenate(block),
+        local_deviation=np.repeat(
+            [part.free_std for part in parts], [part.free.n_columns for part in parts]
+        ),
+        target=np.concatenate([part.target for part in parts]),
+        group=np.repeat([part.joint for part in parts], np.diff(ends)),
+        block=np.concatenate([part.block for part in parts]),
     )
 
 
-def n_compliances(arm: Arm) -> int:
-    """Number of compliances: one per joint if any gear is elastic, otherwise 0."""
-    return arm.n_joints if any(joint.elastic for joint in arm.joints) else 0
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """Equations of one joint in one record."""
+
+    joint: int  # from 0
+    shared: FloatArray  # (n_rows, n_parameters)
+    common: FloatArray  # (n_rows, n_elastic + n_loads)
+    free: Banded  # (n_rows, n_free) of the free friction
+    free_std: float  # [N m]
+    target: FloatArray  # (n_rows,)
+    block: IntArray  # (n_rows,)
+
+
+def _parts(
+    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, loads: Loads | None
+) -> Iterator[_Part]:
+    """Equations record by record and joint by joint."""
+    total = sum(s.duration for s in stretches)
+    first_block = 0
+    for record, stretch in enumerate(stretches):
+        body = _body_equations(arm, stretch, around, record)
+        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * stretch.duration / total))
+        block = first_block + stretch.blocks(n_blocks)
+        first_block += n_blocks
+        common = body.lags
+        if loads is not None and around is not None:
+            load_columns = loads.columns(arm, stretch, record, around)
+            common = np.concatenate([common, load_columns], axis=2)
+        for i, free in enumerate(stretch.free):
+            friction = arm.n_body + FRICTION_COLUMNS * i
+            X = np.zeros((len(stretch.rows), len(arm.rigid_columns)))
+            X[:, : arm.n_body] = body.regressor[:, i]
+            X[:, friction : friction + FRICTION_COLUMNS] = stretch.friction[:, i]
+            coulomb = around.solution[friction + 1] if around else np.std(stretch.torque[:, i])
+            keep = np.flatnonzero(stretch.keep[:, i])
+            yield _Part(
+                i,
+                X[keep],
+                common[keep, i],
+                free if len(keep) == len(stretch.rows) else free.rows(keep),
+                max(_STICTION_STD * abs(float(coulomb)), 1e-300),
+                body.torque[keep, i],
+                block[keep],
+            )
 
 
 def estimate_of(
@@ -352,15 +230,23 @@ def anti_resonances(arm: Arm, estimate: Estimate) -> FloatArray:
         return np.asarray(1.0 / (2.0 * np.pi * np.sqrt(estimate.compliance * inertia)))
 
 
+@dataclass(frozen=True, slots=True)
+class _BodyEquations:
+    """Equations of motion of the links in one record, low-passed."""
+
+    regressor: FloatArray  # (n_rows, n_joints, n_body)
+    lags: FloatArray  # (n_rows, n_joints, n_elastic) per compliance
+    torque: FloatArray  # (n_rows, n_joints) right-hand side
+
+
 def _body_equations(
-    arm: Arm, stretch: Stretch, around: Estimate | None, record: int, elastic: BoolArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Regressor of the body, regressor of the compliances, and the torque (right-hand side)."""
+    arm: Arm, stretch: Stretch, around: Estimate | None, record: int
+) -> _BodyEquations:
     n = arm.gear_ratios
     q, dq, ddq = (x * n for x in stretch.motion)
-    if around is None or not elastic.any():
+    if around is None or not n_compliances(arm):
         phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
-        return phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque
+        return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque)
     gear = _gear_torque(arm, stretch, around, around.standing[record])
     interval = stretch.motion_step * stretch.signals.sample_time
     dgear = differentiate(gear, interval)
@@ -371,10 +257,11 @@ def _body_equations(
     motors = arm.motors_of_rigid(around.motor_share)
     for i, k in np.argwhere(motors):
         phi[:, i, k] += motors[i, k] / n[i] * c[i] * ddgear[:, i]
+    elastic = np.array([joint.elastic for joint in arm.joints])
     lags = _compliance_regressor(arm, around, q, ddgear) * elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
     phi, lags = filtered[:, :, : phi.shape[2]], filtered[:, :, phi.shape[2] :]
-    return phi, lags, stretch.torque + lags @ c
+    return _BodyEquations(phi, lags, stretch.torque + lags @ c)
 
 
 def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatArray) -> FloatArray:
@@ -406,39 +293,8 @@ def _base(arm: Arm, around: Estimate) -> FloatArray:
     return np.asarray(arm.links_of_rigid(around.motor_share) @ around.solution[: arm.n_body])
 
 
-def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate | None) -> FloatArray:
+def _compliance_std(arm: Arm, stretches: Sequence[Stretch], around: Estimate) -> FloatArray:
     """Prior standard deviation of the compliances: anti-resonances exceed the bandwidth."""
-    assert around is not None
     w = 2.0 * np.pi * max(s.bandwidth_hz for s in stretches)
     inertia = np.abs(arm.link_inertias(_base(arm, around)))
     return np.asarray(_COMPLIANCE_STD / (np.maximum(inertia, _MIN_INERTIA) * w**2))
-
-
-def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray:
-    """Standard deviation of the noise in each column, from the noise of the angles.
-
-    White angle noise s, sampled at T and low-passed at f, has the standard deviation s (2 pi f)^k
-    sqrt(2 f T / (2 k + 1)) in the k-th derivative.
-    """
-    f, T = bandwidth_hz, signals.sample_time
-    n = arm.gear_ratios
-    velocity_noise, acceleration_noise = (
-        signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(2.0 * f * T / (2 * k + 1))
-        for k in (1, 2)
-    )
-    angle = signals.motor_angle[:: max(1, len(signals.time) // 200)] * n
-    zero = np.zeros_like(angle)
-    static = arm.rigid_regressor(angle, zero, zero)
-    power = np.zeros(len(arm.rigid_columns))
-    for j in range(arm.n_joints):
-        acceleration = zero.copy()
-        acceleration[:, j] = n[j] * acceleration_noise[j]
-        phi = arm.rigid_regressor(angle, zero, acceleration) - static
-        power[: arm.n_body] += np.mean(phi**2, axis=(0, 1))
-        power[arm.n_body + FRICTION_COLUMNS * j] = velocity_noise[j] ** 2 / arm.n_joints
-    return np.asarray(np.sqrt(power))
-
-
-def _exclude_neighbours(bad: BoolArray, reach: int) -> BoolArray:
-    """Samples that are at least `reach` away from every bad sample."""
-    return ~running(np.logical_or, bad, 2 * max(1, reach) + 1)

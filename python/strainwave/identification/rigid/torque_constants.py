@@ -1,90 +1,101 @@
-"""Estimate the ratio of the torque constants of two joints from the symmetry of M(q).
+"""Estimate the ratios of the joints' torque constants from the symmetry of M(q).
 
-M(q) is symmetric: beta and gamma appear in the torques of both joints, and G2 acts on both. The
-torques of joint 1 and joint 2 therefore determine the ratio of their torque constants. A common
-factor of both is not identifiable.
+M(q) is symmetric, so the same base parameters act on coupled joints. The torques of two such joints
+determine the ratio of their torque constants. A common factor of all joints is not identifiable.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.dynamics.arm import Arm
+from strainwave.identification.rigid.bandwidth import excess_variance, neighbours
+from strainwave.identification.rigid.stretch import n_compliances
+from strainwave.identification.rigid.trial import Trial
 from strainwave.numerics import least_squares as ls
 
 _MAX_ITERATIONS = 15  # maximum number of iterations
 _TOLERANCE = 1e-3  # relative change at convergence
-_MAX_FACTOR = 2.0  # maximum factor on the ratio in one iteration
+_MAX_FACTOR = 2.0  # maximum factor on a ratio in one iteration
 _PRIOR_STD = 3.0  # prior standard deviation of the relative change, practically uninformative
-_MAX_RELATIVE_STD = 0.5  # relative standard deviation above which the ratio is not identifiable
-_JOINT_2_GROUP = 1  # group of the rows of joint 2
+_MAX_RELATIVE_STD = 0.5  # relative standard deviation above which a ratio is not identifiable
 
 
 @dataclass(frozen=True, slots=True)
-class TorqueRatio:
-    """Torque of joint 2 over the torque that joint 1 and the symmetry of M(q) imply."""
+class _Ratios:
+    """Torques of the joints over those that joint 1 and the symmetry of M(q) imply."""
 
-    value: float
-    variance: float
+    value: FloatArray  # (n_joints - 1,) of joints 2 and further; NaN if not identifiable
+    variance: FloatArray  # (n_joints - 1,)
 
 
-def torque_ratio(
-    arm: Arm, equations: ls.Equations, root: FloatArray, compliance: FloatArray
-) -> TorqueRatio | None:
-    """Ratio r of the torques of joint 2 to those that the torques of joint 1 imply.
+def torque_ratios(trials: Sequence[Trial], best: Trial) -> dict[int, tuple[float, float]]:
+    """Torque of joint 1 over that of each further joint, relative to the study, by joint.
 
-    The rows of joint 2 have the additional unknown r: B_2 (r theta) + F_2 phi_2 = tau_2, with theta
-    shared by both joints. Gauss-Newton solves for (theta, r). The column of r is the model torque
-    B_2 theta; with the measured torque, noise would bias r towards zero.
-
-    `equations` are those of a converged rigid fit, `root` (n_rows,) the square roots of its
-    weights, and `compliance` (n_elastic,) the compliances of its linearisation.
-
-    Returns None for an arm without two joints, if the iteration does not converge, or if the motion
-    does not determine the ratio.
+    Each ratio has a standard deviation, which includes the scatter between neighbouring bandwidths.
+    Ratios that the motion does not determine are omitted.
     """
-    if arm.n_joints != 2:
-        return None
-    ratio = 1.0
+    if best.arm.n_joints < 2:
+        return {}
+    estimate = _ratios_at(best)
+    if np.isnan(estimate.value).all():
+        return {}
+    others = [_ratios_at(trial) for trial in neighbours(trials, best)]
+    ratios = {}
+    for k, value in enumerate(estimate.value.tolist()):
+        if np.isnan(value):
+            continue
+        pairs = [(o.value[k], o.variance[k]) for o in others if np.isfinite(o.value[k])]
+        variance = estimate.variance[k] + float(excess_variance(value, pairs))
+        ratios[k + 2] = 1.0 / value, float(np.sqrt(variance)) / value**2
+    return ratios
+
+
+def _ratios_at(trial: Trial) -> _Ratios:
+    """Ratios at one bandwidth.
+
+    The rows of joint i have the additional unknown r_i: B_i (r_i theta) + F_i phi_i = tau_i, with
+    theta shared by all joints and r_1 = 1. Gauss-Newton solves for theta and all r_i. The column of
+    r_i is the model torque B_i theta; with the measured torque, noise would bias r_i towards zero.
+    """
+    equations, root = trial.equations, trial.factor.root
+    n = trial.arm.n_joints - 1
+    ratios = np.ones(n)
+    unknown = _Ratios(np.full(n, np.nan), np.full(n, np.nan))
     factor = ls.factorise(equations, root)
     for _ in range(_MAX_ITERATIONS):
-        scaled = _scaled(arm, equations, compliance, factor.value, ratio)
+        scaled = _scale(trial, factor.value, ratios)
         factor = ls.factorise(scaled, root)
-        step = float(factor.common[-1]) / ratio
-        if not np.isfinite(step):
-            return None
-        if abs(step) < _TOLERANCE:
-            variance = float(ls.jackknife(scaled, factor)[1][-1])
-            identified = variance < _MAX_RELATIVE_STD**2 * ratio**2
-            return TorqueRatio(ratio * (1.0 + step), variance) if identified else None
-        ratio *= float(np.clip(1.0 + step, 1.0 / _MAX_FACTOR, _MAX_FACTOR))
+        step = factor.common[-n:] / ratios
+        if not np.isfinite(step).all():
+            return unknown
+        if np.all(np.abs(step) < _TOLERANCE):
+            variance = ls.jackknife(scaled, factor)[1][-n:]
+            is_identified = variance < (_MAX_RELATIVE_STD * ratios) ** 2
+            return _Ratios(np.where(is_identified, ratios * (1.0 + step), np.nan), variance)
+        ratios = ratios * np.clip(1.0 + step, 1.0 / _MAX_FACTOR, _MAX_FACTOR)
         root = ls.root_weights(scaled, factor)
-    return None
+    return unknown
 
 
-def _scaled(
-    arm: Arm,
-    equations: ls.Equations,
-    compliance: FloatArray,
-    solution: FloatArray,
-    ratio: float,
-) -> ls.Equations:
-    """Multiply the body torques of joint 2 by a ratio and add a column for its relative change."""
-    is_joint_2 = equations.group == _JOINT_2_GROUP
-    n = arm.n_body
-    shared, common = equations.shared.copy(), equations.common.copy()
-    torque = shared[:, :n] @ solution[:n] * is_joint_2
-    lag = common @ compliance if common.shape[1] else np.zeros(len(torque))
-    target = equations.target + (ratio - 1.0) * lag * is_joint_2
-    shared[is_joint_2, :n] *= ratio
-    common[is_joint_2] *= ratio
+def _scale(trial: Trial, solution: FloatArray, ratios: FloatArray) -> ls.Equations:
+    """Multiply the body torques of joints by ratios and add columns for their relative changes."""
+    equations, n_body = trial.equations, trial.arm.n_body
+    factor = np.append(1.0, ratios)[equations.group]
+    is_of_joint = equations.group[:, None] == np.arange(1, len(ratios) + 1)
+    torque = equations.shared[:, :n_body] @ solution[:n_body]
+    shared = equations.shared.copy()
+    shared[:, :n_body] *= factor[:, None]
+    # the common unknowns are compliances, then load shares; only compliances are linearised
+    n = n_compliances(trial.arm)
+    lag = equations.common[:, :n] @ trial.estimate.compliance[:n]
     return replace(
         equations,
         shared=shared,
-        common=np.column_stack([common, torque]),
-        common_deviation=np.append(equations.common_deviation, _PRIOR_STD * ratio),
-        target=target,
+        common=np.column_stack([equations.common * factor[:, None], torque[:, None] * is_of_joint]),
+        common_deviation=np.append(equations.common_deviation, _PRIOR_STD * ratios),
+        target=equations.target + (factor - 1.0) * lag,
     )

@@ -344,8 +344,7 @@ def _provenance_blocks(result: Identification) -> Iterator[Block]:
                 f" decimation {model.decimation}, condition number {model.condition_number:.3g}",
             )
         )
-        if model.torque_ratio is not None:
-            value, std = model.torque_ratio
+        for value, std in model.torque_ratios.values():
             text = f"{value:.4f} ± {std:.2g}; 1 if both torque constants are correct"
             facts.append(("torque ratio from the symmetry of the inertia matrix", text))
     yield Facts(tuple(facts))

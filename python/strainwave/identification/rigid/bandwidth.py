@@ -1,0 +1,113 @@
+"""Search for the bandwidth of the rigid step, and the model error that it shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Signals
+from strainwave.dynamics.arm import Arm
+from strainwave.identification.rigid.equations import convert_estimate
+from strainwave.identification.rigid.stretch import Stretch, n_compliances, prepare
+from strainwave.identification.rigid.trial import Trial, fit_trial
+
+_BANDWIDTH_RATIO = 2.0**0.5  # ratio of successive bandwidths; squared if no gear is elastic
+# log of a significant ratio of standard deviations, the accuracy of the jackknife
+_MIN_LOG_GAIN = np.log(1.1)
+_MAX_BANDWIDTHS_WITHOUT_GAIN = 3  # successive bandwidths without improvement that end the search
+
+Motion = tuple[Signals, float]
+"""Signals of a record and their period in samples."""
+
+
+def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
+    """Fit at increasing bandwidths while the estimates improve and the gears are nearly rigid."""
+    trials: list[Trial] = []
+    least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
+    is_rigid = n_compliances(arm) == 0
+    for bandwidth in _bandwidths(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
+        limits = [trial.max_rigid_bandwidth for trial in trials[-2:]]
+        if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
+            break
+        stretches = prepare_all(arm, motions, bandwidth)
+        last = trials[-1] if trials else None
+        start = convert_estimate(last.estimate, last.stretches, stretches) if last else None
+        trial = fit_trial(arm, stretches, start)
+        trials.append(trial)
+        has_improved = bool(np.any(trial.spread < least_spread - _MIN_LOG_GAIN))
+        n_without_gain = 0 if has_improved else n_without_gain + 1
+        least_spread = np.minimum(least_spread, trial.spread)
+        if n_without_gain >= _MAX_BANDWIDTHS_WITHOUT_GAIN:
+            break
+    return trials
+
+
+def _bandwidths(motions: Sequence[Motion], step: float) -> Iterator[float]:
+    """Yield bandwidths from that of 90 % of the motion's power to half the signals' bandwidth."""
+    top = min(s.bandwidth_hz or 0.5 / s.sample_time for s, _ in motions) / 2.0
+    shortest = min(period * s.sample_time for s, period in motions)
+    bandwidth = max([8.0 / shortest, *(_motion_band(s) for s, _ in motions)])
+    bandwidth = min(bandwidth, top)
+    while bandwidth <= top:
+        yield bandwidth
+        bandwidth *= step
+
+
+def _motion_band(signals: Signals) -> float:
+    """Frequency [Hz] below which 90 % of the power of each velocity lies."""
+    highest = 0.0
+    count = len(signals.time)
+    frequency = np.fft.rfftfreq(count, signals.sample_time)
+    centred_index = np.arange(count) - 0.5 * (count - 1)
+    for velocity in signals.motor_velocity.T:
+        detrended = velocity - velocity.mean()
+        detrended -= centred_index * (centred_index @ detrended / (centred_index @ centred_index))
+        cumulative_power = np.cumsum(np.abs(np.fft.rfft(detrended)) ** 2)
+        if cumulative_power[-1] > 0.0:
+            highest = max(
+                highest,
+                float(frequency[np.searchsorted(cumulative_power, 0.9 * cumulative_power[-1])]),
+            )
+    return highest
+
+
+def prepare_all(arm: Arm, motions: Sequence[Motion], bandwidth_hz: float) -> tuple[Stretch, ...]:
+    """Filter all records for the equations of one bandwidth."""
+    return tuple(prepare(arm, s, bandwidth_hz, period) for s, period in motions)
+
+
+def select_bandwidth(trials: Sequence[Trial]) -> Trial:
+    """Select the bandwidth at which all standard deviations are close to their minimum.
+
+    The regret of a bandwidth is the largest ratio of a standard deviation to its minimum over the
+    bandwidths. For elastic gears, the lowest bandwidth with a small regret is selected, because
+    model error is largest at high frequencies.
+    """
+    spread = np.array([trial.spread for trial in trials])
+    least_spread = spread.min(axis=0)
+    identified = np.isfinite(least_spread)
+    regret = np.max(spread[:, identified] - least_spread[identified], axis=1, initial=0.0)
+    if not n_compliances(trials[0].arm):
+        return trials[int(np.argmin(regret))]
+    return trials[int(np.argmax(regret <= regret.min() + _MIN_LOG_GAIN))]
+
+
+def neighbours(trials: Sequence[Trial], best: Trial) -> list[Trial]:
+    """Trials within about a factor of two of the best bandwidth."""
+    return [
+        t for t in trials if t is not best and 0.45 <= t.bandwidth_hz / best.bandwidth_hz <= 2.1
+    ]
+
+
+def excess_variance(
+    value: FloatArray | float, others: Sequence[tuple[FloatArray, FloatArray]]
+) -> FloatArray:
+    """Variance of the model error of an estimate, from its change with the bandwidth.
+
+    With an exact model, the estimates at all bandwidths agree within their standard deviations. The
+    excess is the median over neighbouring bandwidths, which is insensitive to uncertain trials at
+    low bandwidths. `others` has estimates and variances at these.
+    """
+    excess = [np.clip((other - value) ** 2 - variance, 0.0, None) for other, variance in others]
+    return np.asarray(np.median(excess, axis=0) if excess else np.zeros_like(value))

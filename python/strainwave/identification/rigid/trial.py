@@ -1,0 +1,188 @@
+"""Fit of the rigid model at one bandwidth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain.distributions import student_quantile
+from strainwave.domain.parameter_table import family_of, parameter_table
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
+from strainwave.identification.rigid.equations import (
+    MOTOR_SHARE,
+    Estimate,
+    Loads,
+    anti_resonances,
+    assemble,
+    average_estimates,
+    estimate_of,
+)
+from strainwave.identification.rigid.stretch import Stretch, n_compliances
+from strainwave.numerics import least_squares as ls
+
+MAX_ITERATIONS = 20
+# change in standard deviations for white errors, which are smaller than those of the jackknife
+_TOLERANCE = 0.02
+# share of the torque above which a fit is uncertain; 1e-4 to 1e-3 with enough motion in the band
+_MAX_UNCERTAIN_TORQUE_SHARE = 0.003
+# minimum rows of one joint per block: half a period of the cut-off, the correlation time of errors
+_MIN_ROWS_PER_BLOCK = 2.0
+
+RESONANCE_RATIO = 3.0
+"""Minimum ratio of anti-resonance to bandwidth for the first-order compliance model."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Fit at one bandwidth."""
+
+    arm: Arm
+    stretches: tuple[Stretch, ...]  # one per record
+    estimate: Estimate
+    common_deviation: FloatArray  # (n_common,) of the compliances, then of the load friction
+    equations: ls.Equations
+    factor: ls.Factor
+    covariance: FloatArray
+    determined: BoolArray
+    last_move: float  # largest change in the last iteration, in standard deviations
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Bandwidth [Hz] of the equations' filter."""
+        return self.stretches[0].bandwidth_hz
+
+    @property
+    def solution(self) -> FloatArray:
+        """Estimates of the parameters, (n_parameters,)."""
+        return self.estimate.solution
+
+    @property
+    def standard_deviations(self) -> FloatArray:
+        """Standard deviations (n_parameters,) by the jackknife."""
+        return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
+
+    @property
+    def spread(self) -> FloatArray:
+        """Log of the standard deviations; infinite for parameters that are not determined."""
+        logs = np.log(np.maximum(self.standard_deviations, 1e-150))
+        return np.where(self.determined, logs, np.inf)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks of the jackknife."""
+        return len(np.unique(self.equations.block))
+
+    @property
+    def interval_half_width(self) -> float:
+        """Half-width of a 95 % interval in standard deviations."""
+        return student_quantile(0.975, max(1, self.n_blocks - 1))
+
+    @property
+    def is_uncertain(self) -> bool:
+        """Whether a parameter is poorly determined or the standard deviations are unreliable.
+
+        At low bandwidths, the effect of a poorly determined parameter may be attributed to
+        compliance. Standard deviations are unreliable if the blocks of the jackknife are shorter
+        than the correlation time of the errors.
+        """
+        torque = float(np.linalg.norm(self.factor.root * self.equations.target))
+        largest = float(np.max(self.standard_deviations * self.factor.scale))
+        n_rows = _MIN_ROWS_PER_BLOCK * self.n_blocks * self.arm.n_joints
+        is_vague = largest / torque > _MAX_UNCERTAIN_TORQUE_SHARE
+        return is_vague or len(self.equations.target) < n_rows
+
+    @property
+    def max_rigid_bandwidth(self) -> float:
+        """Bandwidth [Hz] above which the first-order compliance model is not valid.
+
+        Infinite if the trial is uncertain.
+        """
+        if not n_compliances(self.arm) or self.is_uncertain:
+            return np.inf
+        compliance = self.estimate.compliance - 2.0 * self.common_deviation
+        lower_bound = replace(self.estimate, compliance=np.clip(compliance, 0.0, None))
+        return float(np.min(anti_resonances(self.arm, lower_bound))) / RESONANCE_RATIO
+
+    @property
+    def implausible(self) -> list[int]:
+        """Parameters that are significantly negative although they must be positive."""
+        upper = self.solution + 2.0 * self.standard_deviations
+        return [
+            k
+            for k, column in enumerate(self.arm.rigid_columns)
+            if self.determined[k]
+            and parameter_table()[column.name].range != "any"
+            and upper[k] < 0.0
+        ]
+
+    def refit_with_loads(self, joints: Sequence[int]) -> Trial:
+        """Fit at the same bandwidth with load-dependent friction of joints, from 0."""
+        loads = Loads.of(joints, self.stretches)
+        return fit_trial(self.arm, self.stretches, self.estimate, loads=loads)
+
+
+def fit_trial(
+    arm: Arm,
+    stretches: tuple[Stretch, ...],
+    around: Estimate | None,
+    motor_share: float = MOTOR_SHARE,
+    loads: Loads | None = None,
+) -> Trial:
+    """Fit at one bandwidth: iterate parameters, compliances and weights to convergence."""
+    equations = assemble(arm, stretches, around, loads)
+    if not len(equations.target):
+        raise NotIdentifiable("every sample is at an edge or in saturation; record for longer")
+    root = ls.initial_weights(equations.target, equations.group)
+    last_step = np.zeros(len(arm.rigid_columns))
+    for iteration in range(MAX_ITERATIONS):
+        factor = ls.factorise(equations, root)
+        previous = factor.value if around is None else around.solution
+        change = factor.value - previous
+        change_size = np.abs(change)
+        known = factor.deviation > 0.0  # other parameters do not change
+        step = np.divide(change, factor.deviation, out=np.zeros_like(change), where=known)
+        has_converged = iteration > 1 and np.all(change_size <= _TOLERANCE * factor.deviation)
+        estimate = estimate_of(arm, stretches, equations, factor, motor_share)
+        if around is not None and step @ last_step < 0.0 and not has_converged:  # oscillates
+            estimate = average_estimates(around, estimate)
+        around, last_step = estimate, step
+        if has_converged:
+            break
+        root = ls.root_weights(equations, factor)
+        equations = assemble(arm, stretches, around, loads)
+    covariance, common_variance = ls.jackknife(equations, factor)
+    identified = ls.determined(equations, factor, covariance) & _determines_friction(arm, stretches)
+    standard_deviations = np.sqrt(np.clip(np.diag(covariance), 1e-300, None))
+    assert around is not None
+    return Trial(
+        arm=arm,
+        stretches=stretches,
+        estimate=around,
+        common_deviation=np.sqrt(common_variance),
+        equations=equations,
+        factor=factor,
+        covariance=covariance,
+        determined=identified,
+        last_move=float(np.max((change_size / standard_deviations)[identified], initial=0.0)),
+    )
+
+
+def _determines_friction(arm: Arm, stretches: Sequence[Stretch]) -> BoolArray:
+    """False for Coulomb friction and offset of a joint that never slides in both directions.
+
+    The apparent information on them comes from the prior of the stiction torque, not from data.
+    """
+    identified = np.ones(len(arm.rigid_columns), dtype=bool)
+    for k, column in enumerate(arm.rigid_columns):
+        if column.joint is not None and family_of(column.name) == "dry friction":
+            signs = {
+                sign
+                for s in stretches
+                for sign in np.unique(s.signals.direction[:, column.joint - 1])
+            }
+            identified[k] = {-1.0, 1.0} <= signs
+    return identified
