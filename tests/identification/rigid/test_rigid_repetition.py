@@ -10,6 +10,7 @@ from strainwave.domain import FloatArray, Log, Signals, Study
 from strainwave.domain.keys import Values
 from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
+from strainwave.identification.rigid.bandwidth import bandwidths_of
 from strainwave.identification.rigid.repetition import period_of
 from strainwave.signals import motor as signals
 
@@ -100,7 +101,7 @@ def test_sixteen_periods_give_the_estimate_of_one_period(seed: int) -> None:
 def test_a_repetition_leaves_the_first_bandwidth() -> None:
     """The first bandwidth contains eight harmonics, for any number of periods."""
     bandwidths = [
-        next(iter(rigid._bandwidths([(moving(np.tile(multisine(1.0, 1), (n, 1))), 1000.0)], 2.0)))
+        next(iter(bandwidths_of([(moving(np.tile(multisine(1.0, 1), (n, 1))), 1000.0)], 2.0)))
         for n in (4, 40)
     ]
     assert bandwidths == [8.0, 8.0]

@@ -26,7 +26,7 @@ def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
     trials: list[Trial] = []
     least_spread, n_without_gain = np.full(len(arm.rigid_columns), np.inf), 0
     is_rigid = n_compliances(arm) == 0
-    for bandwidth in _bandwidths(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
+    for bandwidth in bandwidths_of(motions, _BANDWIDTH_RATIO ** (2 if is_rigid else 1)):
         limits = [trial.max_rigid_bandwidth for trial in trials[-2:]]
         if len(limits) > 1 and bandwidth > max(limits):  # a single trial may be unreliable
             break
@@ -43,7 +43,7 @@ def search_bandwidths(motions: Sequence[Motion], arm: Arm) -> list[Trial]:
     return trials
 
 
-def _bandwidths(motions: Sequence[Motion], step: float) -> Iterator[float]:
+def bandwidths_of(motions: Sequence[Motion], step: float) -> Iterator[float]:
     """Yield bandwidths from that of 90 % of the motion's power to half the signals' bandwidth."""
     top = min(s.bandwidth_hz or 0.5 / s.sample_time for s, _ in motions) / 2.0
     shortest = min(period * s.sample_time for s, period in motions)
