@@ -10,7 +10,7 @@ import pytest
 
 from elastic_runs import SAMPLE, log_of, prbs_run, rig, rig_values, true_model
 from joint_records import Case, case, truth_of
-from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals
+from strainwave.domain import Decoupled, Delay, FloatArray, Joint, JointModel, LinkSignals, Mode
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
@@ -18,12 +18,14 @@ from strainwave.errors import NotIdentifiable
 from strainwave.identification import decoupling
 from strainwave.identification.joint_model import (
     PhysicalOptions,
+    equations,
     fit_joint,
     grey_box,
     identify_joint,
     rigid_knowledge,
 )
-from strainwave.identification.joint_model.estimates import parameters_of, warnings_of
+from strainwave.identification.joint_model.joint_estimate import JointEstimate
+from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.numerics import least_squares as ls
 from strainwave.signals import link_motion as links
 
@@ -172,7 +174,7 @@ def test_uncertain_friction_increases_the_standard_deviations(
     """Uncertain friction at reversals within an encoder count increases standard deviations."""
     joint_case = case(*CASES[0])
     reference = np.sqrt(np.diag(found_in(joint_case).covariance))
-    monkeypatch.setattr(grey_box, "_SIGN_FRICTION_STD", grey_box._STICTION_STD)
+    monkeypatch.setattr(equations, "_SIGN_FRICTION_STD", equations._STICTION_STD)
     alike = np.sqrt(np.diag(found_in(joint_case).covariance))
     assert np.all(reference > 0.99 * alike)
     assert np.max(reference / alike) > 1.02
@@ -234,16 +236,17 @@ def test_unidentified_and_implausible_values_have_warnings() -> None:
     values = dict(zip(NAMES, [1e-4, 1e-4, -3.0, 0.5, 2e4, 20.0], strict=True))
     covariance = np.diag([1e-6, 9e-5, 0.1, 0.01, 10.0, 0.1]) ** 2
     reported = (True,) * 5 + (False,)
-    estimates = {p.name: p.value for p in parameters_of(values, covariance, reported, joint, 1)}
+    mode = Mode(-1.0 + 60.0j, 9.5, 0.02, None, None)
+    estimate = JointEstimate(joint, 1, ("x",), values, covariance, reported)
+    model = estimate.to_model("grey-box", (mode, mode), (1.0, 30.0), {})
+    estimates = {p.name: p.value for p in model.parameters}
     assert estimates["motor_viscous_friction"] is None  # standard deviation 90 %
     assert estimates["link_viscous_friction"] == 0.5  # standard deviation 2 %
     assert estimates["gear_damping"] is None
     assert estimates["link_inertia"] == -3.0
     assert estimates["total_viscous_friction"] == pytest.approx(1.5e-4)
-    codes = {
-        (c.code, c.where.split()[0])
-        for c in warnings_of(values, covariance, reported, joint, 1, "x")
-    }
+    assert model.status == "implausible"
+    codes = {(warning.code, warning.where.split()[0]) for warning in model.warnings}
     assert codes == {
         ("not-identifiable", "motor_viscous_friction"),
         ("not-identifiable", "gear_damping"),
@@ -270,19 +273,19 @@ def test_friction_in_windows_is_eliminated_as_among_all_unknowns() -> None:
     weighted = grey_box.solve(
         joint_case.records, Arm.of(joint_case.study.arm), rigid_values, (5.0, 45.0)
     ).in_band
-    equations, root = weighted.equations, weighted.root
-    friction_columns = np.zeros((len(root), len(equations.local_deviation)))
-    friction_columns[equations.local[0].rows] = equations.local[0].columns.dense()
-    scale = np.linalg.norm(equations.shared * root[:, None], axis=0)
-    columns = np.hstack([equations.shared / scale, friction_columns * equations.local_deviation])
+    solved, root = weighted.equations, weighted.root
+    friction_columns = np.zeros((len(root), len(solved.local_deviation)))
+    friction_columns[solved.local[0].rows] = solved.local[0].columns.dense()
+    scale = np.linalg.norm(solved.shared * root[:, None], axis=0)
+    columns = np.hstack([solved.shared / scale, friction_columns * solved.local_deviation])
     priors = np.eye(columns.shape[1])[len(scale) :]
-    target = np.concatenate([equations.target * root, np.zeros(len(priors))])
+    target = np.concatenate([solved.target * root, np.zeros(len(priors))])
     solution = np.linalg.lstsq(np.vstack([columns * root[:, None], priors]), target)[0]
-    factor = ls.factorise(equations, root)
+    factor = ls.factorise(solved, root)
     assert friction_columns.shape[1] > 100
     np.testing.assert_allclose(factor.value, solution[:7] / scale, rtol=1e-7)
     np.testing.assert_allclose(
-        factor.local, solution[7:] * equations.local_deviation, atol=1e-7 * np.abs(solution).max()
+        factor.local, solution[7:] * solved.local_deviation, atol=1e-7 * np.abs(solution).max()
     )
 
 
@@ -310,10 +313,10 @@ def test_work_arrays_grow_with_the_record_and_no_faster() -> None:
     sizes = []
     for times in (2, 4):
         signals, decoupled = longer(joint_case, times)
-        piece = grey_box._piece(signals, decoupled, Arm.of(joint_case.study.arm), (5.0, 45.0))
-        equations = grey_box._assemble([piece], grey_box.RigidKnowledge(None, None, None), TRIED)
-        local = equations.local[0].columns
-        sizes.append(equations.shared.size + local.entries.size + local.first.size)
+        piece = equations._piece(signals, decoupled, Arm.of(joint_case.study.arm), (5.0, 45.0))
+        assembled = equations._assemble([piece], RigidKnowledge(None, None, None), TRIED)
+        local = assembled.local[0].columns
+        sizes.append(assembled.shared.size + local.entries.size + local.first.size)
     assert sizes[1] < 2.2 * sizes[0]  # the excluded edges are a larger part of the shorter record
 
 
@@ -327,13 +330,13 @@ def test_the_band_of_a_long_record_is_looked_for_in_its_middle(
     joint_case, full_model = models[0]
     n = len(joint_case.signals.time)
     lengths: list[int] = []
-    reference = grey_box._piece
+    reference = equations._piece
 
     def counted(signals: LinkSignals, *rest: Any) -> Any:
         lengths.append(len(signals.time))
         return reference(signals, *rest)
 
-    monkeypatch.setattr(grey_box, "_piece", counted)
+    monkeypatch.setattr(equations, "_piece", counted)
     monkeypatch.setattr(grey_box, "_MAX_SEARCH_SAMPLES", 2 * n // 3)
     fit = found_in(joint_case)
     # the complete record is used for the selected band and its neighbours only
@@ -353,8 +356,7 @@ def test_the_complete_record_is_searched_if_its_middle_gives_another_band(
     def misled(records: Any, study: Any, known: Any, search: Any) -> Any:
         if len(records[0][0].time) == n:
             return reference(records, study, known, search)
-        band = (9.0, 18.0)
-        return band, grey_box._equations(records, study, known, band)
+        return equations.equations_in(records, study, known, (9.0, 18.0))
 
     monkeypatch.setattr(grey_box, "_search_band", misled)
     fit = found_in(joint_case)

@@ -36,14 +36,13 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
-from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
+from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band
 from strainwave.identification.joint_model.grey_box import (
-    FIRST_BAND_HZ,
     GreyBoxFit,
-    RigidKnowledge,
     Solved,
     solve,
 )
+from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.linear import (
     LinearFit,
     band_for,
@@ -58,7 +57,7 @@ from strainwave.identification.joint_model.motor_side import (
     models_from_catalogue,
     models_from_motors,
 )
-from strainwave.identification.joint_model.rigid_knowledge import rigid_knowledge
+from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge, rigid_knowledge
 from strainwave.identification.joint_model.transfer import from_state_space
 from strainwave.numerics.parallel import one_blas_thread
 
@@ -122,7 +121,7 @@ def identify_joint(
     arm: Arm,
     options: PhysicalOptions | None = None,
     *,
-    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
+    search_from_hz: Band = FIRST_BAND_HZ,
 ) -> JointModel:
     """Estimate the physical parameters of one joint from its equations of motion, (S6) and (S7).
 
@@ -141,7 +140,7 @@ def fit_joint(
     arm: Arm,
     options: PhysicalOptions | None = None,
     *,
-    search_from_hz: tuple[float, float] = FIRST_BAND_HZ,
+    search_from_hz: Band = FIRST_BAND_HZ,
 ) -> JointFit:
     """Fit one joint as `identify_joint` does and keep the solved equations."""
     chosen = options or PhysicalOptions()
@@ -156,24 +155,20 @@ def fit_joint(
 
 def _joint_model(solved: Solved) -> JointModel:
     fit, number = solved.fit(), solved.records[0][1].joint
-    names = tuple(signals.experiment.name for signals, _ in solved.records)
-    values = _values(fit)
-    covariance = _with_delay(fit.covariance, values, solved.records, number)
-    estimate = values, covariance, fit.determined, solved.arm.joints[number - 1], number
-    warnings = tuple(warnings_of(*estimate, ", ".join(names)))
-    return JointModel(
-        joint=number,
-        experiments=names,
-        method="grey-box",
-        parameters=tuple(parameters_of(*estimate)),
+    values, covariance = _values(fit), fit.covariance[:6, :6]
+    estimate = JointEstimate(
+        joint=solved.arm.joints[number - 1],
+        number=number,
+        experiments=tuple(signals.experiment.name for signals, _ in solved.records),
         values=values,
-        covariance=covariance,
-        anti_resonance=anti_resonance(fit.joint, fit.covariance[:6, :6]),
-        resonance=resonance(fit.joint, fit.covariance[:6, :6]),
-        band_hz=fit.band_hz,
-        fit_percent={"torque": fit.torque_fit_percent, "torsion": fit.torsion_fit_percent},
-        status=status_of(warnings),
-        warnings=warnings,
+        covariance=_with_delay(fit.covariance, values, solved.records, number),
+        determined=fit.determined,
+    )
+    return estimate.to_model(
+        "grey-box",
+        (anti_resonance(fit.joint, covariance), resonance(fit.joint, covariance)),
+        fit.band_hz,
+        {"torque": fit.torque_fit_percent, "torsion": fit.torsion_fit_percent},
     )
 
 

@@ -37,6 +37,14 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
+from strainwave.identification.joint_model.bands import (
+    FIRST_BAND_HZ,
+    MIN_PERIODS,
+    Band,
+    limit_band,
+    neighbouring_bands,
+    same_band,
+)
 from strainwave.numerics.filters import by_spectrum, low_pass
 from strainwave.signals.channels import check_alike
 from strainwave.statespace import (
@@ -52,9 +60,7 @@ from strainwave.statespace import (
 ANTI_RESONANCE_TO_LOW_EDGE = 3.0  # ratio of the anti-resonance to the lower edge of the band
 # ratio of the upper edge of the band to the resonance; with less, the data do not determine d_G
 HIGH_EDGE_TO_RESONANCE = 3.0
-# initial band of the search: covers the resonances of strain-wave gears with links of about 1 m
-_FIRST_BAND_HZ = (3.0, 60.0)
-_MIN_PERIODS = 6.0  # minimum number of periods of the lower edge in the longest stretch
+_MIN_EDGE_RATIO = 4.0  # minimum ratio of the edges of the band
 # ratio of the sampling rate to the upper edge of the band. 3.5 to 4.5 work; above 5 the low-pass
 # leaves too little noise near Nyquist for the prediction-error method
 _RATE_TO_HIGH_EDGE = 4.0
@@ -87,7 +93,7 @@ class LinearFit:
 
     records: tuple[Decoupled, ...]
     options: LinearOptions
-    band_hz: tuple[float, float]  # of the filter
+    band_hz: Band  # of the filter
     data: tuple[InputOutput, ...]  # filtered and decimated stretches
     model: StateSpace
     physical: StateSpace | None = None  # three states in the same band; None: not fitted
@@ -154,7 +160,7 @@ def fit_linear(
 
 
 def _fit_in(
-    band_hz: tuple[float, float],
+    band_hz: Band,
     records: tuple[Decoupled, ...],
     options: LinearOptions,
     near: StateSpace | None = None,
@@ -168,17 +174,9 @@ def physical_order(options: LinearOptions) -> LinearOptions:
     return options if options.order else replace(options, order=PHYSICAL_ORDER)
 
 
-def other_bands(
-    band_hz: tuple[float, float], records: Sequence[Decoupled]
-) -> tuple[tuple[float, float], ...]:
+def other_bands(band_hz: Band, records: Sequence[Decoupled]) -> list[Band]:
     """A narrower and a wider band [Hz], to measure the model error by the change of estimates."""
-    low, high = band_hz
-    return tuple(
-        band_around(
-            low * ANTI_RESONANCE_TO_LOW_EDGE * by, high / HIGH_EDGE_TO_RESONANCE / by, records
-        )
-        for by in (_BAND_CHANGE, 1.0 / _BAND_CHANGE)
-    )
+    return [_limit_band(band, records) for band in neighbouring_bands(band_hz, _BAND_CHANGE)]
 
 
 def judge(fit: LinearFit) -> ModelCheck:
@@ -258,22 +256,20 @@ def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
 
 def band_around(
     anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
-) -> tuple[float, float]:
+) -> Band:
     """Filter band [Hz] around the resonances, limited to the frequencies in the records."""
-    low, high = (
-        anti_resonance_hz / ANTI_RESONANCE_TO_LOW_EDGE,
-        resonance_hz * HIGH_EDGE_TO_RESONANCE,
-    )
-    for record in records:
-        longest = max((stop - start for start, stop in _stretches(record)), default=1)
-        low = max(low, _MIN_PERIODS / (longest * record.sample_time))
-        high = min(high, 0.4 / record.sample_time, 0.8 * (record.bandwidth_hz or np.inf))
-    return min(low, high / 4.0), high
+    low = anti_resonance_hz / ANTI_RESONANCE_TO_LOW_EDGE
+    return _limit_band((low, resonance_hz * HIGH_EDGE_TO_RESONANCE), records)
 
 
-def band_for(
-    rings_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
-) -> tuple[float, float]:
+def _limit_band(band: Band, records: Sequence[Decoupled]) -> Band:
+    longest = [
+        max((stop - start for start, stop in _stretches(record)), default=1) for record in records
+    ]
+    return limit_band(band, records, longest, _MIN_EDGE_RATIO)
+
+
+def band_for(rings_hz: Band, records: Sequence[Decoupled], options: LinearOptions) -> Band:
     """Filter band [Hz] of the options, otherwise the band around a joint's resonances.
 
     `rings_hz` has the anti-resonance and the resonance [Hz].
@@ -281,22 +277,15 @@ def band_for(
     return options.band_hz or _at_rate(band_around(*rings_hz, records), records, options)
 
 
-def _at_rate(
-    band_hz: tuple[float, float], records: Sequence[Decoupled], options: LinearOptions
-) -> tuple[float, float]:
+def _at_rate(band_hz: Band, records: Sequence[Decoupled], options: LinearOptions) -> Band:
     """Limit the upper edge of the band to what the decimation of the options allows."""
     if options.decimation is None:
         return band_hz
     high = 1.0 / (_RATE_TO_HIGH_EDGE * options.decimation * records[0].sample_time)
-    return min(band_hz[0], high / 4.0), high
+    return min(band_hz[0], high / _MIN_EDGE_RATIO), high
 
 
-def same_band(band: tuple[float, float], other: tuple[float, float], within: float) -> bool:
-    """Whether both edges of two bands agree to the relative difference `within`."""
-    return all(abs(a / b - 1.0) < within for a, b in zip(band, other, strict=True))
-
-
-def band_of(f: FloatArray, band_hz: tuple[float, float]) -> FloatArray:
+def band_of(f: FloatArray, band_hz: Band) -> FloatArray:
     """Gain (n_frequencies,) of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6))."""
     low, high = band_hz
     gain = (1.0 + (low / f) ** _HIGH_PASS_ORDER) * (1.0 + (f / high) ** _LOW_PASS_ORDER)
@@ -330,7 +319,7 @@ def _stretches(record: Decoupled) -> list[tuple[int, int]]:
 
 
 def _data(
-    records: Sequence[Decoupled], band_hz: tuple[float, float], options: LinearOptions
+    records: Sequence[Decoupled], band_hz: Band, options: LinearOptions
 ) -> tuple[InputOutput, ...]:
     """Filtered and decimated stretches of all records."""
     pieces = _pieces if options.filter == "band" else _decimate
@@ -338,16 +327,14 @@ def _data(
     if not stretches:
         raise NotIdentifiable(
             f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
-            f"{_MIN_PERIODS:g} periods of "
+            f"{MIN_PERIODS:g} periods of "
             f"{band_hz[0] or band_hz[1] / _MIN_CUTOFF_PERIODS:.3g} Hz: record for longer, "
             "or lower the amplitude"
         )
     return tuple(stretches)
 
 
-def _pieces(
-    record: Decoupled, band_hz: tuple[float, float], options: LinearOptions
-) -> Iterator[InputOutput]:
+def _pieces(record: Decoupled, band_hz: Band, options: LinearOptions) -> Iterator[InputOutput]:
     low, high = band_hz
     T = record.sample_time
     step = options.decimation or max(1, round(1.0 / (_RATE_TO_HIGH_EDGE * high * T)))
@@ -366,7 +353,7 @@ def _pieces(
     for start, stop in _stretches(record):
         edge = int(1.0 / (low * T))
         # the high-pass response lasts one period; the remaining samples must suffice for a fit
-        if (stop - start) * T * low < _MIN_PERIODS - 1e-6:
+        if (stop - start) * T * low < MIN_PERIODS - 1e-6:
             continue
         inputs = by_spectrum(record.inputs[start:stop, :n_in], compensated_band, T, 3.0 / low)
         outputs = by_spectrum(record.outputs[start:stop], compensated_sensors, T, 3.0 / low)
@@ -385,16 +372,14 @@ def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
     return _CUTOFF_TO_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
 
 
-def _decimate(
-    record: Decoupled, _: tuple[float, float], options: LinearOptions
-) -> Iterator[InputOutput]:
+def _decimate(record: Decoupled, _: Band, options: LinearOptions) -> Iterator[InputOutput]:
     """Low-passed, decimated stretches without their means, prepared as in the source."""
     T, step, cutoff = record.sample_time, options.decimation or 1, _decimated_hz(record, options)
     n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
     n_out = 1 if options.outputs == "motor" else 2
     for start, stop in _stretches(record):
         edge = int(1.0 / (cutoff * T))
-        if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * _MIN_PERIODS:
+        if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * MIN_PERIODS:
             continue
         columns = np.hstack([record.inputs[start:stop, :n_in], record.outputs[start:stop, :n_out]])
         samples = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
@@ -409,13 +394,9 @@ def _decimate(
         )
 
 
-def _search_band(records: Sequence[Decoupled]) -> tuple[float, float]:
+def _search_band(records: Sequence[Decoupled]) -> Band:
     """Band around the resonances, from fast subspace estimates without starting values."""
-    band = band_around(
-        _FIRST_BAND_HZ[0] * ANTI_RESONANCE_TO_LOW_EDGE,
-        _FIRST_BAND_HZ[1] / HIGH_EDGE_TO_RESONANCE,
-        records,
-    )
+    band = _limit_band(FIRST_BAND_HZ, records)
     for _ in range(_MAX_BANDS):
         estimated_modes = modes_of(subspace(_data(records, band, LinearOptions()), 3))
         if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:

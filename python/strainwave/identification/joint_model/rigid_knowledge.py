@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +12,43 @@ from strainwave.domain.combinations import is_uncoupled, total_inertia
 from strainwave.domain.keys import Row
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_variations, interaction_torques
-from strainwave.identification.joint_model.grey_box import RigidError, RigidKnowledge
+
+
+@dataclass(frozen=True, slots=True)
+class RigidError:
+    """Changes for one standard deviation along one eigenvector of the rigid model's covariance."""
+
+    tau: tuple[FloatArray, ...]  # one per record, (n_samples,) [N m] at the link
+    total_inertia: float  # [kg m^2]
+    total_viscous_friction: float  # [N m s/rad]
+    coulomb_friction: float  # [N m]
+
+
+@dataclass(frozen=True, slots=True)
+class RigidKnowledge:
+    """Values from the rigid step for one joint, as (value, standard deviation), or None."""
+
+    total_inertia: tuple[float, float] | None  # c_1 [kg m^2]
+    total_viscous_friction: tuple[float, float] | None  # c_0 [N m s/rad]
+    coulomb_friction: tuple[float, float] | None  # f [N m]
+    errors: tuple[RigidError, ...] = ()  # independent error directions of tau
+
+    def add_error(self, error: RigidError) -> RigidKnowledge:
+        """The values changed by one error."""
+        return RigidKnowledge(
+            _add_change(self.total_inertia, error.total_inertia),
+            _add_change(self.total_viscous_friction, error.total_viscous_friction),
+            _add_change(self.coulomb_friction, error.coulomb_friction),
+        )
+
+    def of_record(self, k: int) -> RigidKnowledge:
+        """The values and errors for record `k` alone."""
+        errors = tuple(replace(error, tau=(error.tau[k],)) for error in self.errors)
+        return replace(self, errors=errors)
+
+
+def _add_change(known: tuple[float, float] | None, change: float) -> tuple[float, float] | None:
+    return known and (known[0] + change, known[1])
 
 
 def rigid_knowledge(

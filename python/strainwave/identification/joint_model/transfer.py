@@ -33,8 +33,7 @@ from strainwave.dynamics.two_inertia import (
     state_space,
 )
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
-from strainwave.identification.joint_model.grey_box import RigidKnowledge
+from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.linear import (
     band_around,
     band_of,
@@ -42,6 +41,7 @@ from strainwave.identification.joint_model.linear import (
     remove_alternating_poles,
     velocities,
 )
+from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.numerics.filters import by_spectrum
 from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
 
@@ -96,7 +96,6 @@ def from_state_space(
     joint_records = (records,) if isinstance(records, Decoupled) else tuple(records)
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
-    joint, source = arm.joints[number - 1], ", ".join(names)
     nominal = _pairs(model, None)
     vector, pair_covariance = _pairs_with_covariance(model, nominal)
     if pair_covariance is None:
@@ -123,25 +122,10 @@ def from_state_space(
     reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
-    estimate = values, covariance, identified, joint, number
-    warnings = (
-        *warnings_of(*estimate, source),
-        *_assumption_warnings(nominal, coefficients, reciprocity, Place.in_records(*names)),
-    )
-    return JointModel(
-        joint=number,
-        experiments=names,
-        method="transfer-function",
-        parameters=tuple(parameters_of(*estimate)),
-        values=values,
-        covariance=covariance,
-        anti_resonance=modes[0],
-        resonance=modes[1],
-        band_hz=band,
-        fit_percent=fit,
-        status=status_of(warnings),
-        warnings=warnings,
-    )
+    estimate = JointEstimate(arm.joints[number - 1], number, names, values, covariance, identified)
+    place = Place.in_records(*names)
+    notes = _assumption_warnings(nominal, coefficients, reciprocity, place)
+    return estimate.to_model("transfer-function", (modes[0], modes[1]), band, fit, notes)
 
 
 def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArray:

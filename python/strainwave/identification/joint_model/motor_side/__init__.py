@@ -17,7 +17,7 @@ from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model.estimates import parameters_of, status_of, warnings_of
+from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.motor_side.arms import Family, family_of
 from strainwave.identification.joint_model.motor_side.catalogue import models_from_catalogue
 from strainwave.identification.joint_model.motor_side.search import Minimum, minima
@@ -96,25 +96,12 @@ def _models(
             bool(std <= _MAX_RELATIVE_STD * value)
             for std, value in zip(standard_deviations, values.values(), strict=True)
         ]
-        estimate = values, covariance, identified, arm.joints[i], i + 1
-        warnings = tuple(warnings_of(*estimate, ", ".join(experiments[i])))
-        fit_percent = minimum.fit_percent[i]
-        models.append(
-            JointModel(
-                joint=i + 1,
-                experiments=experiments[i],
-                method="motor-response",
-                parameters=tuple(parameters_of(*estimate)),
-                values=values,
-                covariance=covariance,
-                anti_resonance=anti_resonance(joint, covariance),
-                resonance=resonance(joint, covariance),
-                band_hz=band,
-                fit_percent={"motor_velocity": float(fit_percent)},
-                status=status_of(warnings),
-                warnings=warnings,
-            )
+        estimate = JointEstimate(
+            arm.joints[i], i + 1, experiments[i], values, covariance, identified
         )
+        modes = anti_resonance(joint, covariance), resonance(joint, covariance)
+        fit_percent = {"motor_velocity": float(minimum.fit_percent[i])}
+        models.append(estimate.to_model("motor-response", modes, band, fit_percent))
     return tuple(models)
 
 

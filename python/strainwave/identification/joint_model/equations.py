@@ -1,0 +1,325 @@
+"""Equations (S6), (S7) of one joint in one frequency band, with the values of the rigid model.
+
+Where the motor may be in stiction, its friction torque is an additional unknown with a prior from
+the measured velocity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from strainwave.domain import Decoupled, FloatArray, IntArray, LinkSignals
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
+from strainwave.identification.joint_model.bands import Band
+from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
+from strainwave.numerics import least_squares as ls
+from strainwave.numerics.banded import Banded
+from strainwave.numerics.filters import apply_lags_without_aliases, band_pass, band_passes
+from strainwave.numerics.parallel import raise_if_stopped
+from strainwave.signals.standstill import free_friction, responses
+
+Records = Sequence[tuple[LinkSignals, Decoupled]]
+"""Records of one joint."""
+
+COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "relaxation_time")
+"""Unknowns of the regression: m_M, d_M, f, m_L, d_L, c = 1/k, t = d_G/k."""
+
+_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
+
+PHYSICAL_COLUMNS = [
+    _MOTOR,
+    _MOTOR_VISCOUS,
+    _LINK,
+    _LINK_VISCOUS,
+    _COMPLIANCE,
+    _RELAXATION,
+    _COULOMB,
+]
+"""Unknowns in the order of `NAMES`, then the Coulomb friction."""
+
+_MAX_ITERATIONS = 8  # maximum number of iterations of weights and linearisation in one band
+_ROWS_PER_HZ = 4.0  # rows per second and per hertz of the upper edge, twice the Nyquist rate
+_JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
+_KNOTS_PER_PERIOD = 8.0  # knots of the free friction per period of the upper edge
+# minimum relative standard deviation of values from the rigid model, which keeps weights finite
+_MIN_RELATIVE_STD = 1e-6
+# prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
+_STICTION_STD = 0.58
+# the same for friction that follows the sign of the measured velocity: a tenth
+_SIGN_FRICTION_STD = 0.058
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """Filtered columns of one record at the selected rows."""
+
+    ratio: float
+    band: Band
+    sample_time: float
+    rows: IntArray
+    torque: FloatArray  # (n_rows,) u + n tau
+    tau: FloatArray  # (n_rows,)
+    motor: FloatArray  # (n_rows, 3) dw_M, w_M, s
+    link: FloatArray  # (n_rows, 2) dw_L, w_L
+    torsion: FloatArray  # (n_rows, 2) delta, ddelta
+    free: Banded  # (n_rows, n_free) shape functions of the free friction
+
+    def passed(self, signal: FloatArray) -> FloatArray:
+        """Filter a signal (n_samples,) of the record like the columns, and select the rows."""
+        return band_pass(signal, *self.band, self.sample_time)[self.rows]
+
+
+@dataclass(frozen=True, slots=True)
+class WeightedEquations:
+    """Equations in one band with the weights of their last solution."""
+
+    pieces: tuple[Piece, ...]
+    equations: ls.Equations
+    known: RigidKnowledge  # values of the rigid model, part of the equations
+    root: FloatArray  # (n_rows,) square roots of the weights
+    x: FloatArray  # point of linearisation
+    standing: float = _STICTION_STD  # prior standard deviation of the free friction, in f
+
+    @property
+    def band(self) -> Band:
+        """Filter band [Hz]."""
+        return self.pieces[0].band
+
+    def of_record(self, k: int) -> WeightedEquations:
+        """The equations of record `k` alone, with the values of the rigid model."""
+        pieces, known = self.pieces[k : k + 1], self.known.of_record(k)
+        equations = _assemble(pieces, known, self.x, self.standing)
+        record_root = self.root[self.equations.group // 2 == k]
+        root = np.ones_like(equations.target)
+        root[: len(record_root)] = record_root
+        return replace(self, pieces=pieces, equations=equations, known=known, root=root)
+
+    def iterate(self, within: float) -> WeightedEquations:
+        """Iterate weights and linearisation to convergence.
+
+        Iteration stops when no unknown changes by more than `within` standard deviations.
+        """
+        equations, root, x = self.equations, self.root, self.x
+        for _ in range(_MAX_ITERATIONS):
+            raise_if_stopped()
+            factor = ls.factorise(equations, root)
+            has_converged = bool(np.all(np.abs(factor.value - x) <= within * factor.deviation))
+            x = factor.value
+            equations = _assemble(self.pieces, self.known, x, self.standing)
+            root = ls.root_weights(equations, factor)
+            if has_converged:
+                break
+        return replace(self, equations=equations, root=root, x=x)
+
+    def with_sign_friction(self) -> WeightedEquations:
+        """The same equations with friction that follows the sign of the velocity everywhere.
+
+        Within the resolution of the encoder a reversal lasts a few samples, in which the friction
+        torque is an additional unknown. How well the data determine it, and its effect on the other
+        estimates, depend on their noise.
+        """
+        equations = _assemble(self.pieces, self.known, self.x, _SIGN_FRICTION_STD)
+        return replace(self, equations=equations, standing=_SIGN_FRICTION_STD)
+
+    def rigid_errors(self, factor: ls.Factor) -> FloatArray:
+        """Changes of the unknowns for each error of the rigid model, one column per error."""
+        known = self.known
+        if not known.errors:
+            return np.zeros((len(COLUMNS), 0))
+        ratio, columns = self.pieces[0].ratio, []
+        for error in known.errors:
+            changes = []
+            for p, tau in zip(self.pieces, error.tau, strict=True):
+                tau_change = p.passed(tau)
+                changes += [p.ratio * tau_change, self.x[_COMPLIANCE] * tau_change]
+            prior, changed = (_prior_equations(k, ratio) for k in (known, known.add_error(error)))
+            columns.append(np.concatenate([*changes, changed.target - prior.target]))
+        return ls.moves(self.equations, factor, np.column_stack(columns))
+
+    @property
+    def physical(self) -> FloatArray:
+        """Physical parameters in the order of `NAMES`, then the Coulomb friction."""
+        return physical_values(self.x)
+
+    @property
+    def joint(self) -> TwoInertia:
+        """The joint with the current values."""
+        return joint_of(self.physical[:6], self.pieces[0].ratio)
+
+    def fit_percent(self, factor: ls.Factor) -> tuple[float, float]:
+        """Fit of (S6) and of (S7)."""
+        residual, group = ls.residual_of(self.equations, factor), self.equations.group
+        torque = np.concatenate([p.torque for p in self.pieces])
+        torsion = np.concatenate([p.torsion[:, 0] for p in self.pieces])
+        fits = [
+            100.0 * (1.0 - np.linalg.norm(residual[(group >= 0) & (group % 2 == k)]) / size)
+            for k, size in enumerate((np.linalg.norm(torque), np.linalg.norm(torsion)))
+        ]
+        return float(fits[0]), float(fits[1])
+
+
+def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> Piece:
+    i, T = decoupled.joint - 1, signals.sample_time
+    n = arm.joints[i].gear_ratio
+    low, high = band
+    edge = int(1.5 / (low * T))
+    edge = min(edge, len(signals.time) // 4)
+    rows = np.arange(edge, len(signals.time) - edge, max(1, int(1.0 / (_ROWS_PER_HZ * high * T))))
+
+    torque = signals.motor_torque[:, i]
+    columns = [
+        apply_lags_without_aliases(torque, (), T, "held") if signals.held[i] else torque,
+        decoupled.inputs[:, 1] if decoupled.inputs.shape[1] > 1 else np.zeros(len(torque)),
+        signals.direction[:, i],
+        signals.motor_angle[:, i],
+        signals.link_acceleration[:, i],
+    ]
+    # (column, order of differentiation): derivatives of the motor angle, integrals of the link
+    # acceleration
+    orders = [(0, 0), (1, 0), (2, 0), (3, 0), (3, -1), (3, -2), (4, 0), (4, 1), (4, 2)]
+    if signals.sources[i] in ("encoder", "deflection"):
+        columns += [signals.link_velocity[:, i], signals.link_angle[:, i]]
+        orders[-2:] = [(5, 0), (6, 0)]
+    filtered = band_passes(np.column_stack(columns), orders, low, high, T)[rows]
+    torque, tau, direction, motor_angle, motor_velocity, motor_acceleration = filtered[:, :6].T
+    link_acceleration, link_velocity, link_angle = filtered[:, 6:].T
+    half_length = int(2.0 / (low * T))  # the impulse response is below 1e-5 beyond it
+    impulse = np.zeros(2 * half_length + 1)
+    impulse[half_length] = 1.0
+    kernel = band_pass(
+        apply_lags_without_aliases(impulse, signals.shared, T, "straight"), low, high, T
+    )
+    shapes = free_friction(signals.sliding[:, i], max(2, int(1.0 / (_KNOTS_PER_PERIOD * high * T))))
+    return Piece(
+        ratio=n,
+        band=band,
+        sample_time=T,
+        rows=rows,
+        torque=torque + n * tau,
+        tau=tau,
+        motor=np.column_stack([motor_acceleration, motor_velocity, direction]),
+        link=np.column_stack([link_acceleration, link_velocity]),
+        torsion=np.column_stack([n * motor_angle - link_angle, n * motor_velocity - link_velocity]),
+        free=responses(shapes, rows, kernel),
+    )
+
+
+def equations_in(
+    records: Records,
+    arm: Arm,
+    known: RigidKnowledge,
+    band: Band,
+    near: WeightedEquations | None = None,
+) -> WeightedEquations:
+    """Assemble the equations in one band.
+
+    `near` is the solution in another band. It gives the point of linearisation and the weights;
+    without it, both are estimated from the data.
+    """
+    pieces = tuple(_piece(signals, joint, arm, band) for signals, joint in records)
+    if near is None:
+        x = _starting_values(pieces)
+        equations = _assemble(pieces, known, x)
+        root = ls.initial_weights(equations.target, equations.group)
+        return WeightedEquations(pieces, equations, known, root, x)
+    equations = _assemble(pieces, known, near.x)
+    root = np.ones_like(equations.target)
+    for group in range(2 * len(pieces)):
+        typical_root = np.median(near.root[near.equations.group == group])
+        root[equations.group == group] = typical_root
+    return WeightedEquations(pieces, equations, known, root, near.x)
+
+
+def _starting_values(pieces: Sequence[Piece]) -> FloatArray:
+    """Starting values: inertias and friction from (S6), then compliance and damping from (S7)."""
+    x = np.zeros(len(COLUMNS))
+    motor = np.concatenate([np.hstack([p.motor, p.ratio * p.link[:, :1]]) for p in pieces])
+    torque = np.concatenate([p.torque for p in pieces])
+    x[[_MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK]] = np.linalg.lstsq(motor, torque)[0]
+    gear_torque = np.concatenate([x[_LINK] * p.link[:, 0] - p.tau for p in pieces])
+    torsion = np.concatenate([p.torsion for p in pieces])
+    columns = np.column_stack([gear_torque, -torsion[:, 1]])
+    x[[_COMPLIANCE, _RELAXATION]] = np.linalg.lstsq(columns, torsion[:, 0])[0]
+    return x
+
+
+def _assemble(
+    pieces: Sequence[Piece], known: RigidKnowledge, x: FloatArray, standing: float = _STICTION_STD
+) -> ls.Equations:
+    """Equations (S6) and (S7) of all records around x, then those of the rigid model."""
+    shared, local, target, group, block, free_friction_std = [], [], [], [], [], []
+    total = sum(len(p.torque) for p in pieces)
+    first_block = n_before = 0
+    for number, p in enumerate(pieces):
+        n_rows, n_free = len(p.torque), p.free.n_columns
+        motor = np.zeros((n_rows, len(COLUMNS)))
+        motor[:, [_MOTOR, _MOTOR_VISCOUS, _COULOMB]] = p.motor
+        motor[:, [_LINK, _LINK_VISCOUS]] = p.ratio * p.link
+        gear = np.zeros((n_rows, len(COLUMNS)))
+        link_torque = p.link @ x[[_LINK, _LINK_VISCOUS]]
+        gear[:, [_LINK, _LINK_VISCOUS]] = x[_COMPLIANCE] * p.link
+        gear[:, _COMPLIANCE] = link_torque - p.tau
+        gear[:, _RELAXATION] = -p.torsion[:, 1]
+        local.append(ls.Local(n_before + np.arange(n_rows), p.free))
+        n_before += 2 * n_rows
+        n_blocks = max(2, round(_JACKKNIFE_BLOCKS * n_rows / total))
+        block_index = first_block + np.arange(n_rows) * n_blocks // n_rows
+        first_block += n_blocks
+        shared += [motor, gear]
+        target += [p.torque, p.torsion[:, 0] + x[_COMPLIANCE] * link_torque]
+        group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
+        block += [block_index, block_index]
+        free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
+    prior = _prior_equations(known, pieces[0].ratio)
+    prior_group = np.full(len(prior.target), ls.PRIOR_GROUP)
+    rows = np.concatenate([*shared, prior.rows])
+    return ls.Equations(
+        shared=rows,
+        noise=np.zeros(len(COLUMNS)),
+        common=np.zeros((len(rows), 0)),
+        common_deviation=np.zeros(0),
+        local=tuple(local),
+        local_deviation=np.array(free_friction_std),
+        target=np.concatenate([*target, prior.target]),
+        group=np.concatenate([*group, prior_group]),
+        block=np.concatenate([*block, prior_group]),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Prior:
+    """Equations of the values from the rigid step."""
+
+    rows: FloatArray  # (n_values, n_unknowns)
+    target: FloatArray  # (n_values,)
+
+
+def _prior_equations(known: RigidKnowledge, n: float) -> _Prior:
+    """Rows and right-hand sides for the rigid-step values, divided by their standard deviations."""
+    rows, values = [], []
+    for value, columns in (
+        (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
+        (known.total_viscous_friction, {_MOTOR_VISCOUS: 1.0, _LINK_VISCOUS: n * n}),
+        (known.coulomb_friction, {_COULOMB: 1.0}),
+    ):
+        if value is None:
+            continue
+        row = np.zeros(len(COLUMNS))
+        for column, factor in columns.items():
+            row[column] = factor
+        std = max(value[1], _MIN_RELATIVE_STD * abs(value[0]))
+        rows.append(row / std)
+        values.append(value[0] / std)
+    return _Prior(np.reshape(rows, (-1, len(COLUMNS))), np.array(values))
+
+
+def physical_values(x: FloatArray) -> FloatArray:
+    """Physical parameters in the order of `NAMES`, then the Coulomb friction."""
+    k = 1.0 / x[_COMPLIANCE]
+    gear = [k, k * x[_RELAXATION]]
+    inertia_and_friction = x[[_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS]]
+    return np.concatenate([inertia_and_friction, gear, x[[_COULOMB]]])

@@ -1,0 +1,120 @@
+"""Values of one joint's parameters with their covariance, and the joint model that reports them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from strainwave.domain import Diagnostic, FloatArray, Joint, JointModel, Mode, Parameter, Place
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.units import unit_of
+
+_MAX_VISCOUS_RELATIVE_STD = (
+    0.3  # relative standard deviation up to which a viscous friction is reported
+)
+# only the sum of these is well determined in fast records
+_VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
+
+
+@dataclass(frozen=True, slots=True)
+class JointEstimate:
+    """Values of one joint's parameters, and which of them the data determine."""
+
+    joint: Joint
+    number: int  # of the joint, from 1
+    experiments: tuple[str, ...]  # records that the values come from
+    values: Mapping[str, float]
+    covariance: FloatArray  # (n_values, n_values); NaN: no standard deviation
+    determined: Sequence[bool]  # (n_values,)
+
+    def to_model(
+        self,
+        method: Literal["grey-box", "transfer-function", "motor-response"],
+        modes: tuple[Mode, Mode],
+        band_hz: tuple[float, float],
+        fit_percent: Mapping[str, float],
+        notes: Iterable[Diagnostic] = (),
+    ) -> JointModel:
+        """The joint model. `modes` are anti-resonance and resonance, `notes` further warnings."""
+        warnings = (*self._warnings(), *notes)
+        codes = {warning.code for warning in warnings}
+        is_partial = "not-identifiable" in codes
+        status: Literal["determined", "partly-determined", "implausible"]
+        status = "partly-determined" if is_partial else "determined"
+        return JointModel(
+            joint=self.number,
+            experiments=self.experiments,
+            method=method,
+            parameters=tuple(self._parameters()),
+            values=self.values,
+            covariance=self.covariance,
+            anti_resonance=modes[0],
+            resonance=modes[1],
+            band_hz=band_hz,
+            fit_percent=fit_percent,
+            status="implausible" if "implausible" in codes else status,
+            warnings=warnings,
+        )
+
+    def _entries(self) -> Iterator[_Entry]:
+        variances = np.clip(np.diag(self.covariance), 0.0, None)
+        for (name, value), std, determined in zip(
+            self.values.items(), np.sqrt(variances).tolist(), self.determined, strict=True
+        ):
+            # in fast records only the sum of the viscous frictions is well determined
+            is_split = name in _VISCOUS_FRICTIONS
+            is_precise = std <= _MAX_VISCOUS_RELATIVE_STD * abs(value)
+            yield _Entry(name, value, std, bool(determined) and (is_precise or not is_split))
+
+    def _parameters(self) -> Iterator[Parameter]:
+        """Each value as a parameter, None if not determined, then the total viscous friction."""
+        for entry in self._entries():
+            yield self._parameter(entry)
+        ratio, values = self.joint.gear_ratio, np.array(list(self.values.values()))
+        weights = dict(zip(_VISCOUS_FRICTIONS, (1.0, ratio**2), strict=True))
+        weight = np.array([weights.get(name, 0.0) for name in self.values])
+        std = np.sqrt(np.clip(weight @ self.covariance @ weight, 0.0, None))
+        total = _Entry("total_viscous_friction", float(weight @ values), float(std), True)
+        yield self._parameter(total)
+
+    def _parameter(self, entry: _Entry) -> Parameter:
+        value, std, unit = entry.value, entry.std, unit_of(entry.name, self.joint)
+        known = value if entry.is_identified else None
+        if known is None or not np.isfinite(std):
+            return Parameter(entry.name, self.number, known, None, unit, "decoupled")
+        interval = (value - CI95_STDS * std, value + CI95_STDS * std)
+        return Parameter(entry.name, self.number, value, std, unit, "decoupled", interval)
+
+    def _warnings(self) -> Iterator[Diagnostic]:
+        """Warnings about parameters that are not identifiable, implausible or equivalent values."""
+        joint, source = self.joint, ", ".join(self.experiments)
+        for entry in self._entries():
+            name, value, std = entry.name, entry.value, entry.std
+            place, unit = Place(joint=self.number, parameter=name), unit_of(name, joint)
+            text = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
+            is_negative = value + 2.0 * np.nan_to_num(std) < 0.0
+            if is_negative and (entry.is_identified or name not in _VISCOUS_FRICTIONS):
+                text += " is physically impossible: the model of the joint does not describe"
+                yield Diagnostic.at("implausible", place, f"{text} {source}")
+            elif not entry.is_identified:
+                text = f"{source} determine the value only to {text}"
+                if name in _VISCOUS_FRICTIONS:
+                    text += "; only the total viscous friction is well determined"
+                yield Diagnostic.at("not-identifiable", place, text)
+        if joint.law.is_curved:
+            text = f"equivalent stiffness at the torsion in {source}: {joint.law.equivalent_note}"
+            place = Place(joint=self.number, parameter="gear_stiffness")
+            yield Diagnostic.at("equivalent-stiffness", place, text)
+
+
+@dataclass(frozen=True, slots=True)
+class _Entry:
+    """One value, and whether it is reported."""
+
+    name: str
+    value: float
+    std: float
+    is_identified: bool
