@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from strainwave.domain import ArmDescription, FloatArray, Joint, Origin
 from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.core_arm import core_arm
-from strainwave.domain.kinds import KINDS, planar_two_link, single_joint
+from strainwave.domain.keys import Key
+from strainwave.domain.kinds import kind_of, planar_two_link, single_joint
 from strainwave.dynamics.arm import Arm
 
 PLANAR = planar_two_link([Joint("linear", -0.01), Joint("linear", 0.02)], 0.35, 9.81)
@@ -51,8 +52,7 @@ def motion(n: int, seed: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
 def test_base_parameters_have_the_torques_of_all_parameters(seed: int, n: int) -> None:
     arm = Arm.of(random_chain(seed, n))
     base = arm.base
-    rng = np.random.default_rng(seed)
-    standard = rng.normal(size=base.rows.shape[1])
+    standard = np.asarray(np.random.default_rng(seed).normal(size=base.rows.shape[1]))
     n_links = len(base.links)
     angle, velocity, acceleration = motion(n)
     links = arm.base_regressor(angle, velocity, acceleration) @ standard[:n_links]
@@ -81,7 +81,7 @@ def test_named_parameters_are_rows_over_the_standard_parameters(arm: ArmDescript
     chain = core_arm(ArmDescription("serial", arm.joints, arm.gravity), ["rigid"] * arm.n_joints)
     fast = core_arm(arm, ["rigid"] * arm.n_joints)
     standard = {key: float(k + 1) for k, key in enumerate(chain.parameter_names)}
-    rows = KINDS[arm.kind].standard_rows(arm)
+    rows = kind_of(arm).standard_rows(arm)
     q, dq, ddq = motion(arm.n_joints)
     full = chain.base_regressor(q, dq, ddq)
     used = {key for row in rows.values() for key in row}
@@ -95,11 +95,12 @@ def test_named_parameters_are_rows_over_the_standard_parameters(arm: ArmDescript
 
 def test_grouping_of_two_parallel_axes_is_exact() -> None:
     columns = {column.key: column.parts for column in base_parameters(PLANAR).columns}
+    names = ("beta", "gamma", "gravity_torque_1", "gravity_torque_2")
+    alone: list[Key] = [(name, None) for name in names]
     assert columns == {
         ("rigid_inertia", 1): {("alpha", None): 1.0, ("motor_inertia", 1): 0.01**-2},
         ("motor_inertia", 2): {("motor_inertia", 2): 1.0},
-        **{(name, None): {(name, None): 1.0} for name in ("beta", "gamma")},
-        **{(f"gravity_torque_{i}", None): {(f"gravity_torque_{i}", None): 1.0} for i in (1, 2)},
+        **{key: {key: 1.0} for key in alone},
     }
 
 

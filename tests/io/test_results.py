@@ -50,7 +50,7 @@ def test_keys_of_the_contract() -> None:
     ]
     assert document["status"] == "not-determined"  # an inertia, but of two links
     assert document["verdict"]["identified"] == ["inertia 1"]
-    assert document["verdict"]["not_identified"][:2] == ["friction_offset 1", "beta"]
+    assert document["verdict"]["not_identified"][:2] == ["friction_offset 1", "rigid_inertia 1"]
     assert document["verdict"]["validated"] == {"rigid": True, "elastic": False}
     assert document["verdict"]["rejected"] == document["verdict"]["suspected"] == []
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from strainwave.domain.arm import (
     ArmDescription,
-    ArmKind,
     EffectName,
     Imu,
     Joint,
@@ -38,6 +37,7 @@ from strainwave.domain.arm_model import (
     TorqueHistogram,
 )
 from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from strainwave.domain.base_parameters import BaseParameters
 from strainwave.domain.comparison import (
     OUTCOME_TEXTS,
     Comparison,
@@ -132,8 +132,8 @@ __all__ = [
     "Activity",
     "AgreementTest",
     "ArmDescription",
-    "ArmKind",
     "ArmModel",
+    "BaseParameters",
     "BoolArray",
     "Cause",
     "Channel",

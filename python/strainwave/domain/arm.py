@@ -20,7 +20,6 @@ from strainwave.domain.link_sensors import LinkSensor, sensors_of
 Positive = Annotated[float, Gt(0.0)]
 NonNegative = Annotated[float, Ge(0.0)]
 
-ArmKind = Literal["planar-two-link", "single-joint", "serial"]
 Motion = Literal["revolute", "prismatic"]
 Spring = str  # name of a gear law
 EffectName = str  # of one of `domain.effects`
@@ -122,7 +121,7 @@ class ArmDescription:
     transmission between joints, and N holds the gear ratios.
     """
 
-    kind: ArmKind  # selects the compiled program and the names of combinations of parameters
+    kind: str  # of `domain.kinds`; selects the compiled program and names of combinations
     joints: tuple[Joint, ...]  # in order from the base
     gravity: Vector | None = None  # [m/s^2] in the frame of the base; None: without gravity
     coupling: Matrix | None = None  # C, (n_joints, n_joints); None: identity

@@ -17,7 +17,7 @@ from strainwave.domain.arm import ArmDescription, Joint, Vector
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Row
-from strainwave.domain.kinds import KINDS, RigidColumn
+from strainwave.domain.kinds import RigidColumn, kind_of
 from strainwave.domain.units import unit_of
 
 MOTOR_INERTIA = "motor_inertia"
@@ -103,7 +103,7 @@ def _base_parameters(arm: ArmDescription) -> BaseParameters:
     grouping *= scale / scale[independent][:, None]
     grouping[:, independent] = np.eye(len(independent))
     keys = (*links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)))
-    named = KINDS[arm.kind].rigid_combinations(arm) if arm.kind in KINDS else {}
+    named = kind_of(arm).rigid_combinations(arm)
     columns = []
     for at, weights in zip(independent, grouping, strict=True):
         row = {keys[k]: float(f"{weights[k]:.10g}") for k in np.flatnonzero(weights)}

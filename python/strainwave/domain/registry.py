@@ -1,4 +1,4 @@
-"""Registry of extensible kinds: gear laws and effects."""
+"""Registry of what a study file names and users can extend: arm kinds, gear laws, effects."""
 
 from __future__ import annotations
 

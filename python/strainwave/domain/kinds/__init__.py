@@ -1,40 +1,63 @@
 """Arm kinds: one file for each value of `kind` in a study's `[arm]` table.
 
-A new kind needs a file in this package, its name in `strainwave.domain.arm.ArmKind`, an entry in
-`KINDS`, and its equations of motion in `rust/core/src/arm`.
+A new kind needs a file in this package and its entry in `_KINDS`, or `register`. It is simulated as
+a chain, unless `strainwave.domain.core_arm` names a compiled program for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from strainwave.domain.arm import ArmDescription, ArmKind
+from strainwave.domain.arm import ArmDescription
 from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
 from strainwave.domain.kinds.planar_two_link import PlanarTwoLink, planar_two_link
+from strainwave.domain.kinds.serial import SerialChain
 from strainwave.domain.kinds.single_joint import SingleJoint, single_joint
+from strainwave.domain.registry import Registry
 
 __all__ = [
-    "KINDS",
     "Fault",
     "Kind",
     "RigidColumn",
+    "all_kinds",
     "change_arm_keys",
+    "kind_named",
     "kind_of",
     "planar_two_link",
+    "register",
     "single_joint",
+    "unregister",
 ]
 
-KINDS: Mapping[ArmKind, Kind[Any]] = {
-    "planar-two-link": PlanarTwoLink(),
-    "single-joint": SingleJoint(),
-}
+_KINDS = Registry[Kind[Any]]("arm kind", "an", "kind", (PlanarTwoLink(), SingleJoint()))
+_CHAIN = SerialChain()  # study files do not describe it
+
+
+def kind_named(name: str) -> Kind[Any]:
+    """The kind with a name in a study file. Raises InvalidInput if there is none."""
+    return _KINDS[name]
 
 
 def kind_of(arm: ArmDescription) -> Kind[Any]:
     """Kind of an arm."""
-    return KINDS[arm.kind]
+    return _CHAIN if arm.kind == _CHAIN.name else _KINDS[arm.kind]
+
+
+def all_kinds() -> tuple[Kind[Any], ...]:
+    """Kinds of arms that study files describe."""
+    return _KINDS.all()
+
+
+def register(kind: Kind[Any]) -> None:
+    """Register a kind, so that studies can name it. Raises InvalidInput if the name is taken."""
+    _KINDS.check_new(kind.name)
+    _KINDS.add(kind)
+
+
+def unregister(name: str) -> None:
+    """Remove a kind. Raises InvalidInput if there is none of that name."""
+    _KINDS.remove(name)
 
 
 def change_arm_keys(arm: ArmDescription, **values: Any) -> ArmDescription:

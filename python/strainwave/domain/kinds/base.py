@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.keys import Key, Row, Values
+from strainwave.errors import InvalidInput, NotIdentifiable
 
 if TYPE_CHECKING:
     from strainwave.domain.kinds.bodies import Body, ParameterLookup
@@ -82,10 +83,13 @@ Table = TypeVar("Table")
 class Kind(ABC, Generic[Table]):
     """An arm kind: a constructor of chains from an `[arm]` table.
 
-    The compiled core has the equations of motion of each kind, with its own parameters of the
-    links. All kinds share the parameters of motors, friction and gears; see
-    `strainwave.domain.combinations`.
+    The compiled core has faster equations of motion for some kinds, with parameters of their own;
+    other kinds are simulated as chains. Their links have the standard parameters: mass, first
+    moments and inertias about the joint's frame.
     """
+
+    name: str
+    """Value of `kind` in a study file."""
 
     table: type[Table]
     """Keys of `[arm]`, without `kind`."""
@@ -107,15 +111,17 @@ class Kind(ABC, Generic[Table]):
     def table_of(self, arm: ArmDescription) -> Table:
         """The `[arm]` table of a chain: the inverse of `construct`."""
 
-    @abstractmethod
     def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:
-        """Each parameter of the links as a row over the standard parameters of a chain."""
+        """Parameters of the links as rows over the standard parameters of a chain.
 
-    @abstractmethod
+        Empty if they are the standard parameters.
+        """
+        return {}
+
     def rigid_combinations(self, arm: ArmDescription) -> Mapping[Key, Row]:
         """Names of combinations of link parameters and motor inertias in results."""
+        return {}
 
-    @abstractmethod
     def starting_inertias(
         self, arm: ArmDescription, estimates: StageInertias
     ) -> tuple[Values, Values]:
@@ -123,25 +129,29 @@ class Kind(ABC, Generic[Table]):
 
         The starting inertias of links and motors are positive definite. Estimates that no arm can
         have are replaced and returned second. Raises NotIdentifiable if an estimate that has no
-        substitute is missing or impossible.
+        substitute is missing or impossible, or if the kind has no starting values.
         """
+        raise NotIdentifiable(f"the whole-arm fit has no starting values for a {self.name} arm")
 
-    @abstractmethod
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Add to `known` the inertias that follow from it or have little effect.
 
         Existing entries do not change.
         """
 
-    @abstractmethod
     def bodies(
         self, arm: ArmDescription, need: ParameterLookup, gravity: float
     ) -> tuple[Body, ...]:
         """One rigid body per link, from the base, with the base parameters of the arm.
 
         `gravity` [m/s^2] relates link 1's gravity torque to its first moment; if it is zero, the
-        centre of mass lies on the axis. Raises InvalidInput if no bodies have these parameters.
+        centre of mass lies on the axis. Raises InvalidInput if no bodies have these parameters, or
+        if the kind does not choose bodies.
         """
+        raise InvalidInput(
+            f"there is no export of rigid bodies for a {self.name} arm",
+            remedy="export the JSON or MATLAB file of parameters",
+        )
 
     def effective_gravity(self, arm: ArmDescription, need: ParameterLookup) -> float:
         """Gravity [m/s^2] at which the rigid bodies have all measured gravity torques.

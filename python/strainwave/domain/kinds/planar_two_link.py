@@ -59,6 +59,7 @@ def planar_two_link(
 class PlanarTwoLink(Kind[PlanarTable]):
     """Joint 2 sits at the end of link 1 with its axis parallel to that of joint 1."""
 
+    name = "planar-two-link"
     table = PlanarTable
     gravity_note = "gravity_torque_2 link_length/gamma"
 

@@ -43,6 +43,7 @@ def single_joint(
 class SingleJoint(Kind[SingleJointTable]):
     """One motor, one gear and one link."""
 
+    name = "single-joint"
     table = SingleJointTable
 
     def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:

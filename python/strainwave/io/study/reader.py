@@ -10,11 +10,10 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, cast, get_args, get_type_hints
+from typing import Any, TypeVar, get_args, get_type_hints
 
 from strainwave.domain import (
     ArmDescription,
-    ArmKind,
     Channel,
     Experiment,
     Joint,
@@ -26,7 +25,7 @@ from strainwave.domain import (
     effects,
     gear_laws,
 )
-from strainwave.domain.kinds import KINDS, Kind
+from strainwave.domain.kinds import Kind, all_kinds, kind_named
 from strainwave.errors import InvalidInput, suggest_name
 
 T = TypeVar("T")
@@ -147,7 +146,7 @@ class Reader:
         servo: Mapping[str, Any] | None,
     ) -> ArmDescription:
         """The arm from `[arm]`, its `[[joint]]` tables and `[servo]`."""
-        kind = KINDS[self._kind(arm)]
+        kind = self._kind(arm)
         described = tuple(self._joint(joint, i) for i, joint in enumerate(joints))
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
         for fault in kind.faults(table, described):
@@ -160,21 +159,21 @@ class Reader:
             table, described, None if servo is None else self.record(Servo, servo, "servo")
         )
 
-    def _kind(self, arm: Mapping[str, Any]) -> ArmKind:
+    def _kind(self, arm: Mapping[str, Any]) -> Kind[Any]:
         """The kind of the arm. Raises InvalidInput if it is missing or unknown."""
-        known = " or ".join(map(repr, KINDS))
         if "kind" not in arm:
             raise InvalidInput(
                 "the key 'kind' is missing", where=self.place("arm"), remedy="add it: kind = ..."
             )
         kind = arm["kind"]
-        if not isinstance(kind, str) or kind not in KINDS:
+        known = [kind.name for kind in all_kinds()]
+        if kind not in known:
             raise InvalidInput(
-                f"'kind' is {_abbreviated(kind)}, but it should be {known}",
+                f"'kind' is {_abbreviated(kind)}, but it should be {' or '.join(map(repr, known))}",
                 where=self.place("arm", None, "kind"),
                 remedy="correct the value",
             )
-        return cast("ArmKind", kind)
+        return kind_named(kind)
 
     def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
         """One `[[joint]]` whose spring and effects are registered."""
