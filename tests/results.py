@@ -106,6 +106,6 @@ def identification(name: str = "inertia") -> Identification:
         rigid=model,
         fitted=(prediction("motion", 97.5),),
         checks=(prediction("check", 91.25, float("nan")),),
-        warnings=(Diagnostic("saturated", "motion.csv", "u1 is at its limit"),),
+        stage_warnings=(Diagnostic("saturated", "motion.csv", "u1 is at its limit"),),
         timing_s={"read": 0.01, "rigid": 0.5},
     )

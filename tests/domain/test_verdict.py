@@ -31,9 +31,9 @@ from strainwave.domain import (
     half_width,
     is_physical,
 )
-from strainwave.domain.diagnostics import merge_by_cause, published_warnings
-from strainwave.domain.identification import model_defects
+from strainwave.domain.diagnostics import merge_by_cause
 from strainwave.domain.units import unit_of
+from strainwave.domain.verdict import model_defects
 from strainwave.virtual import scara
 from virtual_arms import rigid_drive, rigid_two_link
 
@@ -156,7 +156,7 @@ def run(
         rigid=rigid_of(tuple(made(*key, "rigid", rigid.get(key, 1.0)) for key in RIGID)),
         fitted=(),
         checks=(),
-        warnings=(),
+        stage_warnings=(),
         timing_s={},
         joints=models if "decoupled" in stages else (),
         whole_arm=clean_fit(tuple(whole)) if "tuned" in stages else None,
@@ -271,7 +271,7 @@ def test_a_fit_with_an_impossible_value_is_rejected() -> None:
         assert row(result, name, 2).value is None
         assert f"{name} 2" in result.verdict.rejected
     assert row(result, "gear_stiffness", 1).value is not None
-    (warning,) = [w for w in published_warnings(result) if w.code == "rejected"]
+    (warning,) = [w for w in result.warnings if w.code == "rejected"]
     assert warning.where == "joint 2"
     assert "gear_damping 2 = -4" in warning.message
 
@@ -388,7 +388,7 @@ def test_a_value_that_a_likely_effect_shifts_is_rejected(
     assert with_cause.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
     assert (with_cause.verdict.status == "determined") != rejected
     if rejected:
-        (warning,) = [w for w in published_warnings(with_cause) if w.code == "rejected"]
+        (warning,) = [w for w in with_cause.warnings if w.code == "rejected"]
         assert "hysteresis of joint 1" in warning.message
         assert f"gear_stiffness 2 = {value:.4g}" in warning.message
 
@@ -431,7 +431,7 @@ def test_a_check_record_that_is_not_predicted_excludes_determined(*, servo: bool
     for part in ("step-check:", channel, "22.6 %", "41 times"):
         assert part in reason
     assert ("correct kp" in reason) == servo
-    (warning,) = [w for w in published_warnings(unpredicted) if w.code == "not-predicted"]
+    (warning,) = [w for w in unpredicted.warnings if w.code == "not-predicted"]
     assert warning.where == "step-check"
 
 
@@ -486,7 +486,7 @@ def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
     assert wrong.verdict.status == "partly-determined"
     assert "torque_per_volt 1 = 90 N m/V" in wrong.verdict.reasons[0]
     assert "written as torque_per_volt = 0.09" in wrong.verdict.reasons[0]
-    codes = [w.where for w in published_warnings(wrong) if w.code == "implausible-size"]
+    codes = [w.where for w in wrong.warnings if w.code == "implausible-size"]
     assert codes == ["joint 1", "joint 2"]
 
 
@@ -595,9 +595,9 @@ def test_warnings_of_joints_in_several_records_are_merged() -> None:
 
 def test_a_later_stage_supersedes_warnings_of_an_earlier_one() -> None:
     early = Diagnostic.at("implausible", Place(joint=1, parameter="gear_damping"), "negative")
-    result = replace(run(), warnings=(early,))
-    assert early not in published_warnings(result)
-    assert early in published_warnings(replace(result, whole_arm=None))
+    result = replace(run(), stage_warnings=(early,))
+    assert early not in result.warnings
+    assert early in replace(result, whole_arm=None).warnings
     place = Place(joint=1, parameter="gear_stiffness")
     slope_warning = Diagnostic.at("equivalent-stiffness", place, "one slope")
     assert result.whole_arm is not None
@@ -608,5 +608,5 @@ def test_a_later_stage_supersedes_warnings_of_an_earlier_one() -> None:
     arm = result.study.arm
     curved = arm.with_joints(replace(joint, spring="three-slope") for joint in arm.joints)
     study = replace(result.study, arm=curved)
-    result = replace(result, study=study, whole_arm=whole_arm, warnings=(slope_warning,))
-    assert published_warnings(result) == published_warnings(replace(result, warnings=()))
+    result = replace(result, study=study, whole_arm=whole_arm, stage_warnings=(slope_warning,))
+    assert result.warnings == replace(result, stage_warnings=()).warnings

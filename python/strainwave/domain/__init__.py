@@ -111,6 +111,8 @@ from strainwave.domain.signals import (
     Log,
     Signals,
 )
+from strainwave.domain.stage_results import StageResults
+from strainwave.domain.stages import STAGES, Stage
 from strainwave.domain.study import (
     Channel,
     Control,
@@ -129,6 +131,7 @@ from strainwave.domain.verdict import Status, Validation, Verdict
 __all__ = [
     "CONDITION_TEXTS",
     "OUTCOME_TEXTS",
+    "STAGES",
     "Activity",
     "AgreementTest",
     "ArmDescription",
@@ -211,7 +214,9 @@ __all__ = [
     "SizeLimit",
     "SizedValue",
     "Spring",
+    "Stage",
     "StageDifference",
+    "StageResults",
     "StateSpace",
     "Status",
     "Study",

@@ -9,9 +9,10 @@ from dataclasses import replace
 from strainwave.domain.estimates import Diagnostic, Parameter, Place
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.identification import Identification, model_defects
 from strainwave.domain.keys import Key
 from strainwave.domain.ranges import implausible_joints
+from strainwave.domain.stage_results import StageResults
+from strainwave.domain.verdict import Verdict, model_defects
 
 _NUMBER = re.compile(
     r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
@@ -21,25 +22,22 @@ _STAGE_CODES = frozenset({"not-identifiable", "implausible", "equivalent-stiffne
 """Codes of warnings about one parameter in one stage."""
 
 
-def published_warnings(result: Identification) -> tuple[Diagnostic, ...]:
+def published_warnings(
+    results: StageResults, decisions: Sequence[Decision], verdict: Verdict
+) -> tuple[Diagnostic, ...]:
     """Collect the warnings of a run, one for each cause.
 
     A warning about a parameter is omitted if a later stage decides that parameter. It remains in
     the warnings of its stage. Each reason for rejection has one warning.
     """
-    decisions = result.decisions
-    warnings = [*_current_warnings(result, decisions), *rejection_warnings(decisions)]
-    warnings += model_defects(result)
-    for size in implausible_joints(result.study.arm, result.parameters):
+    warnings = [*_current_warnings(results, decisions), *rejection_warnings(decisions)]
+    warnings += model_defects(results)
+    for size in implausible_joints(results.study.arm, [d.parameter for d in decisions]):
         warnings.append(Diagnostic.at("implausible-size", Place(joint=size.joint), size.text))
-    has_unpredicted = any(check.unexplained for check in result.checks if not check.of_drive)
-    if (
-        result.whole_arm is not None
-        and not result.verdict.validated.elastic
-        and not has_unpredicted
-    ):
-        where = str(result.study.path)
-        warnings.append(Diagnostic("elastic-not-validated", where, missing_validation(result)))
+    has_unpredicted = any(check.unexplained for check in results.checks if not check.of_drive)
+    if results.whole_arm is not None and not verdict.validated.elastic and not has_unpredicted:
+        where = str(results.study.path)
+        warnings.append(Diagnostic("elastic-not-validated", where, missing_validation(results)))
     return merge_by_cause(dict.fromkeys(warnings))
 
 
@@ -59,17 +57,17 @@ def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
         yield Diagnostic("rejected", where, f"{reason}; rejected values: {values}")
 
 
-def missing_validation(result: Identification) -> str:
+def missing_validation(results: StageResults) -> str:
     """Explain why the elastic model is not validated, and what to record.
 
     Returns a clause without a full stop.
     """
-    motion_checks = [check for check in result.checks if not check.of_drive]
+    motion_checks = [check for check in results.checks if not check.of_drive]
     record = (
         'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage '
         "of every motor and the servo's references"
     )
-    if result.whole_arm is None:
+    if results.whole_arm is None:
         return "the run has no whole-arm fit, which predicts the motion"
     if not motion_checks:
         return f"no check record can be simulated; {record}"
@@ -131,18 +129,16 @@ def _merge(group: Sequence[Diagnostic]) -> Diagnostic:
     return Diagnostic(first.code, where, message, names)
 
 
-def _current_warnings(
-    result: Identification, decisions: Sequence[Decision]
-) -> Iterator[Diagnostic]:
+def _current_warnings(results: StageResults, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:
     """Yield all warnings except those about parameters that a later stage decides."""
     decision_by_place = {_place_of(d.parameter): d for d in decisions}
-    tuned_warnings = set(result.whole_arm.warnings) if result.whole_arm is not None else set()
-    for warning in result.warnings:
+    tuned_warnings = set(results.whole_arm.warnings) if results.whole_arm is not None else set()
+    for warning in results.stage_warnings:
         if warning.code in _STAGE_CODES and warning not in tuned_warnings:
             decision = decision_by_place.get(warning.place) if warning.place else None
             if decision is None:  # the whole-arm fit has a stiffness curve instead
                 is_stiffness = warning.place is not None and warning.place.parameter == STIFFNESS
-                is_superseded = result.whole_arm is not None and is_stiffness
+                is_superseded = results.whole_arm is not None and is_stiffness
             else:
                 has_value = decision.parameter.value is not None
                 is_superseded = decision.parameter.stage == "tuned"

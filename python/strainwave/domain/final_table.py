@@ -23,8 +23,8 @@ from strainwave.domain.keys import Key, Row
 from strainwave.domain.link_sensors import link_channel_kinds, link_keys
 from strainwave.domain.parameter_table import base_name, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
-from strainwave.domain.rigid_model import RigidModel
 from strainwave.domain.signals import Activity
+from strainwave.domain.stage_results import StageResults
 from strainwave.domain.study import Study, channel_parts
 
 MAX_EFFECT_SHIFT = 0.05
@@ -78,25 +78,16 @@ class _Entry:
 _Table = dict[Key, _Entry]
 
 
-def decide(
-    study: Study,
-    rigid: RigidModel | None,
-    joints: Sequence[JointModel],
-    whole_arm: ArmModel | None,
-    suspected: Sequence[Suspicion] = (),
-    activity: Sequence[Activity] = (),
-) -> tuple[Decision, ...]:
+def decide(results: StageResults) -> tuple[Decision, ...]:
     """Combine the estimates of all stages into the final table.
 
-    `joints` are the models of the decoupled step. `suspected` lists faults of the input; estimates
-    that depend on them are rejected. `activity` gives the rms motion of each joint in the fitted
-    records; without it, no confidence interval is considered negligible.
-
-    Returns one decision for each parameter and joint: parameters of the whole arm first, then joint
-    by joint.
+    Estimates that depend on faults of the input are rejected. Without the rms motion of the joints
+    (`activity`), no confidence interval is considered negligible. Returns one decision for each
+    parameter and joint: parameters of the whole arm first, then joint by joint.
     """
+    study, rigid, whole_arm = results.study, results.rigid, results.whole_arm
     first_affected = min(
-        (first_affected_stage(suspicion, study) for suspicion in suspected), default=_NONE
+        (first_affected_stage(suspicion, study) for suspicion in results.suspected), default=_NONE
     )
     table: _Table = {}
     if rigid is not None:
@@ -105,7 +96,7 @@ def decide(
         table = _reject_all(table.values(), _FAULT_REASON)
     accepted = [
         joint_model
-        for joint_model in joints
+        for joint_model in results.joints
         if not _enter_if_rejected(table, joint_model, first_affected)
     ]
     for joint in accepted:
@@ -116,7 +107,7 @@ def decide(
         _make_consistent(table, study.arm, accepted)
     _remove_equivalent_stiffness(table, study, whole_arm is not None)
     _reject_gamma(table)
-    levels_by_joint = {level.joint: level for level in activity}
+    levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
     names = dict.fromkeys([*_FIRST_ROWS, *parameter_table()])
     order = {name: sort_key for sort_key, name in enumerate(names)}

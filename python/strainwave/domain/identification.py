@@ -1,58 +1,39 @@
-"""Result of one run: the records of all stages, and the verdict."""
+"""Result of one run: the results of all stages, the final table and the verdict."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
-from strainwave.domain.arm_model import ArmModel, MotorResponse, ResidualTest, contradictions
-from strainwave.domain.base_parameters import base_parameters
-from strainwave.domain.combinations import is_uncoupled, viscous_friction
-from strainwave.domain.estimates import Diagnostic, Parameter, Place, Prediction, Suspicion
+from strainwave.domain.diagnostics import published_warnings
+from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.final_table import Decision, decide
-from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
-from strainwave.domain.linear_models import FrequencyResponse
-from strainwave.domain.ranges import implausible_joints
-from strainwave.domain.rigid_model import RigidModel
-from strainwave.domain.signals import Activity, LinkSummary, Log
-from strainwave.domain.study import Study
-from strainwave.domain.verdict import Status, Validation, Verdict
+from strainwave.domain.stage_results import StageResults
+from strainwave.domain.verdict import Verdict, compute_verdict
 
 
-@dataclass(frozen=True, slots=True)
-class Identification(Displayed):
-    """Result of one run; result.json and the report are rendered from it."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification(StageResults, Displayed):
+    """Result of one run; result.json and the report are rendered from it.
 
-    study: Study
+    The conclusions from the results of the stages are computed once, at construction.
+    """
+
     created: str  # ISO 8601, UTC
     version: str
-    stages: tuple[str, ...]  # that were requested
-    rigid: RigidModel | None
-    fitted: tuple[Prediction, ...]  # the model on the fitted records
-    checks: tuple[Prediction, ...]  # the model on validation records
-    warnings: tuple[Diagnostic, ...]
     timing_s: Mapping[str, float]
-    links: tuple[LinkSummary, ...] = ()  # for every joint and record that excites a gear
-    records: tuple[RecordModel, ...] = ()  # for every excited joint, record by record
-    joints: tuple[JointModel, ...] = ()  # fitted to all records of a joint
-    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint
-    sweeps: tuple[Sweep, ...] = ()
-    whole_arm: ArmModel | None = None
-    suspected: tuple[Suspicion, ...] = ()  # faults of the input
-    failures: tuple[str, ...] = ()  # reasons why stages failed, one sentence each
-    motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, if the arm was fitted
-    activity: tuple[Activity, ...] = ()  # for each joint in the fitted records
-    logs: tuple[Log, ...] = ()  # as read
+    decisions: tuple[Decision, ...] = field(init=False)  # the final table, each with its reason
+    verdict: Verdict = field(init=False)
+    warnings: tuple[Diagnostic, ...] = field(init=False)  # that apply to the final table
 
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """The final table, with the decision on each parameter and its reason."""
-        return decide(
-            self.study, self.rigid, self.joints, self.whole_arm, self.suspected, self.activity
-        )
+    def __post_init__(self) -> None:
+        """Draw the conclusions."""
+        decisions = decide(self)
+        verdict = compute_verdict(self, decisions)
+        object.__setattr__(self, "decisions", decisions)
+        object.__setattr__(self, "verdict", verdict)
+        object.__setattr__(self, "warnings", published_warnings(self, decisions, verdict))
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
@@ -63,262 +44,6 @@ class Identification(Displayed):
         return tuple(decision.parameter for decision in self.decisions)
 
     @property
-    def verdict(self) -> Verdict:
-        """Verdict as defined in docs/result.md: status, exit code and reasons."""
-        return compute_verdict(self)
-
-    @property
-    def determined(self) -> bool:
-        """Whether all primary parameters are identified and no check failed."""
-        return self.verdict.status == "determined"
-
-    @property
     def reason(self) -> str | None:
         """Reasons why the run is not determined, in one sentence; None if it is determined."""
         return "; ".join(self.verdict.reasons) or None
-
-
-@dataclass(frozen=True, slots=True)
-class _Requirements:
-    """Stages and parameters that the requested stages and the study require."""
-
-    stages: tuple[str, ...]
-    primary: tuple[str, ...]  # labels, as in the verdict
-
-
-def compute_verdict(result: Identification) -> Verdict:
-    """Compute the verdict on a run, as defined in docs/result.md."""
-    decisions = result.decisions
-    required = _required_stages(result)
-    labels = {d.parameter.label for d in decisions}
-    identified = tuple(d.parameter.label for d in decisions if d.identified)
-    rejected = tuple(d.parameter.label for d in decisions if d.rejected)
-    undecided = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
-    not_identified = (*undecided, *(label for label in required.primary if label not in labels))
-    reasons = tuple(_failure_reasons(result, required, identified, rejected))
-    primary = [label for label in required.primary if label in identified]
-    status: Status = "partly-determined" if reasons else "determined"
-    if not primary:
-        status = "not-determined"
-    if result.suspected:
-        status = "inconsistent-input"
-    return Verdict(
-        status=status,
-        identified=identified,
-        not_identified=not_identified,
-        rejected=rejected,
-        validated=_validate_models(result),
-        suspected=result.suspected,
-        reasons=reasons,
-    )
-
-
-def _required_stages(result: Identification) -> _Requirements:
-    """Required stages among those requested, and the primary parameters that they estimate."""
-    study = result.study
-    arm, base = study.arm, base_parameters(study.arm)
-    elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
-    has_motion = any(e.use == "motion" for e in study.experiments)
-    is_independent = is_uncoupled(arm) and bool(elastic)
-    has_decoupled = bool(elastic) and "decoupled" in result.stages
-    stages = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
-    names: list[str] = []
-    if stages:
-        names += [column.label for column in base.columns]
-    viscous = viscous_friction(arm)
-    for number in range(1, arm.n_joints + 1):
-        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
-    has_whole_arm = "tuned" in result.stages and len(elastic) == arm.n_joints
-    is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
-    if has_decoupled and (is_excited or not has_whole_arm):
-        stages.append("decoupled")
-    if has_decoupled:
-        for number in elastic:
-            inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
-            gear = arm.joints[number - 1].law.names if has_whole_arm else (STIFFNESS,)
-            names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
-    if has_whole_arm:
-        stages.append("tuned")
-        names += [
-            name if joint is None else f"{name} {joint}"
-            for name, joint in base.effective
-            if (name, joint) not in base.separate_links
-        ]
-    return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
-
-
-def _failure_reasons(
-    result: Identification,
-    required: _Requirements,
-    identified: Sequence[str],
-    rejected: Sequence[str],
-) -> Iterator[str]:
-    """Yield the reasons why a run is not determined, most important first."""
-    if result.suspected:  # all other failures may follow from these
-        yield from (suspicion.message for suspicion in result.suspected)
-        return
-    yield from result.failures
-    yield from _missing_stages(result, required)
-    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(result))
-    yield from (size.text for size in implausible_joints(result.study.arm, result.parameters))
-    if result.whole_arm is not None:
-        yield from _contradiction_reasons(result.whole_arm)
-    rejected_primary = [label for label in required.primary if label in rejected]
-    if rejected_primary:
-        yield f"rejected: {', '.join(rejected_primary)}"
-    missing = [
-        name for name in required.primary if name not in identified and name not in rejected_primary
-    ]
-    if missing:
-        yield f"not identified: {', '.join(missing)}"
-
-
-def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[str]:
-    """Yield the disagreements of the stages, with likely causes and experiments to test them."""
-    for test in contradictions(whole_arm.agreement):
-        text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
-        yield f"{text}{_likely_causes(whole_arm)}"
-
-
-def _likely_causes(whole_arm: ArmModel | None) -> str:
-    """Likely causes of unexplained residuals, as the end of a sentence."""
-    causes = ", or ".join(cause.text for cause in whole_arm.suspects) if whole_arm else ""
-    if not causes:
-        return ", so check the constants in the study"
-    return f", likely causes in this order: {causes}"
-
-
-def _missing_stages(result: Identification, required: _Requirements) -> Iterator[str]:
-    elastic = [n for n, j in enumerate(result.study.arm.joints, start=1) if j.elastic]
-    fitted = {joint.joint for joint in result.joints}
-    if result.failures:
-        return  # failures are reported separately; later stages depend on them
-    if "rigid" in required.stages and result.rigid is None:
-        yield "the rigid stage was not reached"
-    if "decoupled" in required.stages and not fitted.issuperset(elastic):
-        names = ", ".join(str(n) for n in elastic if n not in fitted)
-        yield f"the decoupled stage gave no model of joint {names}"
-    if "tuned" in required.stages and result.whole_arm is None:
-        yield "the whole-arm fit was not reached"
-    if (
-        "tuned" in required.stages
-        and result.whole_arm
-        and result.whole_arm.status == "iteration-limit"
-    ):
-        yield "the whole-arm fit did not converge"
-
-
-MIN_STIFFNESS_EFFECT = 0.05
-"""Smallest change of a validation channel, relative to its standard deviation, if the gear
-stiffness rises by 20 %.
-
-A very good prediction has a fit of 95 %. If the change is smaller than the remaining 5 %, a wrong
-stiffness would also pass.
-"""
-
-MAX_RELATIVE_RESIDUAL = 0.1
-"""Residual norm, relative to the centred channel, above which the model is considered defective.
-
-The residual must also be far above the sensor noise.
-"""
-
-
-def _validate_models(result: Identification) -> Validation:
-    """Check whether validation records excite each model and the model predicts them."""
-    elastic = {n for n, joint in enumerate(result.study.arm.joints, start=1) if joint.elastic}
-    drive_checks = [check for check in result.checks if check.of_drive]
-    motion_checks = [check for check in result.checks if not check.of_drive]
-    decisive_checks = _decisive_checks(result)
-    excited = {
-        number
-        for check in motion_checks
-        for number, effect in check.stiffness_effect.items()
-        if effect >= MIN_STIFFNESS_EFFECT
-    }
-    has_motion = any(
-        math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
-    )
-    return Validation(
-        rigid=has_motion
-        and not any(check.unexplained for check in decisive_checks if check.of_drive),
-        elastic=bool(elastic)
-        and excited >= elastic
-        and not any(check.unexplained for check in motion_checks)
-        and _worst_residual(result) is None,
-    )
-
-
-def _decisive_checks(result: Identification) -> list[Prediction]:
-    """Predictions of validation records that decide whether a model holds.
-
-    The rigid model omits the vibration of elastic gears, so its torques of a record decide only if
-    all joints are rigid.
-    """
-    has_elastic_joints = any(joint.elastic for joint in result.study.arm.joints)
-    return [c for c in result.checks if not (c.of_drive and has_elastic_joints)]
-
-
-def model_defects(result: Identification) -> Iterator[Diagnostic]:
-    """Yield records that the models do not describe.
-
-    Validation records come first, then the fitted record with the largest residual.
-    """
-    for check in _decisive_checks(result):
-        if check.unexplained:
-            place = Place.in_records(check.experiment)
-            yield Diagnostic.at("not-predicted", place, _describe_prediction_error(result, check))
-    worst_residual = _worst_residual(result)
-    if worst_residual is not None:
-        ratio, test = worst_residual
-        text = (
-            f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
-            f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
-            f" describe the record{_hardening_advice(result) or _likely_causes(result.whole_arm)}"
-        )
-        yield Diagnostic.at("not-described", Place.in_records(test.experiment), text)
-
-
-def _describe_prediction_error(result: Identification, check: Prediction) -> str:
-    """Describe the worst channel of a validation record, and what to do."""
-    channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
-    text = (
-        f"{channel} is predicted with a fit of {check.fit_percent[channel]:.3g} %, an error of"
-        f" {check.unexplained[channel]:.2g} times what noise, friction, the intervals and the"
-        " residuals of the fit explain"
-    )
-    if check.of_drive:
-        return f"{text}, so check the payload, the voltage and the friction of that record"
-    if check.is_servo_at_fault:
-        return (
-            f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
-            " limit of [servo], or the references of that record"
-        )
-    advice = _hardening_advice(result)
-    return f"{text}{advice or ', so check [servo], the references and the payload of that record'}"
-
-
-def _worst_residual(result: Identification) -> tuple[float, ResidualTest] | None:
-    """Largest residual far above the noise, relative to the signal; None without one."""
-    if result.whole_arm is None or result.whole_arm.criticism is None:
-        return None
-    candidates = []
-    for test in result.whole_arm.criticism.residuals:
-        fit = result.whole_arm.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
-        relative_residual = 1.0 - 0.01 * fit
-        if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
-            candidates.append((relative_residual, test))
-    return max(candidates, key=lambda candidate: candidate[0], default=None)
-
-
-def _hardening_advice(result: Identification) -> str:
-    """Advice if a sweep shows hardening of a gear that the study declares linear, or ""."""
-    hardening = [
-        sweep.joint
-        for sweep in result.sweeps
-        if sweep.verdict == "hardening"
-        and not result.study.arm.joints[sweep.joint - 1].law.is_curved
-    ]
-    if not hardening:
-        return ""
-    joints = " and ".join(str(number) for number in hardening)
-    return f', and the sweep of joint {joints} shows hardening: give it spring = "three-slope"'

@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from strainwave.domain.estimates import Suspicion
+from strainwave.domain.arm_model import ArmModel, ResidualTest, contradictions
+from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.combinations import is_uncoupled, viscous_friction
+from strainwave.domain.estimates import Diagnostic, Place, Prediction, Suspicion
+from strainwave.domain.final_table import Decision
+from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.ranges import implausible_joints
+from strainwave.domain.stage_results import StageResults
+from strainwave.domain.stages import Stage
 
 Status = Literal["determined", "partly-determined", "not-determined", "inconsistent-input"]
 
@@ -38,3 +48,248 @@ class Verdict:
     def exit_code(self) -> int:
         """0 if the status is "determined", otherwise 3."""
         return 0 if self.status == "determined" else 3
+
+
+@dataclass(frozen=True, slots=True)
+class _Requirements:
+    """Stages and parameters that the requested stages and the study require."""
+
+    stages: tuple[Stage, ...]
+    primary: tuple[str, ...]  # labels, as in the verdict
+
+
+def compute_verdict(results: StageResults, decisions: Sequence[Decision]) -> Verdict:
+    """Compute the verdict on a run, as defined in docs/result.md."""
+    required = _required_stages(results)
+    labels = {d.parameter.label for d in decisions}
+    identified = tuple(d.parameter.label for d in decisions if d.identified)
+    rejected = tuple(d.parameter.label for d in decisions if d.rejected)
+    undecided = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
+    not_identified = (*undecided, *(label for label in required.primary if label not in labels))
+    reasons = tuple(_failure_reasons(results, decisions, required))
+    primary = [label for label in required.primary if label in identified]
+    status: Status = "partly-determined" if reasons else "determined"
+    if not primary:
+        status = "not-determined"
+    if results.suspected:
+        status = "inconsistent-input"
+    return Verdict(
+        status=status,
+        identified=identified,
+        not_identified=not_identified,
+        rejected=rejected,
+        validated=_validate_models(results),
+        suspected=results.suspected,
+        reasons=reasons,
+    )
+
+
+def _required_stages(results: StageResults) -> _Requirements:
+    """Required stages among those requested, and the primary parameters that they estimate."""
+    study = results.study
+    arm, base = study.arm, base_parameters(study.arm)
+    elastic = [number for number, joint in enumerate(arm.joints, start=1) if joint.elastic]
+    has_motion = any(e.use == "motion" for e in study.experiments)
+    is_independent = is_uncoupled(arm) and bool(elastic)
+    has_decoupled = bool(elastic) and "decoupled" in results.stages
+    stages: list[Stage] = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
+    names: list[str] = []
+    if stages:
+        names += [column.label for column in base.columns]
+    viscous = viscous_friction(arm)
+    for number in range(1, arm.n_joints + 1):
+        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
+    has_whole_arm = "tuned" in results.stages and len(elastic) == arm.n_joints
+    is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
+    if has_decoupled and (is_excited or not has_whole_arm):
+        stages.append("decoupled")
+    if has_decoupled:
+        for number in elastic:
+            inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
+            gear = arm.joints[number - 1].law.names if has_whole_arm else (STIFFNESS,)
+            names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
+    if has_whole_arm:
+        stages.append("tuned")
+        names += [
+            name if joint is None else f"{name} {joint}"
+            for name, joint in base.effective
+            if (name, joint) not in base.separate_links
+        ]
+    return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
+
+
+def _failure_reasons(
+    results: StageResults, decisions: Sequence[Decision], required: _Requirements
+) -> Iterator[str]:
+    """Yield the reasons why a run is not determined, most important first."""
+    if results.suspected:  # all other failures may follow from these
+        yield from (suspicion.message for suspicion in results.suspected)
+        return
+    yield from results.failures
+    yield from _missing_stages(results, required)
+    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(results))
+    parameters = [decision.parameter for decision in decisions]
+    yield from (size.text for size in implausible_joints(results.study.arm, parameters))
+    if results.whole_arm is not None:
+        yield from _contradiction_reasons(results.whole_arm)
+    by_label = {decision.parameter.label: decision for decision in decisions}
+    primary = {label: by_label.get(label) for label in required.primary}
+    rejected_primary = [label for label, row in primary.items() if row and row.rejected]
+    if rejected_primary:
+        yield f"rejected: {', '.join(rejected_primary)}"
+    missing = [
+        label for label, row in primary.items() if not (row and (row.identified or row.rejected))
+    ]
+    if missing:
+        yield f"not identified: {', '.join(missing)}"
+
+
+def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[str]:
+    """Yield the disagreements of the stages, with likely causes and experiments to test them."""
+    for test in contradictions(whole_arm.agreement):
+        text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
+        yield f"{text}{_likely_causes(whole_arm)}"
+
+
+def _likely_causes(whole_arm: ArmModel | None) -> str:
+    """Likely causes of unexplained residuals, as the end of a sentence."""
+    causes = ", or ".join(cause.text for cause in whole_arm.suspects) if whole_arm else ""
+    if not causes:
+        return ", so check the constants in the study"
+    return f", likely causes in this order: {causes}"
+
+
+def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[str]:
+    elastic = [n for n, j in enumerate(results.study.arm.joints, start=1) if j.elastic]
+    fitted = {joint.joint for joint in results.joints}
+    if results.failures:
+        return  # failures are reported separately; later stages depend on them
+    if "rigid" in required.stages and results.rigid is None:
+        yield "the rigid stage was not reached"
+    if "decoupled" in required.stages and not fitted.issuperset(elastic):
+        names = ", ".join(str(n) for n in elastic if n not in fitted)
+        yield f"the decoupled stage gave no model of joint {names}"
+    if "tuned" in required.stages and results.whole_arm is None:
+        yield "the whole-arm fit was not reached"
+    if (
+        "tuned" in required.stages
+        and results.whole_arm
+        and results.whole_arm.status == "iteration-limit"
+    ):
+        yield "the whole-arm fit did not converge"
+
+
+MIN_STIFFNESS_EFFECT = 0.05
+"""Smallest change of a validation channel, relative to its standard deviation, if the gear
+stiffness rises by 20 %.
+
+A very good prediction has a fit of 95 %. If the change is smaller than the remaining 5 %, a wrong
+stiffness would also pass.
+"""
+
+MAX_RELATIVE_RESIDUAL = 0.1
+"""Residual norm, relative to the centred channel, above which the model is considered defective.
+
+The residual must also be far above the sensor noise.
+"""
+
+
+def _validate_models(results: StageResults) -> Validation:
+    """Check whether validation records excite each model and the model predicts them."""
+    elastic = {n for n, joint in enumerate(results.study.arm.joints, start=1) if joint.elastic}
+    drive_checks = [check for check in results.checks if check.of_drive]
+    motion_checks = [check for check in results.checks if not check.of_drive]
+    decisive_checks = _decisive_checks(results)
+    excited = {
+        number
+        for check in motion_checks
+        for number, effect in check.stiffness_effect.items()
+        if effect >= MIN_STIFFNESS_EFFECT
+    }
+    has_motion = any(
+        math.isfinite(fit) for check in drive_checks for fit in check.fit_percent.values()
+    )
+    return Validation(
+        rigid=has_motion
+        and not any(check.unexplained for check in decisive_checks if check.of_drive),
+        elastic=bool(elastic)
+        and excited >= elastic
+        and not any(check.unexplained for check in motion_checks)
+        and _worst_residual(results) is None,
+    )
+
+
+def _decisive_checks(results: StageResults) -> list[Prediction]:
+    """Predictions of validation records that decide whether a model holds.
+
+    The rigid model omits the vibration of elastic gears, so its torques of a record decide only if
+    all joints are rigid.
+    """
+    has_elastic_joints = any(joint.elastic for joint in results.study.arm.joints)
+    return [c for c in results.checks if not (c.of_drive and has_elastic_joints)]
+
+
+def model_defects(results: StageResults) -> Iterator[Diagnostic]:
+    """Yield records that the models do not describe.
+
+    Validation records come first, then the fitted record with the largest residual.
+    """
+    for check in _decisive_checks(results):
+        if check.unexplained:
+            place = Place.in_records(check.experiment)
+            yield Diagnostic.at("not-predicted", place, _describe_prediction_error(results, check))
+    worst_residual = _worst_residual(results)
+    if worst_residual is not None:
+        ratio, test = worst_residual
+        text = (
+            f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
+            f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
+            f" describe the record{_hardening_advice(results) or _likely_causes(results.whole_arm)}"
+        )
+        yield Diagnostic.at("not-described", Place.in_records(test.experiment), text)
+
+
+def _describe_prediction_error(results: StageResults, check: Prediction) -> str:
+    """Describe the worst channel of a validation record, and what to do."""
+    channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
+    text = (
+        f"{channel} is predicted with a fit of {check.fit_percent[channel]:.3g} %, an error of"
+        f" {check.unexplained[channel]:.2g} times what noise, friction, the intervals and the"
+        " residuals of the fit explain"
+    )
+    if check.of_drive:
+        return f"{text}, so check the payload, the voltage and the friction of that record"
+    if check.is_servo_at_fault:
+        return (
+            f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
+            " limit of [servo], or the references of that record"
+        )
+    advice = _hardening_advice(results)
+    return f"{text}{advice or ', so check [servo], the references and the payload of that record'}"
+
+
+def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:
+    """Largest residual far above the noise, relative to the signal; None without one."""
+    if results.whole_arm is None or results.whole_arm.criticism is None:
+        return None
+    candidates = []
+    for test in results.whole_arm.criticism.residuals:
+        fit = results.whole_arm.fit_percent.get(test.experiment, {}).get(test.channel, math.nan)
+        relative_residual = 1.0 - 0.01 * fit
+        if relative_residual > MAX_RELATIVE_RESIDUAL and test.is_far_above_noise:
+            candidates.append((relative_residual, test))
+    return max(candidates, key=lambda candidate: candidate[0], default=None)
+
+
+def _hardening_advice(results: StageResults) -> str:
+    """Advice if a sweep shows hardening of a gear that the study declares linear, or ""."""
+    hardening = [
+        sweep.joint
+        for sweep in results.sweeps
+        if sweep.verdict == "hardening"
+        and not results.study.arm.joints[sweep.joint - 1].law.is_curved
+    ]
+    if not hardening:
+        return ""
+    joints = " and ".join(str(number) for number in hardening)
+    return f', and the sweep of joint {joints} shows hardening: give it spring = "three-slope"'

@@ -15,20 +15,22 @@ from strainwave.domain import (
     FrequencyResponse,
     JointModel,
     LinkSignals,
+    LinkSummary,
     Log,
     Options,
     RecordModel,
     RigidModel,
     StateSpace,
-    Study,
 )
 from strainwave.domain.combinations import is_uncoupled
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.identification import joint_model as physical
 from strainwave.numerics.parallel import run_parallel
-from strainwave.pipeline.run import Run
+from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.reporter import Reporter
 from strainwave.signals import link_motion as links
 from strainwave.signals.mounting_start import substitute_equivalent_sensors
 
@@ -41,95 +43,84 @@ class JointStage:
     """Models of single joints; members are empty if the records do not suffice."""
 
     joints: tuple[JointModel, ...] = ()  # one per joint, of all its records
+    alternatives: tuple[tuple[JointModel, ...], ...] = ()  # further models to start from
     responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)  # by joint, from 1
+    delays: Mapping[Key, float] = field(default_factory=dict)  # of sensors, removed here
+    links: tuple[LinkSummary, ...] = ()
     # estimates the models of each excited record and joint, which no later stage uses
     record_models: Callable[[], tuple[RecordModel, ...]] = tuple
+    warnings: tuple[Diagnostic, ...] = ()
+    failures: tuple[str, ...] = ()
 
 
-def decoupled(
-    run: Run,
-    the_study: Study,
-    all_logs: Sequence[Log],
-    model: RigidModel | None,
+def fit_elastic_joints(
+    inputs: Inputs, rigid_model: RigidModel | None, reporter: Reporter
 ) -> JointStage:
     """Decouple the joints of each excited record and fit each joint to its full-amplitude records.
 
-    Adds warnings, failures, sensor delays and further starts to the run.
+    Without excited records, there are no models.
     """
-    excited = [log for log in all_logs if log.experiment.use in ("frequency", "sweep")]
+    excited = inputs.logs_of("frequency", "sweep")
     if not excited:
         text = 'the study has no record with use = "frequency" or "sweep": without one the gears'
         text += " start from typical values in the whole-arm fit, if there are step records; record"
         text += " a PRBS on each joint"
-        run.warnings.append(Diagnostic("no-frequency-record", str(the_study.path), text))
-        return JointStage()
-    if model is None and not is_uncoupled(run.arm):
+        return JointStage(warnings=(inputs.warning("no-frequency-record", text),))
+    if rigid_model is None and not is_uncoupled(inputs.arm):
         return JointStage()  # the rigid stage gives the reason
-
-    with run.time_part("decoupled", "decoupling the joints"):
+    with reporter.time_part("decoupled", "decoupling the joints"):
         # a sensor of unknown mounting gets an approximate one until the whole-arm fit
-        placed_logs, placed_arm = substitute_equivalent_sensors(excited, run.arm, all_logs)
-        sides, delays = links.compute_link_signals(placed_logs, placed_arm, the_study.options.links)
-        run.warnings.extend(links.build_delay_warnings(delays))
-        run.sensors = links.list_removed_delays(sides, delays)
+        placed_logs, placed_arm = substitute_equivalent_sensors(excited, inputs.arm, inputs.logs)
+        options = inputs.study.options
+        sides, delays = links.compute_link_signals(placed_logs, placed_arm, options.links)
+        removed = links.list_removed_delays(sides, delays)
+        warnings = list(links.build_delay_warnings(delays))
         if any("motor" in side.sources for side in sides):
-            return JointStage(_from_motors(run, the_study, model, sides))
-        try:
-            joints = run_parallel(
-                [partial(decoupling.decouple, side, model, placed_arm) for side in sides]
-            )
-        except NotIdentifiable as failure:
-            run.failures.append(str(failure))
-            return JointStage()
-        decoupled_records = list(zip(excited, sides, joints, strict=True))
-        for log, link_signals, parts in decoupled_records:
-            run.warnings.extend(link_signals.warnings)
-            run.warnings.extend(w for p in _excited_joints(parts, log) for w in p.warnings)
-            run.links += link_signals.summaries
-        stage = _fit_joints(run, the_study, model, decoupled_records)
-    for joint in stage.joints:
-        run.warnings.extend(joint.warnings)
-    return stage
+            warnings += [warning for side in sides for warning in side.warnings]
+            full = [side for side in sides if side.experiment.use == "frequency"]
+            fit = partial(physical.models_from_motors, full or sides)
+            stage = _fit_alternatives(inputs, fit, rigid_model)
+        else:
+            try:
+                joints = run_parallel(
+                    [partial(decoupling.decouple, side, rigid_model, placed_arm) for side in sides]
+                )
+            except NotIdentifiable as failure:
+                return JointStage(
+                    delays=removed, warnings=tuple(warnings), failures=(str(failure),)
+                )
+            decoupled_records = list(zip(excited, sides, joints, strict=True))
+            for log, side, parts in decoupled_records:
+                warnings += side.warnings
+                warnings += [w for part in _excited_joints(parts, log) for w in part.warnings]
+            stage = _fit_joints(inputs, rigid_model, decoupled_records)
+    warnings += [*stage.warnings, *(w for joint in stage.joints for w in joint.warnings)]
+    summaries = tuple(summary for side in sides for summary in side.summaries)
+    return replace(stage, delays=removed, links=summaries, warnings=tuple(warnings))
 
 
-def from_catalogue(
-    run: Run, the_study: Study, all_logs: Sequence[Log], model: RigidModel | None
-) -> tuple[JointModel, ...]:
-    """Typical gears to start from if only step records excite them.
+def typical_joints(inputs: Inputs, rigid_model: RigidModel | None) -> JointStage:
+    """Typical gears to start from if only step records excite them."""
+    if not inputs.logs_of("tuning"):
+        return JointStage()
+    return _fit_alternatives(inputs, physical.models_from_catalogue, rigid_model)
 
-    Adds warnings and further starts to the run. Empty without such records, or if the rigid model
-    does not suffice.
-    """
-    if not any(log.experiment.use == "tuning" for log in all_logs):
-        return ()
+
+def _fit_alternatives(
+    inputs: Inputs,
+    fit: Callable[[RigidModel | None, Arm], Sequence[tuple[JointModel, ...]]],
+    rigid_model: RigidModel | None,
+) -> JointStage:
+    """The best of several sets of joint models, and the others."""
     try:
-        joints, *run.others = physical.models_from_catalogue(model, run.arm)
+        joints, *others = fit(rigid_model, inputs.arm)
     except NotIdentifiable as failure:
-        run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
-        return ()
-    return joints
-
-
-def _from_motors(
-    run: Run, the_study: Study, model: RigidModel | None, sides: Sequence[LinkSignals]
-) -> tuple[JointModel, ...]:
-    """Models of the joints from motor signals, for links without sensors."""
-    for side in sides:
-        run.warnings.extend(side.warnings)
-        run.links += side.summaries
-    full = [side for side in sides if side.experiment.use == "frequency"]
-    try:
-        joints, *run.others = physical.models_from_motors(full or sides, model, run.arm)
-    except NotIdentifiable as failure:
-        run.warnings.append(Diagnostic("not-identifiable", str(the_study.path), str(failure)))
-        return ()
-    run.warnings.extend(w for joint in joints for w in joint.warnings)
-    return joints
+        return JointStage(warnings=(inputs.warning("not-identifiable", failure),))
+    return JointStage(joints, tuple(others))
 
 
 def _fit_joints(
-    run: Run,
-    the_study: Study,
+    inputs: Inputs,
     model: RigidModel | None,
     decoupled_records: Sequence[_DecoupledRecord],
 ) -> JointStage:
@@ -137,7 +128,7 @@ def _fit_joints(
 
     Its nonparametric response is estimated too, where its inputs can be separated.
     """
-    options = the_study.options
+    options, arm = inputs.study.options, inputs.arm
     record_options = physical.RecordOptions(options.physical, options.statespace)
     at_full = [parts for log, _, parts in decoupled_records if log.experiment.use == "frequency"]
     records_by_joint: dict[int, list[tuple[LinkSignals, Decoupled]]] = {}
@@ -153,16 +144,16 @@ def _fit_joints(
         records = records_by_joint[joint]
         try:
             if options.physical.route == "equations":
-                return physical.fit_joint(records, model, run.arm, options.physical), response
+                return physical.fit_joint(records, model, arm, options.physical), response
             return physical.joint_by_transfer(
-                [d for _, d in records], model, run.arm, record_options
+                [d for _, d in records], model, arm, record_options
             ), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
             return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
 
     numbers = sorted(records_by_joint)
     results = run_parallel([partial(fit_joint, n) for n in numbers])
-    run.warnings.extend(result for result, _ in results if isinstance(result, Diagnostic))
+    warnings = tuple(result for result, _ in results if isinstance(result, Diagnostic))
     fits = {fit.model.joint: fit for fit, _ in results if isinstance(fit, physical.JointFit)}
     joints = [fit.model for fit in fits.values()]
     joints += [result for result, _ in results if isinstance(result, JointModel)]
@@ -174,14 +165,14 @@ def _fit_joints(
         ]
         response = _response(records, options.responses)
         responses |= {} if response is None else {joint.joint: response}
-    ratios = [each.gear_ratio for each in run.arm.joints]
+    ratios = [each.gear_ratio for each in arm.joints]
     joints = [
         physical.compare_response(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints
     ]
-    record_models = partial(
-        _record_models, run.arm, the_study.options, model, decoupled_records, fits
+    record_models = partial(_record_models, arm, options, model, decoupled_records, fits)
+    return JointStage(
+        tuple(joints), responses=responses, record_models=record_models, warnings=warnings
     )
-    return JointStage(tuple(joints), responses, record_models)
 
 
 def _record_models(

@@ -125,7 +125,7 @@ def test_the_sections_have_their_order() -> None:
 
 
 def test_empty_sections_are_left_out() -> None:
-    bare = replace(identification(), warnings=(), checks=(), fitted=())
+    bare = replace(identification(), stage_warnings=(), checks=(), fitted=())
     assert sections(render(bare)) == ["verdict", "rig", "parameters", "making"]
     assert figures_of(bare) == {}
     assert "<script>" not in render(replace(bare, rigid=None))
@@ -188,7 +188,7 @@ def test_names_are_escaped() -> None:
 
 def test_a_name_with_a_hash_is_not_a_link() -> None:
     warning = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
-    page = render(replace(identification(), warnings=(warning,)))
+    page = render(replace(identification(), stage_warnings=(warning,)))
     assert (
         '<th scope="row" class="text">#1.csv</th><td class="text">#2 is at its limit.</td>' in page
     )

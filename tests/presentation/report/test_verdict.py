@@ -86,9 +86,8 @@ def test_identified_parameters_are_counted() -> None:
     )
     assert "1 of 2 parameters are identified, 1 with" in of(alpha, reported("beta", None, None))
     assert "No parameter was estimated." in of()
-    assert "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: beta" in of(
-        failures=("nothing moved",)
-    )
+    nothing = "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: rigid_"
+    assert nothing in of(failures=("nothing moved",))
 
 
 def test_likely_causes_of_a_disagreement_have_their_experiment() -> None:
@@ -108,7 +107,7 @@ def test_a_value_near_zero_has_its_own_class() -> None:
 def test_combinations_are_listed() -> None:
     pair = Diagnostic("only-together", "alpha and gear_damping of joint 1", "only the sum")
     assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
-        warnings=(pair,)
+        stage_warnings=(pair,)
     )
 
 
@@ -177,7 +176,7 @@ def drive(**changed: object) -> Identification:
     assert one.rigid is not None
     names = ("inertia", "motor_viscous_friction", "motor_coulomb_friction")
     rigid = replace(one.rigid, parameters=tuple(reported(name, 1.0, 0.01) for name in names))
-    fine = replace(one, study=rigid_drive(), warnings=(), rigid=rigid)
+    fine = replace(one, study=rigid_drive(), stage_warnings=(), rigid=rigid)
     return replace(fine, **changed)  # type: ignore[arg-type]
 
 
@@ -190,9 +189,9 @@ def test_faults_of_the_input_are_listed_with_their_corrections() -> None:
 def test_the_most_serious_warning_is_named() -> None:
     mild = Diagnostic("resampled", "a.csv", "uneven steps")
     grave = Diagnostic("implausible", "data/b.csv", "negative")
-    text = of(warnings=(mild, grave))
+    text = of(stage_warnings=(mild, grave))
     assert "2 warnings|; most serious: b.csv: Negative." in text
-    assert "1 warning|: a.csv: Uneven steps." in of(warnings=(mild,))
+    assert "1 warning|: a.csv: Uneven steps." in of(stage_warnings=(mild,))
     # an unknown code is the most serious
     unknown = Diagnostic("unknown-code", "c", "odd")
     assert remedies.most_serious((grave, unknown)) is unknown

@@ -1,0 +1,79 @@
+"""Motor signals -> rigid model, and its predictions of the fitted and the check records."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from strainwave.domain import Diagnostic, Place, Prediction, RigidModel, Signals
+from strainwave.domain.combinations import is_uncoupled
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import NotIdentifiable
+from strainwave.identification import rigid, validation
+from strainwave.numerics.parallel import run_parallel
+from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.reporter import Reporter
+from strainwave.signals.motor import prepare_motor_signals
+
+
+@dataclass(frozen=True, slots=True)
+class RigidStage:
+    """The rigid model with its predictions."""
+
+    model: RigidModel | None = None
+    fitted: tuple[Prediction, ...] = ()
+    checks: tuple[Prediction, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
+    failures: tuple[str, ...] = ()
+
+
+def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
+    """Fit the rigid model and predict the torques of its records and of the check records."""
+    arm = inputs.arm
+    with reporter.time_part("rigid", "rigid joints: least squares"):
+        motion, checks = (
+            run_parallel([partial(prepare_motor_signals, log, arm) for log in inputs.logs_of(use)])
+            for use in ("motion", "check")
+        )
+        warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
+        try:
+            model = rigid.fit(motion, arm, inputs.study.options.rigid)
+        except NotIdentifiable as failure:
+            if _is_optional(inputs):
+                warning = inputs.warning("no-rigid-model", failure)
+                return RigidStage(warnings=(*warnings, warning))
+            return RigidStage(warnings=warnings, failures=(str(failure),))
+        warnings += model.warnings
+    if model.status == "not-identifiable":
+        return RigidStage(model, warnings=warnings)
+    with reporter.time_part("checks", "predicting the check records"):
+        fitted, warnings_of_fit = _predict(model, motion, arm)
+        checked, warnings_of_checks = _predict(model, checks, arm, fitted)
+    warnings += warnings_of_fit + warnings_of_checks
+    return RigidStage(model, fitted, checked, warnings)
+
+
+def _predict(
+    model: RigidModel, records: Sequence[Signals], arm: Arm, fitted: Sequence[Prediction] = ()
+) -> tuple[tuple[Prediction, ...], tuple[Diagnostic, ...]]:
+    """Predict the torques of records, with warnings; `fitted` determines the expected errors."""
+
+    def predict(record: Signals) -> Prediction | Diagnostic:
+        try:
+            return validation.predict_rigid(model, record, arm, fitted)
+        except NotIdentifiable as failure:
+            name = record.experiment.name
+            return Diagnostic.at("nothing-to-predict", Place.in_records(name), f"{name} {failure}")
+
+    outcomes = run_parallel([partial(predict, record) for record in records])
+    predictions = tuple(each for each in outcomes if isinstance(each, Prediction))
+    warnings = [each for each in outcomes if isinstance(each, Diagnostic)]
+    warnings += [warning for each in predictions for warning in each.warnings]
+    return predictions, tuple(warnings)
+
+
+def _is_optional(inputs: Inputs) -> bool:
+    """Whether the joints can be identified without a rigid model."""
+    is_excited = bool(inputs.logs_of("frequency"))
+    return is_uncoupled(inputs.arm) and is_excited and "decoupled" in inputs.stages

@@ -1,0 +1,149 @@
+"""Records that excite the gears -> models of the joints and of the whole arm."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+from strainwave.domain import (
+    ArmModel,
+    Diagnostic,
+    FrequencyResponse,
+    JointModel,
+    LinkSummary,
+    MotorResponse,
+    Prediction,
+    RecordModel,
+    RigidModel,
+)
+from strainwave.dynamics.mounting import with_sensor_positions
+from strainwave.errors import NotIdentifiable
+from strainwave.identification import validation, whole_arm
+from strainwave.identification.motor_responses import motor_response
+from strainwave.numerics.parallel import both, run_parallel
+from strainwave.pipeline.elastic_joints import JointStage, fit_elastic_joints, typical_joints
+from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.reporter import Reporter
+from strainwave.signals.recorded_input import (
+    check_servo_clock,
+    missing_motor_signal,
+    missing_recorded_input,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ElasticStages:
+    """Results of the stages that model elastic gears."""
+
+    records: tuple[RecordModel, ...] = ()
+    joints: tuple[JointModel, ...] = ()
+    responses: Mapping[int, FrequencyResponse] = field(default_factory=dict)
+    links: tuple[LinkSummary, ...] = ()
+    whole_arm: ArmModel | None = None
+    checks: tuple[Prediction, ...] = ()
+    motor_responses: tuple[MotorResponse, ...] = ()
+    warnings: tuple[Diagnostic, ...] = ()
+    failures: tuple[str, ...] = ()
+
+
+def fit_elastic_arm(
+    inputs: Inputs, rigid_model: RigidModel | None, reporter: Reporter
+) -> ElasticStages:
+    """Identify each joint and then the whole arm, as far as requested and possible."""
+    is_requested = "tuned" in inputs.stages
+    if is_requested:  # the last stage simulates these records
+        for log in inputs.logs_of("tuning", "check"):
+            check_servo_clock(inputs.arm, log)
+    stage = start = fit_elastic_joints(inputs, rigid_model, reporter)
+    warnings = stage.warnings
+    if is_requested and not inputs.logs_of("frequency", "sweep"):
+        start = typical_joints(inputs, rigid_model)
+        warnings += start.warnings
+
+    def fit() -> ArmModel | Diagnostic | None:
+        if not is_requested or len(start.joints) != inputs.arm.n_joints:
+            return None
+        return _fit_whole_arm(inputs, rigid_model, start, reporter)
+
+    def record_models() -> tuple[RecordModel, ...]:
+        with reporter.measure_time("decoupled"):
+            return stage.record_models()
+
+    outcome, records = both(fit, record_models)
+    checks: tuple[Prediction, ...] = ()
+    motor_responses: tuple[MotorResponse, ...] = ()
+    if isinstance(outcome, Diagnostic):
+        warnings += (outcome,)
+    elif outcome is not None:
+        # the whole-arm fit replaces the earlier estimates of the same delays
+        places = {w.place for w in outcome.warnings if w.code == "sensor-delay"}
+        kept = [w for w in warnings if w.code != "sensor-delay" or w.place not in places]
+        checks = _predict_checks(inputs, outcome, reporter)
+        motor_responses = _compare_motors(inputs, outcome, start.joints, reporter)
+        predicted = (warning for each in checks for warning in each.warnings)
+        warnings = (*kept, *outcome.warnings, *predicted)
+    return ElasticStages(
+        records,
+        stage.joints,
+        stage.responses,
+        stage.links,
+        outcome if isinstance(outcome, ArmModel) else None,
+        checks,
+        motor_responses,
+        warnings,
+        stage.failures,
+    )
+
+
+def _fit_whole_arm(
+    inputs: Inputs, rigid_model: RigidModel | None, start: JointStage, reporter: Reporter
+) -> ArmModel | Diagnostic:
+    """Fit all parameters to all records; a warning if that is impossible."""
+    activity = "fitting the whole arm to all records at once"
+
+    def count(evaluation: int, limit: int) -> None:
+        text = f"{activity}: evaluation {evaluation} of at most {limit}"
+        reporter.report("tuned", text, evaluation / limit)
+
+    with reporter.time_part("tuned", activity):
+        try:
+            return whole_arm.fit_whole_arm(
+                inputs.logs,
+                rigid_model,
+                start.joints,
+                inputs.arm,
+                inputs.study.options.tuning,
+                start=start.delays,
+                others=start.alternatives,
+                progress=count,
+            )
+        except NotIdentifiable as failure:
+            return inputs.warning("not-tuned", failure)
+
+
+def _predict_checks(
+    inputs: Inputs, arm_model: ArmModel, reporter: Reporter
+) -> tuple[Prediction, ...]:
+    """Simulations of the check records' motion."""
+    with reporter.time_part("checks", "simulating the check records"):
+        arm = with_sensor_positions(inputs.arm, arm_model.values)
+        jobs = [
+            partial(validation.predict_elastic, arm_model, log, arm)
+            for log in inputs.logs_of("check")
+            if missing_recorded_input(inputs.arm, log) is None
+        ]
+        return tuple(run_parallel(jobs))
+
+
+def _compare_motors(
+    inputs: Inputs, arm_model: ArmModel, joints: tuple[JointModel, ...], reporter: Reporter
+) -> tuple[MotorResponse, ...]:
+    """Responses of each motor at full amplitude, measured and simulated."""
+    with reporter.time_part("checks", "comparing the motors' responses"):
+        jobs = [
+            partial(motor_response, log, arm_model, joints, inputs.arm)
+            for log in inputs.logs_of("frequency")
+            if log.experiment.joint is not None and missing_motor_signal(inputs.arm, log) is None
+        ]
+        return tuple(run_parallel(jobs))
