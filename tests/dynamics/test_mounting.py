@@ -23,7 +23,8 @@ from strainwave.dynamics.mounting import (
 )
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.signals.imu_attitude import estimate_imu_starts
-from strainwave.signals.mounting_start import estimate_mounting_starts, kinematics
+from strainwave.signals.link_readings import JointMotion
+from strainwave.signals.mounting_start import accelerometer_quantities, estimate_mounting_starts
 from strainwave.virtual import scara
 from tuning_runs import shaken
 
@@ -118,7 +119,7 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
         record=[*motion, *ACCELEROMETER_BASIS],
     )
     q, dq, ddq = (run[name] for name in motion)
-    basis = kinematics(q, dq, ddq, Arm.of(study.arm))
+    basis = accelerometer_quantities(Arm.of(study.arm), JointMotion(q, dq, ddq))
     for k, name in enumerate(ACCELEROMETER_BASIS):
         np.testing.assert_allclose(basis[:, :, k], run[name], atol=1e-9)
 
@@ -219,7 +220,7 @@ def test_the_search_recovers_a_random_mounting(
     true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
     unknown = rig(gravity, joint, Imu())
     imu_axes = axes_of([f"{name}{joint}" for name in names], Arm.of(unknown.arm), joint)
-    basis = kinematics(q, dq, ddq, Arm.of(true.arm))[:, joint - 1]
+    basis = accelerometer_quantities(Arm.of(true.arm), JointMotion(q, dq, ddq))[:, joint - 1]
     rate = dq[:, :joint].sum(axis=1)[:, None]
     tables = []
     for axis in imu_axes:

@@ -178,6 +178,18 @@ class Arm(ArmDescription):
         motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
         return self.core.link_motion(*motion)
 
+    def link_attitudes(self, angle: FloatArray) -> FloatArray:
+        """Axes of the base's frame in those of the links: (n_samples, n_joints, 3, 3) columns."""
+        placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in self.joints]
+        angle, rest = np.ascontiguousarray(angle), np.zeros_like(angle)
+        axes = np.empty((*angle.shape, 3, 3))
+        for k, axis in enumerate(np.eye(3)):
+            laws = ["rigid"] * self.n_joints
+            ratios = self.gear_ratios.tolist()
+            chain = _core.Arm.serial_chain(placed, laws, ratios, gravity=(-axis).tolist())
+            axes[..., k] = chain.link_motion(angle, rest, rest)[..., 6:]
+        return axes
+
     def link_motion_derivatives(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> list[FloatArray]:

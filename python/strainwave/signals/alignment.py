@@ -11,6 +11,7 @@ import numpy as np
 from strainwave.domain import Delay, FloatArray, LinkSignals
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.signals.link_readings import acceleration_gains
 
 _MIN_FREQUENCY_HZ = 2.0  # [Hz] lower band edge; friction and drift dominate below it
 _MAX_CUTOFF_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
@@ -54,8 +55,7 @@ def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | Non
     if law.is_curved and excited not in (None, i + 1):
         return None
     T = signals.sample_time
-    n = arm.gear_ratios[i]
-    motor_acceleration = n * differentiate(signals.motor_velocity[:, i], T)
+    motor_acceleration = arm.links_of(differentiate(signals.motor_velocity, T))[:, i]
     cutoff = min(_MAX_CUTOFF_HZ, 0.1 / T)
     link_acceleration = low_pass(signals.link_acceleration, cutoff, T)
     torque = _torque_columns(signals, arm, link_acceleration)[:, i]
@@ -128,29 +128,25 @@ def _delay_with_model_error(
 
 
 def _sensor_contributions(signals: LinkSignals, arm: Arm, link: FloatArray, i: int) -> FloatArray:
-    """Contribution of each sensor to a relative acceleration: of this link, then of link 1.
+    """Contribution of each sensor to a relative acceleration: of this link, then of those before.
 
-    A gyro or accelerometer on link 2 also measures the motion of link 1, which (9) subtracts.
+    A gyro or accelerometer also measures the motion of the links before, which (9) subtracts.
     """
     relative = link[:, i]
     if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
         return relative[:, None]
-    gain: FloatArray = np.ones(len(link))
-    joint = arm.joints[i]
-    if signals.sources[i] == "accelerometer" and joint.accelerometer_distance:
-        lever = joint.origin.xyz[0] / joint.accelerometer_distance
-        gain = 1.0 + lever * np.cos(signals.link_angle[:, 1])
-    base = gain * link[:, 0]
-    if signals.sources[0] == "motor":
-        return (relative + base)[:, None]
-    return np.column_stack([relative + base, -base])
+    gains = acceleration_gains(arm, signals.link_angle, i, gyro=signals.sources[i] == "gyro")
+    before = gains[:, :i] / gains[:, i, None] * link[:, :i]
+    is_measured = np.array(signals.sources[:i]) != "motor"
+    return np.column_stack([relative + before.sum(axis=1), -before[:, is_measured]])
 
 
 def _torque_columns(signals: LinkSignals, arm: Arm, acceleration: FloatArray) -> FloatArray:
-    """Link torques per base parameter except gravity: (n_samples, n_joints, n_base)."""
-    columns = arm.base_regressor(signals.link_angle, signals.link_velocity, acceleration)
-    inertial = [k for k, (name, _) in enumerate(arm.base_names) if not name.startswith("gravity")]
-    return columns[:, :, inertial]
+    """Link torques per base parameter without gravity: (n_samples, n_joints, n_base)."""
+    angle, rest = signals.link_angle, np.zeros_like(signals.link_angle)
+    columns = arm.base_regressor(angle, signals.link_velocity, acceleration)
+    columns = columns - arm.base_regressor(angle, rest, rest)
+    return columns[:, :, np.any(columns, axis=(0, 1))]
 
 
 def _differentiate_repeatedly(signal: FloatArray, sample_time: float, order: int) -> FloatArray:

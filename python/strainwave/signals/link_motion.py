@@ -49,6 +49,12 @@ from strainwave.signals.delays import (
     list_removed_delays,
 )
 from strainwave.signals.fusion import bias_of, complement, fuse
+from strainwave.signals.link_readings import (
+    JointMotion,
+    acceleration_gains,
+    read_accelerometer,
+    read_gyro,
+)
 
 __all__ = [
     "LinkOptions",
@@ -327,29 +333,28 @@ class _LinkMotion:
 
 def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _LinkMotion:
     """Compute the motion of the links in order, from the base outward."""
-    n = view.arm.gear_ratios
-    T = view.log.sample_time
-    motor_side = n * motor_velocity
+    arm, T = view.arm, view.log.sample_time
+    motor_angle, motor_side = arm.links_of(view.motor_angle), arm.links_of(motor_velocity)
     # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
     links = _LinkMotion(
-        n * view.motor_angle, motor_side.copy(), np.zeros_like(motor_side), [], [], []
+        motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T), [], [], []
     )
-    links.acceleration[:] = differentiate(motor_side, T)
     for i, source in enumerate(view.sources):
-        angle, slow = _low_frequency_motion(view, i, n[i] * view.motor_angle[:, i])
+        angle, slow = _low_frequency_motion(view, i, motor_angle[:, i])
         if source != "accelerometer":
             if source == "gyro":
                 gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, _sensor_lag(view.arm.joints[i], source))
-                slow = rate - links.velocity[:, :i].sum(axis=1)
+                rate = view.through(gyro, _sensor_lag(arm.joints[i], source))
+                motion = JointMotion(links.angle, links.velocity, links.acceleration)
+                slow = rate - read_gyro(arm, motion.without(i), i)
             links.angle[:, i], links.velocity[:, i] = angle, slow
             links.acceleration[:, i] = differentiate(slow, T)
             links.bias.append(0.0)
             links.fusion.append(None)
             links.fusion_error.append(0.0)
             continue
-        read = view.through(view.log.channels[f"a{i + 1}"], _sensor_lag(view.arm.joints[i], source))
-        acceleration = _acceleration(view.arm, read, i, links)
+        read = view.through(view.log.channels[f"a{i + 1}"], _sensor_lag(arm.joints[i], source))
+        acceleration = _acceleration(arm, read, i, links)
         bias = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - bias
         fusion = Fusion(view.options.time_constant, view.options.order)
@@ -382,17 +387,10 @@ def _low_frequency_motion(
 
 def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> FloatArray:
     """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
-    joint = arm.joints[i]
-    if joint.motion == "prismatic":
-        return read
-    q, dq, ddq = links.angle, links.velocity, links.acceleration
-    gravity = arm.gravity_size
-    distance = joint.accelerometer_distance or 1.0
-    absolute = (read - gravity * np.cos(q[:, : i + 1].sum(axis=1))) / distance
-    if i == 0:
-        return np.asarray(absolute)
-    base_motion = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-    return np.asarray(absolute - ddq[:, 0] - joint.origin.xyz[0] / distance * base_motion)
+    motion = JointMotion(links.angle, links.velocity, links.acceleration)
+    still = replace(motion, acceleration=motion.without(i).acceleration)
+    gain = acceleration_gains(arm, links.angle, i, gyro=False)[:, i]
+    return np.asarray((read - read_accelerometer(arm, still, i).sum) / gain)
 
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:

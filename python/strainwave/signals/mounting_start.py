@@ -16,9 +16,10 @@ from strainwave.domain import FloatArray, Imu, Log
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, Axis, axes_of, unknowns_of
-from strainwave.numerics.filters import differentiate, low_pass
+from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import estimate_imu_starts
+from strainwave.signals.link_readings import JointMotion, read_gyro
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
 _MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
@@ -28,29 +29,14 @@ _MIN_COLUMN_NORM = 1e-6  # minimum norm of a column relative to the largest one
 _MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
 
 
-def kinematics(
-    angle: FloatArray, velocity: FloatArray, acceleration: FloatArray, arm: Arm
-) -> FloatArray:
+def accelerometer_quantities(arm: Arm, motion: JointMotion) -> FloatArray:
     """Quantities of which each accelerometer on a link reads a linear combination.
 
-    Inputs are link angles [rad], velocities [rad/s] and accelerations [rad/s^2], each (n_samples,
-    n_joints) and relative to the preceding link. The result is (n_samples, n_joints, 4): f_x, f_y
-    [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2], as in `ACCELEROMETER_BASIS`.
+    The result is (n_samples, n_joints, 4): f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2],
+    as in `ACCELEROMETER_BASIS`.
     """
-    g, length = arm.gravity_size, arm.joints[-1].origin.xyz[0]
-    absolute_angle, rate, angular_acceleration = (
-        x.cumsum(axis=1) for x in (angle, velocity, acceleration)
-    )
-    quantities = np.stack(
-        [g * np.sin(absolute_angle), g * np.cos(absolute_angle), angular_acceleration, rate**2],
-        axis=2,
-    )
-    if arm.n_joints > 1:
-        sin, cos = np.sin(angle[:, 1]), np.cos(angle[:, 1])
-        across, inward = length * acceleration[:, 0], length * velocity[:, 0] ** 2
-        quantities[:, 1, 0] += across * sin - inward * cos
-        quantities[:, 1, 1] += across * cos + inward * sin
-    return quantities
+    links = motion.links(arm)
+    return np.concatenate([links[..., [6, 7, 5]], links[..., 2:3] ** 2], axis=2)
 
 
 def estimate_mounting_starts(
@@ -96,7 +82,8 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[Fl
     for log in logs:
         if len(log) < _MIN_SAMPLES or f"theta_m{arm.n_joints}" not in log.channels:
             continue
-        basis, rate = _motor_kinematics(log, arm, axes[0].joint)
+        motion, i = _motion_from_motors(log, arm), axes[0].joint - 1
+        basis, rate = accelerometer_quantities(arm, motion)[:, i], read_gyro(arm, motion, i)
         for axis, table in zip(axes, tables, strict=True):
             if axis.channel not in log.channels:
                 continue
@@ -112,16 +99,11 @@ def _cutoff_hz(log: Log) -> float:
     return max(_MAX_FREQUENCY_HZ, _MIN_PERIODS / (len(log) * log.sample_time))
 
 
-def _motor_kinematics(log: Log, arm: Arm, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Quantities (n_samples, 4) and angular rate (n_samples,) of a link, from the motors."""
-    T, joints = log.sample_time, arm.joints
-    angle = np.column_stack(
-        [drive.gear_ratio * log.channels[f"theta_m{i}"] for i, drive in enumerate(joints, start=1)]
-    )
-    q = low_pass(angle, _cutoff_hz(log), T)
-    dq = differentiate(q, T)
-    basis = kinematics(q, dq, differentiate(dq, T), arm)[:, joint - 1]
-    return basis, dq[:, :joint].sum(axis=1)
+def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
+    """Motion of the joints at low frequencies, from the motors."""
+    motors = np.column_stack([log.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
+    motors = low_pass(motors, _cutoff_hz(log), log.sample_time)
+    return JointMotion.of_motors(motors, arm, log.sample_time)
 
 
 def _inner_samples(log: Log) -> slice:
@@ -257,5 +239,5 @@ def _other_contributions(
     log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float
 ) -> FloatArray:
     """Contribution of the other quantities to a sum, from the motors: (n_samples,)."""
-    basis, _ = _motor_kinematics(log, arm, joint)
+    basis = accelerometer_quantities(arm, _motion_from_motors(log, arm))[:, joint - 1]
     return np.asarray(basis @ (counts - np.array([0.0, 1.0, distance, 0.0])))

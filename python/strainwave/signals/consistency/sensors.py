@@ -17,6 +17,13 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
+from strainwave.signals.link_readings import (
+    JointMotion,
+    angle_derivatives,
+    read_accelerometer,
+    read_gravity,
+    read_gyro,
+)
 
 LINK_CHANNELS = ("a", "gyro", "theta_l")
 """Kinds of channels that the motor angles predict."""
@@ -60,7 +67,8 @@ class Reading:
     explained: float  # share of the variance of the reading
     signal: float  # signal-to-noise ratio at low frequency
     parts: dict[str, tuple[float, float]]  # "own-joint", "elbow", "gravity" -> scale, std
-    rotation_ratio: tuple[float, float] | None  # scale of joint 2's rotation over joint 1's, std
+    # scale of the joint's rotation over that of the joints before it, std
+    rotation_ratio: tuple[float, float] | None
     tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
 
 
@@ -73,7 +81,7 @@ def regress_readings(evidence: Evidence) -> list[Reading]:
     slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
     regressions: list[Reading] = []
     for record in evidence.records:
-        motion = _Motion.of(record, evidence.arm)
+        motion = _motion_of(record, evidence.arm)
         for kind in LINK_CHANNELS:
             for i in range(evidence.arm.n_joints):
                 name = f"{kind}{i + 1}"
@@ -94,7 +102,7 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     if not records:
         return None
     record = max(records, key=lambda r: len(r.inside))
-    motion = _Motion.of(record, evidence.arm)
+    motion = _motion_of(record, evidence.arm)
 
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
@@ -117,10 +125,10 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
 
 
 def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ...]:
-    """Estimate the rotation of link 2 relative to the rotation that the gear ratio implies.
+    """Estimate the rotation of a link relative to the rotation that the gear ratio implies.
 
-    The readings of link 2 are not proportional to the motion of joint 2, so a grid search finds
-    the factor that explains the largest share of a reading. The gear ratio of joint 1 is kept.
+    The readings of a link are not proportional to the motion of its joint, so a grid search finds
+    the factor that explains the largest share of a reading. Other gear ratios are kept.
     Returns one factor, or an empty tuple for joint 1 or if no factor explains the reading.
     """
     if joint == 1:
@@ -133,7 +141,7 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
         hypothesis = evidence.corrected(
             [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
         )
-        motion = _Motion.of(slow[0], hypothesis.arm)
+        motion = _motion_of(slow[0], hypothesis.arm)
         regressions = _regress_channel(slow[0], hypothesis, motion, names[0][:-1], joint - 1)
         return min((1.0 - reading.explained for reading in regressions), default=1.0)
 
@@ -152,68 +160,62 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
     return (best,) if best_share < 0.5 else ()
 
 
-@dataclass(frozen=True, slots=True)
-class _Motion:
-    """Joint motion from the motor angles and gear ratios, each (n_rows, n_joints)."""
-
-    angle: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-
-    @classmethod
-    def of(cls, record: SlowRecord, arm: Arm) -> _Motion:
-        joints = range(1, arm.n_joints + 1)
-        motor = np.column_stack([record.channels[f"theta_m{i}"] for i in joints])
-        angle = motor * arm.gear_ratios
-        velocity = differentiate(angle, record.sample_time)
-        return cls(angle, velocity, differentiate(velocity, record.sample_time))
+def _motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
+    """Joint motion from the motor angles, each (n_rows, n_joints)."""
+    motors = np.column_stack([record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
+    return JointMotion.of_motors(motors, arm, record.sample_time)
 
 
-def _predicted_parts(arm: Arm, motion: _Motion, kind: str, i: int) -> dict[str, FloatArray] | None:
+def _predicted_parts(
+    arm: Arm, motion: JointMotion, kind: str, i: int
+) -> dict[str, FloatArray] | None:
     """Parts whose sum is the predicted reading of a channel of joint i, from 0.
 
     Returns None if the study does not give the distance of the accelerometer.
     """
-    q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
     if kind == "theta_l":
-        return {"own-joint": q[:, i]}
+        return {"own-joint": motion.angle[:, i]}
     if kind == "gyro":
-        return {"own-joint": dq[:, : i + 1].sum(axis=1)}
-    joint = arm.joints[i]
+        return {"own-joint": read_gyro(arm, motion, i)}
+    joint, reading = arm.joints[i], read_accelerometer(arm, motion, i)
     if joint.motion == "prismatic":
-        return {"own-joint": ddq[:, i]}
-    if joint.accelerometer_distance is None:
+        parts = {"own-joint": reading.translation}
+    elif joint.accelerometer_distance is None:
         return None
-    parts = {"own-joint": joint.accelerometer_distance * ddq[:, : i + 1].sum(axis=1)}
-    if i == 1:
-        elbow = ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1])
-        parts["elbow"] = joint.origin.xyz[0] * elbow
-    if arm.gravity:
-        parts["gravity"] = arm.gravity_size * np.cos(q[:, : i + 1].sum(axis=1))
-    return parts
+    else:
+        parts = {"own-joint": reading.rotation, "elbow": reading.translation}
+    parts["gravity"] = reading.gravity
+    return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
 
-def _tilt_derivatives(arm: Arm, motion: _Motion, kind: str, i: int) -> list[FloatArray]:
-    """Derivatives of an accelerometer reading with respect to tilt and encoder zero, per radian.
+@dataclass(frozen=True, slots=True)
+class _Derivatives:
+    """Derivatives of an accelerometer reading, per radian."""
 
-    The tilt of a horizontal arm adds gravity along both axes of the plane of motion. The tilt of a
-    vertical arm rotates the known gravity. The encoder zero of joint 2 rotates the acceleration of
-    axis 2.
+    tilt: list[FloatArray]  # by the tilt of the base
+    zero: list[FloatArray]  # by the zeros of the encoders, without those of gravity
+
+
+def _tilt_derivatives(arm: Arm, motion: JointMotion, kind: str, i: int) -> _Derivatives:
+    """Derivatives of a reading of joint i, from 0, by the tilt of the base and the encoder zeros.
+
+    The tilt of a horizontal arm adds gravity along the axes of the base. The tilt of an arm under
+    gravity rotates the known gravity. The zero of an encoder rotates the acceleration of the
+    frame's origin.
     """
     if kind != "a" or arm.joints[i].motion == "prismatic":
-        return []
-    q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
-    phi = q[:, : i + 1].sum(axis=1)
-    in_plane = [STANDARD_GRAVITY * np.sin(phi), STANDARD_GRAVITY * np.cos(phi)]
-    derivatives = [arm.gravity_size * np.sin(phi)] if arm.gravity else in_plane
-    if i == 1:
-        elbow = dq[:, 0] ** 2 * np.cos(q[:, 1]) - ddq[:, 0] * np.sin(q[:, 1])
-        derivatives.append(arm.joints[i].origin.xyz[0] * elbow)
-    return derivatives
+        return _Derivatives([], [])
+    changes = STANDARD_GRAVITY * np.eye(3)
+    if arm.gravity:
+        changes = np.cross(np.eye(3), arm.gravity)
+    tilt = [read_gravity(arm, motion.angle, i, change) for change in changes]
+    without_gravity = replace(arm, gravity=None)
+    zero = list(angle_derivatives(without_gravity, motion, i).T)
+    return _Derivatives([x for x in tilt if np.any(x)], [x for x in zero if np.any(x)])
 
 
 def _regress_channel(
-    record: SlowRecord, evidence: Evidence, motion: _Motion, kind: str, i: int
+    record: SlowRecord, evidence: Evidence, motion: JointMotion, kind: str, i: int
 ) -> Iterator[Reading]:
     """Regress a channel of joint i (from 0); no reading if the record does not determine it."""
     name, arm = f"{kind}{i + 1}", evidence.arm
@@ -235,11 +237,12 @@ def _regress_channel(
     parts = {key: sensed(part) for key, part in parts.items()}
     target = record.channels[name][record.inside]
     prediction = np.sum(list(parts.values()), axis=0)
-    derivatives = [sensed(part) for part in _tilt_derivatives(arm, motion, kind, i)]
+    derivatives = _tilt_derivatives(arm, motion, kind, i)
+    turned = [sensed(part) for part in derivatives.tilt + derivatives.zero]
     # The initial state of a high-pass is unknown.
     decays = [np.exp(-2.0 * np.pi * cutoff * T * np.arange(len(prediction)))] if cutoff else []
     nuisance = _NuisanceColumns.of(
-        record, prediction, prediction - parts.get("gravity", 0.0), derivatives, decays
+        record, prediction, prediction - parts.get("gravity", 0.0), turned, decays
     )
     fit = nuisance.fit(target, [prediction])
     if fit is None:
@@ -252,7 +255,7 @@ def _regress_channel(
     if each_part_fit is not None:
         scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
-    shares = _rotation_parts(arm, motion, kind) if i == 1 else None
+    shares = _rotation_parts(arm, motion, kind, i)
     rotation_ratio = None
     if shares is not None:
         rotation_ratio = nuisance.quotient(target, [sensed(share) for share in shares])
@@ -270,15 +273,15 @@ def _regress_channel(
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=scales,
         rotation_ratio=rotation_ratio,
-        tilt=_tilt(fit, arm, 4 + len(decays)) if len(derivatives) > 1 else None,
+        tilt=None if arm.gravity else _tilt(fit, 4 + len(decays), len(derivatives.tilt)),
     )
 
 
-def _tilt(fit: Fit, arm: Arm, first: int) -> tuple[float, float] | None:
+def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float] | None:
     """Gravity in the plane of motion of a horizontal arm [g] and its standard deviation."""
-    if arm.gravity:
+    if not count:
         return None
-    tilt_columns = slice(first, first + 2)
+    tilt_columns = slice(first, first + count)
     components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
     size = float(np.hypot(*components))
     return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
@@ -351,18 +354,17 @@ def _relative_coefficient(fit: Fit, k: int) -> tuple[float, float]:
     return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
-def _rotation_parts(arm: Arm, motion: _Motion, kind: str) -> list[FloatArray] | None:
-    """Parts of a link 2 reading: rotation of joint 2, rotation of joint 1, and the remaining parts.
+def _rotation_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray] | None:
+    """Parts of a reading of link i, from 0: rotation of its joint, of the joints before, the rest.
 
     Returns None if the reading does not contain both rotations.
     """
-    parts = _predicted_parts(arm, motion, kind, 1)
-    if parts is None or kind == "theta_l" or arm.joints[1].motion == "prismatic":
+    parts = _predicted_parts(arm, motion, kind, i)
+    others = _predicted_parts(arm, motion.without(i), kind, i)
+    if parts is None or others is None or kind == "theta_l" or not np.any(others["own-joint"]):
         return None
-    rotation = motion.velocity if kind == "gyro" else motion.acceleration
-    distance = 1.0 if kind == "gyro" else arm.joints[1].accelerometer_distance or 0.0
-    other_parts = [part for key, part in parts.items() if key != "own-joint"]
-    return [distance * rotation[:, 1], distance * rotation[:, 0], *other_parts]
+    rotations = [parts["own-joint"] - others["own-joint"], others["own-joint"]]
+    return rotations + [part for key, part in parts.items() if key != "own-joint"]
 
 
 def _coefficient_ratio(fit: Fit) -> tuple[float, float] | None:

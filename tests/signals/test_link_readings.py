@@ -1,0 +1,112 @@
+"""Readings of link sensors against the closed forms (8), (9) and planar chains of three links."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from serial_chains import chain as core_of
+from strainwave.domain import FloatArray, Joint
+from strainwave.domain.arm import ArmDescription, Origin
+from strainwave.domain.kinds.planar_two_link import planar_two_link
+from strainwave.domain.kinds.single_joint import single_joint
+from strainwave.dynamics.arm import Arm
+from strainwave.signals.link_readings import (
+    JointMotion,
+    acceleration_gains,
+    angle_derivatives,
+    read_accelerometer,
+    read_gravity,
+    read_gyro,
+)
+
+LENGTH, DISTANCES = 0.35, (0.3, 0.25, 0.2)
+ROUNDING = 1e-13  # of sums of numbers of about ten
+
+
+def drive(i: int) -> Joint:
+    return Joint("linear", 0.01, accelerometer_distance=DISTANCES[i])
+
+
+def random_motion(n_joints: int) -> JointMotion:
+    return JointMotion(*np.random.default_rng(n_joints).uniform(-2.0, 2.0, (3, 20, n_joints)))
+
+
+def chain(n_joints: int, gravity: float) -> Arm:
+    """A planar arm of equal links as a chain."""
+    joints = [
+        replace(drive(i), origin=Origin((LENGTH if i else 0.0, 0.0, 0.0))) for i in range(n_joints)
+    ]
+    arm = Arm.of(ArmDescription("serial", tuple(joints), (0.0, -gravity, 0.0)))
+    placed = [(str(j.motion), [*j.origin.xyz], [*j.origin.rpy], [*j.axis]) for j in joints]
+    arm.__dict__["core"] = core_of(placed, gravity=[0.0, -gravity, 0.0])
+    return arm
+
+
+def closed_form(motion: JointMotion, i: int, gravity: float) -> FloatArray:
+    """Specific force of a point at the accelerometer's distance on link i, along the tangent."""
+    angle, rate, turning = (
+        x.cumsum(axis=1)[:, : i + 1] for x in (motion.angle, motion.velocity, motion.acceleration)
+    )
+    lengths = np.array([LENGTH] * i + [DISTANCES[i]])
+    force = (lengths * (1j * turning - rate**2) * np.exp(1j * angle)).sum(axis=1) + 1j * gravity
+    return np.asarray((force * np.exp(-1j * angle[:, i])).imag)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_planar_arms_read_8_and_9(gravity: float) -> None:
+    motion = random_motion(2)
+    q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
+    arm = Arm.of(planar_two_link([drive(0), drive(1)], LENGTH, gravity))
+    first, second = (read_accelerometer(arm, motion, i) for i in (0, 1))
+    carried = LENGTH * (ddq[:, 0] * np.cos(q[:, 1]) + dq[:, 0] ** 2 * np.sin(q[:, 1]))
+    expected = DISTANCES[1] * ddq.sum(axis=1)
+    np.testing.assert_allclose(first.rotation, DISTANCES[0] * ddq[:, 0], atol=ROUNDING)
+    np.testing.assert_array_equal(first.translation, 0.0)
+    np.testing.assert_allclose(first.gravity, gravity * np.cos(q[:, 0]), atol=ROUNDING)
+    np.testing.assert_allclose(second.rotation, expected, atol=ROUNDING)
+    np.testing.assert_allclose(second.translation, carried, atol=ROUNDING)
+    np.testing.assert_allclose(second.gravity, gravity * np.cos(q.sum(axis=1)), atol=ROUNDING)
+    np.testing.assert_allclose(read_gyro(arm, motion, 1), dq.sum(axis=1), atol=ROUNDING)
+    gains = acceleration_gains(arm, q, 1, gyro=False)
+    expected = DISTANCES[1] + LENGTH * np.cos(q[:, 1])
+    np.testing.assert_allclose(gains[:, 0], expected, atol=ROUNDING)
+    np.testing.assert_allclose(gains[:, 1], DISTANCES[1], atol=ROUNDING)
+    np.testing.assert_allclose(acceleration_gains(arm, q, 1, gyro=True), 1.0, atol=ROUNDING)
+
+
+def test_a_slide_reads_its_acceleration() -> None:
+    arm, motion = Arm.of(single_joint(Joint("linear", 0.01, "prismatic"))), random_motion(1)
+    reading = read_accelerometer(arm, motion, 0)
+    np.testing.assert_array_equal(reading.translation, motion.acceleration[:, 0])
+    np.testing.assert_array_equal(reading.rotation + reading.gravity, 0.0)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+@pytest.mark.parametrize("n_joints", [1, 2, 3])
+def test_planar_chains_of_any_length(n_joints: int, gravity: float) -> None:
+    arm, motion = chain(n_joints, gravity), random_motion(n_joints)
+    for i in range(n_joints):
+        expected = closed_form(motion, i, gravity)
+        reading = read_accelerometer(arm, motion, i)
+        np.testing.assert_allclose(reading.sum, expected, atol=ROUNDING)
+        np.testing.assert_allclose(
+            read_gyro(arm, motion, i), motion.velocity[:, : i + 1].sum(axis=1), atol=ROUNDING
+        )
+        any_gravity = read_gravity(arm, motion.angle, i, np.array([0.0, -gravity, 0.0]))
+        np.testing.assert_allclose(any_gravity, reading.gravity, atol=ROUNDING)
+        gains = acceleration_gains(arm, motion.angle, i, gyro=False)
+        still = replace(motion, acceleration=np.zeros_like(motion.angle))
+        rest = closed_form(still, i, gravity)
+        np.testing.assert_allclose(
+            rest + (gains * motion.acceleration).sum(axis=1), expected, atol=ROUNDING
+        )
+        for j in range(n_joints):
+            step = 1e-6 * (np.arange(n_joints) == j)
+            high, low = (
+                closed_form(replace(motion, angle=motion.angle + s), i, gravity)
+                for s in (step, -step)
+            )
+            slope = angle_derivatives(arm, motion, i)[:, j]
+            # rounding of numbers of about ten, over the step
+            np.testing.assert_allclose(slope, (high - low) / 2e-6, atol=1e-8)
