@@ -5,6 +5,8 @@ import pytest
 
 from serial_chains import Joint, chain, random_joints
 from strainwave.domain import Joint as Drive
+from strainwave.domain.kinds.planar_two_link import planar_two_link
+from strainwave.domain.kinds.single_joint import single_joint
 from strainwave.dynamics.arm import Arm
 
 GRAVITY, LENGTH = 9.81, 0.35
@@ -18,13 +20,13 @@ def test_planar_arms_are_chains() -> None:
     motion = np.random.default_rng(1).uniform(-2.0, 2.0, (3, 10, 2))
     for gravity in (0.0, GRAVITY):
         for arm, places in [
-            (Arm("planar-two-link", (DRIVE, DRIVE), LENGTH, gravity), [0.0, LENGTH]),
-            (Arm("single-joint", (DRIVE,), gravity=gravity), [0.0]),
+            (Arm.of(planar_two_link((DRIVE, DRIVE), LENGTH, gravity)), [0.0, LENGTH]),
+            (Arm.of(single_joint(DRIVE, gravity)), [0.0]),
         ]:
             same = chain([turning(x) for x in places], gravity=[0.0, -gravity, 0.0])
             parts = np.ascontiguousarray(motion[:, :, : len(places)])
             np.testing.assert_array_equal(arm.link_motion(*parts), same.link_motion(*parts))
-    slide = Arm("single-joint", (Drive("linear", 0.01, "prismatic"),))
+    slide = Arm.of(single_joint(Drive("linear", 0.01, "prismatic")))
     expected = np.zeros((10, 1, 9))
     expected[:, 0, 6] = motion[2, :, 0]
     np.testing.assert_array_equal(slide.link_motion(*motion[:, :, :1]), expected)
@@ -32,7 +34,7 @@ def test_planar_arms_are_chains() -> None:
 
 def test_a_link_of_a_vertical_arm() -> None:
     q, dq, ddq = np.array([[0.4]]), np.array([[1.5]]), np.array([[-2.0]])
-    motion = Arm("single-joint", (DRIVE,), gravity=GRAVITY).link_motion(q, dq, ddq)
+    motion = Arm.of(single_joint(DRIVE, GRAVITY)).link_motion(q, dq, ddq)
     expected = [0.0, 0.0, 1.5, 0.0, 0.0, -2.0, GRAVITY * np.sin(0.4), GRAVITY * np.cos(0.4), 0.0]
     np.testing.assert_allclose(motion[0, 0], expected, atol=1e-15)
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from serial_chains import chain as core_of
 from strainwave.domain import FloatArray, Joint
 from strainwave.domain.arm import ArmDescription, Origin
 from strainwave.domain.kinds.planar_two_link import planar_two_link
@@ -37,10 +36,7 @@ def chain(n_joints: int, gravity: float) -> Arm:
     joints = [
         replace(drive(i), origin=Origin((LENGTH if i else 0.0, 0.0, 0.0))) for i in range(n_joints)
     ]
-    arm = Arm.of(ArmDescription("serial", tuple(joints), (0.0, -gravity, 0.0)))
-    placed = [(str(j.motion), [*j.origin.xyz], [*j.origin.rpy], [*j.axis]) for j in joints]
-    arm.__dict__["core"] = core_of(placed, gravity=[0.0, -gravity, 0.0])
-    return arm
+    return Arm.of(ArmDescription("serial", tuple(joints), (0.0, -gravity, 0.0)))
 
 
 def closed_form(motion: JointMotion, i: int, gravity: float) -> FloatArray:

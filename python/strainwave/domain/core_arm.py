@@ -26,7 +26,13 @@ def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> C
         return CoreArm.serial_chain(placed, springs, ratios, gravity=gravity, **constants)
     length = arm.joints[-1].origin.xyz[0]
     return CoreArm(
-        arm.kind, springs, ratios, link_length=length, gravity=arm.gravity_size, **constants
+        arm.kind,
+        springs,
+        ratios,
+        motion=arm.joints[0].motion,
+        link_length=arm.joints[-1].origin.xyz[0],
+        gravity=arm.gravity_size,
+        **constants,
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -180,14 +180,11 @@ class Arm(ArmDescription):
 
     def link_attitudes(self, angle: FloatArray) -> FloatArray:
         """Axes of the base's frame in those of the links: (n_samples, n_joints, 3, 3) columns."""
-        placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in self.joints]
         angle, rest = np.ascontiguousarray(angle), np.zeros_like(angle)
         axes = np.empty((*angle.shape, 3, 3))
         for k, axis in enumerate(np.eye(3)):
-            laws = ["rigid"] * self.n_joints
-            ratios = self.gear_ratios.tolist()
-            chain = _core.Arm.serial_chain(placed, laws, ratios, gravity=(-axis).tolist())
-            axes[..., k] = chain.link_motion(angle, rest, rest)[..., 6:]
+            chain = replace(self, kind="serial", gravity=tuple(-axis))
+            axes[..., k] = chain.core.link_motion(angle, rest, rest)[..., 6:]
         return axes
 
     def link_motion_derivatives(
