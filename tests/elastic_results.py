@@ -54,9 +54,11 @@ def study() -> Study:
 
 def response(f: FloatArray) -> ComplexArray:
     """G11 of the joint."""
-    A, B, C = state_space(JOINT)
+    model = state_space(JOINT)
     s = 2j * np.pi * f[:, None, None]
-    return np.asarray((C @ np.linalg.solve(s * np.eye(3) - A, B.astype(complex)))[:, 0, 0])
+    return np.asarray(
+        (model.C @ np.linalg.solve(s * np.eye(3) - model.A, model.B.astype(complex)))[:, 0, 0]
+    )
 
 
 def measured() -> FrequencyResponse:
@@ -94,14 +96,14 @@ def joint_model(number: int = 1) -> JointModel:
 
 def sampled() -> StateSpace:
     """Discrete-time model of the joint with zero-order hold."""
-    A, B, C = state_space(JOINT)
+    model = state_space(JOINT)
     block = np.zeros((5, 5))
-    block[:3, :3], block[:3, 3:] = A, B
+    block[:3, :3], block[:3, 3:] = model.A, model.B
     stepped = expm(SAMPLE * block)
     return StateSpace(
         A=stepped[:3, :3],
         B=stepped[:3, 3:],
-        C=C,
+        C=model.C,
         D=np.zeros((2, 2)),
         K=np.zeros((3, 2)),
         noise_covariance=np.eye(2),

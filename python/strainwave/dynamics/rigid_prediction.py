@@ -159,7 +159,7 @@ def _predict_block(
     sticks: BoolArray,
 ) -> FloatArray:
     """Motor torques of a block of samples with their directions and stiction."""
-    n, first = arm.gear_ratios, arm.n_body
+    first = arm.n_body
     angle, velocity, acceleration, measured = (
         x[block]
         for x in (
@@ -169,7 +169,7 @@ def _predict_block(
             signals.motor_torque,
         )
     )
-    phi = arm.rigid_regressor(angle * n, velocity * n, acceleration * n)
+    phi = arm.rigid_regressor(*map(arm.links_of, (angle, velocity, acceleration)))
     viscous, coulomb, offset = solution[first:].reshape(arm.n_joints, FRICTION_COLUMNS).T
     body = phi @ solution[:first]
     smooth = body + viscous * velocity + offset

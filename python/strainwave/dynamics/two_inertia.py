@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Mode
+from strainwave.domain import ContinuousStateSpace, FloatArray, Mode
 
 _RELATIVE_STEP = 1e-6  # of central differences: rounding and truncation errors near 1e-11
 
@@ -50,8 +50,8 @@ NAMES = tuple(field.name for field in fields(TwoInertia))[:6]
 """Names of the six physical parameters in order."""
 
 
-def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A (3, 3), B (3, 2), C (2, 3) of the minimal model.
+def state_space(p: TwoInertia) -> ContinuousStateSpace:
+    """Minimal model.
 
     The states are delta, w_M, w_L, the inputs u, tau, and the outputs w_M, w_L. The fourth state of
     (11), a common rotation of both sides, is not observable from velocities.
@@ -67,7 +67,7 @@ def state_space(p: TwoInertia) -> tuple[FloatArray, FloatArray, FloatArray]:
     )
     B = np.array([[0.0, 0.0], [1.0 / motor, 0.0], [0.0, 1.0 / link]])
     C = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-    return A, B, C
+    return ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
 
 
 def coefficients(p: TwoInertia) -> tuple[FloatArray, FloatArray]:

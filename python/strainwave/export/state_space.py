@@ -54,9 +54,14 @@ def state_space(arm: IdentifiedArm, joint: int) -> Matrices:
     stiffness of `GearLaw.linearised_by`; gravity is neglected. Raises `InvalidInput` if there is no
     such joint, its gear is rigid, or a parameter is missing or not physical.
     """
-    A, B, C = two_inertia.state_space(joint_model(arm, joint))
+    model = two_inertia.state_space(joint_model(arm, joint))
     # the link acceleration is the derivative of the third state
-    return Matrices(A, B, np.vstack([C[0], A[2]]), np.vstack([np.zeros(2), B[2]]))
+    return Matrices(
+        model.A,
+        model.B,
+        np.vstack([model.C[0], model.A[2]]),
+        np.vstack([np.zeros(2), model.B[2]]),
+    )
 
 
 def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:

@@ -105,7 +105,7 @@ def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Eviden
 
 def growth_of(joint: TwoInertia) -> float:
     """Largest modulus of a joint's discrete-time poles at 1 ms."""
-    slowest = float(np.linalg.eigvals(state_space(joint)[0]).real.max())
+    slowest = float(np.linalg.eigvals(state_space(joint).A).real.max())
     return float(np.exp(slowest * _GROWTH_SAMPLE_TIME))
 
 
@@ -126,8 +126,7 @@ def large_error(name: str, percent: float, otherwise: str = "") -> Criterion:
 
 def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> FrequencyResponse:
     """Frequency response of a joint with known parameters."""
-    A, B, C = state_space(joint)
-    return frequency_response(ContinuousStateSpace(A, B, C, np.zeros((2, 2))), frequencies_hz)
+    return frequency_response(state_space(joint), frequencies_hz)
 
 
 def errors_of(model: Estimate, truth: TwoInertia) -> Errors:

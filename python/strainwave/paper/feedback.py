@@ -153,9 +153,9 @@ def linear_outputs(run: Run) -> FloatArray:
     from scipy.signal import lsim
 
     record = run.decoupled
-    A, B, C = state_space(run.truth)
+    model = state_space(run.truth)
     time = np.arange(len(record.inputs)) * record.sample_time
-    _, y, _ = lsim((A, B, C, np.zeros((2, 2))), record.inputs, time)
+    _, y, _ = lsim((model.A, model.B, model.C, model.D), record.inputs, time)
     if record.fusion is not None:
         difference = record.gear_ratio * y[:, 0] - y[:, 1]
         y[:, 1] += complement(difference, record.fusion, record.sample_time)

@@ -38,9 +38,9 @@ def motor_response(vector: FloatArray, gear_ratio: float, f: FloatArray) -> Comp
     `vector` (6,) has the parameters of a joint in the order of `TwoInertia`; `f` (n_frequencies,)
     is in Hz. Returns (n_frequencies,) [rad/s/(N m)].
     """
-    A, B, C = state_space(joint_of(vector, gear_ratio))
+    p = state_space(joint_of(vector, gear_ratio))
     s = 2j * np.pi * f[:, None, None]
-    return np.asarray((C @ np.linalg.solve(s * np.eye(3) - A, B.astype(complex)))[:, 0, 0])
+    return np.asarray((p.C @ np.linalg.solve(s * np.eye(3) - p.A, p.B.astype(complex)))[:, 0, 0])
 
 
 def response_jacobian(vector: FloatArray, gear_ratio: float, f: FloatArray) -> ComplexArray:

@@ -222,9 +222,8 @@ def _fit_percent(
     joint: TwoInertia, records: Sequence[Decoupled], band: tuple[float, float]
 ) -> dict[str, float]:
     """Fit of the physical parameters to both velocities in the band, in percent."""
-    A, B, C = state_space(joint)
-    B[:, records[0].inputs.shape[1] :] = 0.0
-    physical = ContinuousStateSpace(A, B, C, np.zeros((2, 2)))
+    physical = state_space(joint)
+    physical.B[:, records[0].inputs.shape[1] :] = 0.0
     outputs_and_residuals = [_outputs_and_residuals(physical, record, band) for record in records]
     residuals = np.concatenate([residual for _, residual in outputs_and_residuals])
     norm = np.linalg.norm(

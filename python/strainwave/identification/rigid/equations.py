@@ -86,7 +86,7 @@ class Loads:
 
         The load is the body torque of the estimate, without friction.
         """
-        q, dq, ddq = (x * arm.gear_ratios for x in stretch.motion)
+        q, dq, ddq = map(arm.links_of, stretch.motion)
         body = arm.rigid_regressor(q, dq, ddq) @ around.solution[: arm.n_body]
         friction = stretch.filtered(np.abs(body) * self.direction[record])
         columns = np.zeros((*friction.shape, len(self.joints)))
@@ -242,8 +242,7 @@ class _BodyEquations:
 def _body_equations(
     arm: Arm, stretch: Stretch, around: Estimate | None, record: int
 ) -> _BodyEquations:
-    n = arm.gear_ratios
-    q, dq, ddq = (x * n for x in stretch.motion)
+    q, dq, ddq = map(arm.links_of, stretch.motion)
     if around is None or not n_compliances(arm):
         phi = stretch.filtered(arm.rigid_regressor(q, dq, ddq))
         return _BodyEquations(phi, np.zeros((len(phi), arm.n_joints, 0)), stretch.torque)
@@ -254,9 +253,8 @@ def _body_equations(
     c = around.compliance
     phi = arm.rigid_regressor(q - c * gear, dq - c * dgear, ddq - c * ddgear)
     # motor inertia acts on the motor acceleration, not the link acceleration
-    motors = arm.motors_of_rigid(around.motor_share)
-    for i, k in np.argwhere(motors):
-        phi[:, i, k] += motors[i, k] / n[i] * c[i] * ddgear[:, i]
+    lag = arm.motor_accelerations(c * ddgear)
+    phi += lag[:, :, None] * arm.motors_of_rigid(around.motor_share)
     elastic = np.array([joint.elastic for joint in arm.joints])
     lags = _compliance_regressor(arm, around, q, ddgear) * elastic
     filtered = stretch.filtered(np.concatenate([phi, lags], axis=2))
@@ -269,23 +267,23 @@ def _gear_torque(arm: Arm, stretch: Stretch, around: Estimate, standing: FloatAr
 
     Low-passed at twice the bandwidth of the equations, because it is differentiated twice.
     """
-    n = arm.gear_ratios
     (_, velocity, acceleration), (torque, direction) = stretch.motion, stretch.drive
     solution = around.solution
     viscous, coulomb, offset = solution[arm.n_body :].reshape(-1, FRICTION_COLUMNS).T
     friction = viscous * velocity + coulomb * direction + offset + standing
     inertia = arm.motors_of_rigid(around.motor_share) @ solution[: arm.n_body]
-    net = (torque - friction - inertia * acceleration) / n
+    net = torque - friction - inertia * acceleration
+    at_links = np.asarray(np.linalg.solve(arm.transmission.T, net.T).T, dtype=np.float64)
     T, step = stretch.signals.sample_time, stretch.motion_step
-    return low_pass(net, 2.0 * stretch.bandwidth_hz, T, decimated=step)
+    return low_pass(at_links, 2.0 * stretch.bandwidth_hz, T, decimated=step)
 
 
 def _compliance_regressor(
     arm: Arm, around: Estimate, angle: FloatArray, ddgear: FloatArray
 ) -> FloatArray:
-    """Motor torque per compliance, -n_i M_ij(q) ddT_j: (n_samples, n_joints, n_joints)."""
+    """Motor torque per compliance, -N C^T M_j(q) ddT_j: (n_samples, n_joints, n_joints)."""
     torque = arm.torques_of_accelerations(_base(arm, around), angle, ddgear)
-    return np.asarray(-arm.gear_ratios[:, None] * torque)
+    return np.asarray(-arm.motors_of(np.swapaxes(torque, 1, 2)).swapaxes(1, 2))
 
 
 def _base(arm: Arm, around: Estimate) -> FloatArray:

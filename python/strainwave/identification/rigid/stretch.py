@@ -173,19 +173,18 @@ def _column_noise(arm: Arm, signals: Signals, bandwidth_hz: float) -> FloatArray
     sqrt(2 f T / (2 k + 1)) in the k-th derivative.
     """
     f, T = bandwidth_hz, signals.sample_time
-    n = arm.gear_ratios
     velocity_noise, acceleration_noise = (
         signals.angle_noise * (2.0 * np.pi * f) ** k * np.sqrt(2.0 * f * T / (2 * k + 1))
         for k in (1, 2)
     )
-    angle = signals.motor_angle[:: max(1, len(signals.time) // 200)] * n
+    angle = arm.links_of(signals.motor_angle[:: max(1, len(signals.time) // 200)])
     zero = np.zeros_like(angle)
     static = arm.rigid_regressor(angle, zero, zero)
     power = np.zeros(len(arm.rigid_columns))
     for j in range(arm.n_joints):
-        acceleration = zero.copy()
-        acceleration[:, j] = n[j] * acceleration_noise[j]
-        phi = arm.rigid_regressor(angle, zero, acceleration) - static
+        motors = zero.copy()
+        motors[:, j] = acceleration_noise[j]
+        phi = arm.rigid_regressor(angle, zero, arm.links_of(motors)) - static
         power[: arm.n_body] += np.mean(phi**2, axis=(0, 1))
         power[arm.n_body + FRICTION_COLUMNS * j] = velocity_noise[j] ** 2 / arm.n_joints
     return np.asarray(np.sqrt(power))

@@ -63,7 +63,9 @@ def test_residuals_independent_of_inputs_have_no_input_correlation() -> None:
     p_values = []
     for _ in range(300):
         inputs = np.column_stack([behind(rng.normal(size=3000)) for _ in range(2)])
-        p_values.append(correlate_with_inputs(behind(rng.normal(size=3000)), inputs, ROW)[3])
+        p_values.append(
+            correlate_with_inputs(behind(rng.normal(size=3000)), inputs, ROW).probability
+        )
     # the p-value for all delays together is conservative
     assert np.mean(np.array(p_values) < 0.05) < 0.05 + 3.0 * np.sqrt(0.05 / 300.0)
 
@@ -74,15 +76,16 @@ def test_an_input_correlation_gives_the_input_and_the_delay(delay: int) -> None:
     inputs = np.column_stack([behind(rng.normal(size=6000)) for _ in range(2)])
     residual = rng.normal(size=len(inputs)) * np.std(inputs)
     residual[delay:] -= 0.5 * inputs[: len(inputs) - delay, 1]
-    joint, correlation, estimated_delay, p_value = correlate_with_inputs(residual, inputs, ROW)
-    assert joint == 2
-    assert correlation < -0.2
-    assert estimated_delay == pytest.approx(delay * ROW, abs=0.1 * ROW)
-    assert p_value < 1e-6
+    by_input = correlate_with_inputs(residual, inputs, ROW)
+    assert by_input.joint == 2
+    assert by_input.correlation < -0.2
+    assert by_input.delay == pytest.approx(delay * ROW, abs=0.1 * ROW)
+    assert by_input.probability < 1e-6
 
 
 def test_a_constant_channel_has_no_input_correlation() -> None:
-    assert correlate_with_inputs(np.zeros(100), np.ones((100, 2)), ROW) == (1, 0.0, 0.0, 1.0)
+    by_input = correlate_with_inputs(np.zeros(100), np.ones((100, 2)), ROW)
+    assert (by_input.correlation, by_input.probability) == (0.0, 1.0)
     assert has_noise_spectrum(np.zeros(100), ROW, KERNELS.smooth, T, 48.0) == 1.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import VISCOUS
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.filters import signal_band
 
@@ -58,7 +60,7 @@ def motor_side_limits(
                 yield Diagnostic("motor-side-limit", f"joint {number}", text)
         poor_viscous = [p for p in joint_parameters if p.name in VISCOUS and _is_poor(p, at_bounds)]
         if poor_viscous:
-            anti_resonance_hz = _anti_resonance(fit, arm, number)
+            anti_resonance_hz = anti_resonance(_undamped_joint(fit, arm, number)).frequency_hz
             text = (
                 f"{_describe(poor_viscous, at_bounds)}: far below the anti-resonance,"
                 f" {anti_resonance_hz:.3g} Hz, motor"
@@ -90,66 +92,67 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
     return ", ".join(descriptions)
 
 
-def _joint_dynamics(fit: Fit, arm: Arm, joint: int) -> tuple[float, float, float]:
-    """Stiffness, damping and s = 1/m_L + n^2/m_M of a fitted joint, link side.
-
-    The stiffness is that at zero torsion.
-    """
-    values = fit.objective.space.values(fit.z)
-    law, ratio = arm.joints[joint - 1].law, arm.joints[joint - 1].gear_ratio
-    (stiffness,) = law.stiffness(law.of_joint(values, joint), np.zeros(1)).tolist()
-    s = 1.0 / value_of(arm.link_inertia(joint), values) + ratio**2 / values["motor_inertia", joint]
-    return stiffness, values["gear_damping", joint], s
-
-
-def _anti_resonance(fit: Fit, arm: Arm, joint: int) -> float:
-    """Anti-resonance frequency sqrt(k / m_L) / (2 pi) [Hz]."""
-    stiffness, _, _ = _joint_dynamics(fit, arm, joint)
-    m_l = value_of(arm.link_inertia(joint), fit.objective.space.values(fit.z))
-    return float(np.sqrt(stiffness / m_l) / (2.0 * np.pi))
+def _undamped_joint(fit: Fit, arm: Arm, joint: int) -> TwoInertia:
+    """A fitted joint with a free motor, without friction and damping; stiffness at zero torsion."""
+    values, description = fit.objective.space.values(fit.z), arm.joints[joint - 1]
+    curve = description.law.of_joint(values, joint)
+    return TwoInertia(
+        motor_inertia=values["motor_inertia", joint],
+        motor_viscous_friction=0.0,
+        link_inertia=value_of(arm.link_inertia(joint), values),
+        link_viscous_friction=0.0,
+        gear_stiffness=float(description.law.stiffness(curve, np.zeros(1))[0]),
+        gear_damping=0.0,
+        gear_ratio=description.gear_ratio,
+    )
 
 
 def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
     """Reasons why the motor encoder does not determine the gear: stiffness, damping, resolution."""
-    stiffness, damping, s = _joint_dynamics(fit, arm, joint)
-    resonance = float(np.sqrt(stiffness * s) / (2.0 * np.pi))
+    undamped = _undamped_joint(fit, arm, joint)
+    resonance_hz = resonance(undamped).frequency_hz
     records = fit.objective.records
     logs = [record.log for record in records]
     signal_hz = max(signal_band(log.channels[f"theta_m{joint}"], log.sample_time) for log in logs)
     band = min(signal_hz, max(record.cutoff_hz for record in records))
-    if resonance > _MAX_RESONANCE_BAND_SHARE * band:
-        where = "beyond" if resonance > band else "near the end of"
+    if resonance_hz > _MAX_RESONANCE_BAND_SHARE * band:
+        where = "beyond" if resonance_hz > band else "near the end of"
         yield (
-            f"the gear is very stiff: its resonance, {resonance:.3g} Hz, lies {where} the band of"
-            f" {band:.3g} Hz in which the motor's motion stands above its encoder's noise"
+            f"the gear is very stiff: its resonance, {resonance_hz:.3g} Hz, lies {where} the band"
+            f" of {band:.3g} Hz in which the motor's motion stands above its encoder's noise"
         )
-    damping_ratio = 0.5 * damping * float(np.sqrt(s / stiffness))
+    damping = fit.objective.space.values(fit.z)["gear_damping", joint]
+    damping_ratio = np.pi * resonance_hz * damping / undamped.gear_stiffness
     if damping_ratio > _MAX_PEAK_DAMPING_RATIO:
         yield (
             f"the gear is very damped: with a damping ratio of {damping_ratio:.2g} its resonance,"
-            f" {resonance:.3g} Hz, makes no peak in the motor's response"
+            f" {resonance_hz:.3g} Hz, makes no peak in the motor's response"
         )
     counts = arm.joints[joint - 1].encoder_counts
-    share, error, noise = _rounding_share(fit, joint)
-    if counts and share > _MIN_ROUNDING_SHARE:
+    velocity = _busiest_velocity(fit, joint)
+    if counts and velocity.rounding**2 > _MIN_ROUNDING_SHARE * velocity.residual**2:
         yield (
-            f"the encoder is coarse: of the residuals of omega_m{joint}, {error:.2g} rad/s,"
-            f" {noise:.2g} are the rounding of its {counts:g} counts per turn"
+            f"the encoder is coarse: of the residuals of omega_m{joint}, {velocity.residual:.2g}"
+            f" rad/s, {velocity.rounding:.2g} are the rounding of its {counts:g} counts per turn"
         )
 
 
-def _rounding_share(fit: Fit, joint: int) -> tuple[float, float, float]:
-    """Share of encoder rounding in the residual variance of a motor velocity.
+@dataclass(frozen=True, slots=True, order=True)
+class _Velocity:
+    """Standard deviations [rad/s] of a motor velocity in one record."""
 
-    The second and third values are the standard deviations of residual and rounding [rad/s]. They
-    refer to the record in which the motor moves most.
-    """
-    candidates = []
+    motion: float
+    residual: float
+    rounding: float  # of the encoder
+
+
+def _busiest_velocity(fit: Fit, joint: int) -> _Velocity:
+    """Velocity of a motor in the record in which it moves most."""
+    velocities = []
     for record, weights in zip(fit.objective.records, fit.objective.weights, strict=True):
         column = [(c.quantity, c.joint) for c in record.channels].index(("motor_angle", joint))
-        slope = float(np.linalg.norm(record.kernels.taps(rate=True)))
-        noise = record.counts[column] / np.sqrt(12.0) * slope
+        slope = np.linalg.norm(record.kernels.taps(rate=True))
+        rounding = float(record.counts[column] / np.sqrt(12.0) * slope)
         motion = float(np.std(record.measured[:, column]))
-        candidates.append((motion, float(weights.stds[column]), float(noise)))
-    _, error, noise = max(candidates)
-    return min(1.0, (noise / error) ** 2) if error > 0.0 else 0.0, error, noise
+        velocities.append(_Velocity(motion, float(weights.stds[column]), rounding))
+    return max(velocities)

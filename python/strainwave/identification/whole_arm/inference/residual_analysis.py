@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from math import erfc, sqrt
@@ -66,7 +67,7 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
     noise_density = 2.0 * T * raw**2 * gain**2
     band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
     ratio = density[band] / np.maximum(noise_density[band], 1e-300)
-    joint, correlation, delay, probability = correlate_with_inputs(left, inputs, kernels.step * T)
+    by_input = correlate_with_inputs(left, inputs, kernels.step * T)
     return ResidualTest(
         experiment=record.log.name,
         channel=channel.name.replace("theta", "omega"),
@@ -79,10 +80,10 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
         whiteness=has_noise_spectrum(
             left, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
         ),
-        input_joint=joint,
-        input_correlation=correlation,
-        input_delay=delay,
-        input_probability=probability,
+        input_joint=by_input.joint,
+        input_correlation=by_input.correlation,
+        input_delay=by_input.delay,
+        input_probability=by_input.probability,
         correlation=correlate_residuals(left, inputs, kernels.step * T),
     )
 
@@ -128,22 +129,31 @@ def has_noise_spectrum(
     return float(np.clip(2.0 * np.sum((-1.0) ** (k - 1) * np.exp(-2.0 * (k * x) ** 2)), 0.0, 1.0))
 
 
+@dataclass(frozen=True, slots=True)
+class InputCorrelation:
+    """Most significant correlation of a residual with an input."""
+
+    joint: int  # of the input, from 1
+    correlation: float
+    delay: float  # [s] of the residual
+    probability: float  # p-value: residual and input are independent
+
+
 def correlate_with_inputs(
     left: FloatArray, inputs: FloatArray, row_time: float
-) -> tuple[int, float, float, float]:
+) -> InputCorrelation:
     """Find the input and delay with the most significant correlation with a residual.
 
     For independent signals, the cross-correlation at one delay has the variance (1/n) times the sum
     of the products of both autocorrelations (Bartlett).
 
     `left`, (n_rows,), is the residual and `inputs` is (n_rows, n_joints), both with period
-    `row_time` [s]. Returns the joint, counted from 1, the correlation, the delay [s] and the
-    p-value.
+    `row_time` [s].
     """
     n = len(left)
     delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
     residual_spectrum, residual_products = spectrum_and_autocovariance(left)
-    best = (1, 0.0, 0.0, 1.0)
+    best = InputCorrelation(1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
         input_spectrum, input_products = spectrum_and_autocovariance(inputs[:, j])
         if not (residual_products[0] > 0.0 and input_products[0] > 0.0):
@@ -155,10 +165,8 @@ def correlate_with_inputs(
         lag = int(np.argmax(np.abs(correlation)))
         z_score = abs(float(correlation[lag])) / sqrt(variance)
         probability = min(1.0, delays * inputs.shape[1] * erfc(z_score / sqrt(2.0)))
-        if probability < best[3] or (
-            probability == best[3] and abs(correlation[lag]) > abs(best[1])
-        ):
-            best = (j + 1, float(correlation[lag]), lag * row_time, probability)
+        if (-probability, abs(correlation[lag])) > (-best.probability, abs(best.correlation)):
+            best = InputCorrelation(j + 1, float(correlation[lag]), lag * row_time, probability)
     return best
 
 

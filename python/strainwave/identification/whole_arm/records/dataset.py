@@ -120,10 +120,9 @@ class Dataset:
             return np.zeros(0)
         n, T = self.arm.n_joints, self.log.sample_time
         n_first = max(2, round(INITIAL_INTERVAL / T))
-        ratios = np.array([joint.gear_ratio for joint in self.arm.joints])
         angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:n_first] for i in range(n)])
         slope, origin = np.polyfit(T * np.arange(n_first), angle, 1)
-        return np.concatenate([slope, ratios * origin, ratios * slope])
+        return np.concatenate([slope, self.arm.links_of(origin), self.arm.links_of(slope)])
 
     def run(
         self,
