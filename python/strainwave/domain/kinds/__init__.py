@@ -6,7 +6,7 @@ a chain, unless `strainwave.domain.core_arm` names a compiled program for it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 from strainwave.domain.arm import ArmDescription
@@ -21,6 +21,7 @@ __all__ = [
     "Kind",
     "RigidColumn",
     "all_kinds",
+    "arm_keys",
     "change_arm_keys",
     "kind_named",
     "kind_of",
@@ -58,6 +59,11 @@ def register(kind: Kind[Any]) -> None:
 def unregister(name: str) -> None:
     """Remove a kind. Raises InvalidInput if there is none of that name."""
     _KINDS.remove(name)
+
+
+def arm_keys(arm: ArmDescription) -> tuple[str, ...]:
+    """Keys of the `[arm]` table of an arm of this kind, without `kind`."""
+    return tuple(field.name for field in fields(kind_of(arm).table))
 
 
 def change_arm_keys(arm: ArmDescription, **values: Any) -> ArmDescription:

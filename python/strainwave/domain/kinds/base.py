@@ -72,6 +72,20 @@ def wrong_number_of_joints(kind: str, count: int, expected: int) -> Fault:
     )
 
 
+def negative_ratios(joints: Sequence[Joint]) -> Iterator[Fault]:
+    """Faults of planar arms: their motors are reversed by the scale of a channel."""
+    for index, joint in enumerate(joints):
+        if joint.gear_ratio < 0.0:
+            yield Fault(
+                f"'gear_ratio' is {joint.gear_ratio:g}, but it should be greater than 0",
+                f"set a positive ratio; reverse the motor with channels.theta_m{index + 1} = "
+                "{ column = ..., scale = -1.0 }",
+                "joint",
+                index,
+                "gear_ratio",
+            )
+
+
 def in_plane_gravity(gravity: float | None) -> Vector | None:
     """Gravity [m/s^2] along -y as a vector; None without gravity."""
     return (0.0, -gravity, 0.0) if gravity else None

@@ -16,6 +16,7 @@ from strainwave.domain.kinds.base import (
     Fault,
     Kind,
     in_plane_gravity,
+    negative_ratios,
     wrong_number_of_joints,
 )
 from strainwave.domain.kinds.bodies import Body, ParameterLookup, about_axis
@@ -136,6 +137,7 @@ class PlanarTwoLink(Kind[PlanarTable]):
                     index,
                     "motion",
                 )
+        yield from negative_ratios(joints)
 
     def construct(
         self, table: PlanarTable, joints: Sequence[Joint], servo: Servo | None = None

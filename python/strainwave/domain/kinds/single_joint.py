@@ -11,6 +11,7 @@ from strainwave.domain.kinds.base import (
     Fault,
     Kind,
     in_plane_gravity,
+    negative_ratios,
     wrong_number_of_joints,
 )
 from strainwave.domain.kinds.bodies import ASSUMED_LENGTH, Body, ParameterLookup, about_axis
@@ -93,6 +94,7 @@ class SingleJoint(Kind[SingleJointTable]):
                 "arm",
                 key="gravity",
             )
+        yield from negative_ratios(joints)
 
     def construct(
         self, table: SingleJointTable, joints: Sequence[Joint], servo: Servo | None = None

@@ -36,12 +36,11 @@ def check_consistency(study: Study, reader: Reader) -> None:
 
 def _check_joints(arm: ArmDescription, reader: Reader) -> None:
     for index, joint in enumerate(arm.joints):
-        if joint.gear_ratio <= 0.0:
+        if joint.gear_ratio == 0.0:
             raise InvalidInput(
-                f"'gear_ratio' is {joint.gear_ratio:g}, but it should be greater than 0",
+                "'gear_ratio' is 0",
                 where=reader.place("joint", index, "gear_ratio"),
-                remedy=f"set a positive ratio; reverse the motor with channels.theta_m{index + 1}"
-                " = { column = ..., scale = -1.0 }",
+                remedy="set link turns per motor turn",
             )
         if joint.imu is not None and joint.motion == "prismatic":
             raise InvalidInput(
@@ -235,7 +234,7 @@ def _check_record_sizes(
 ) -> None:
     for limit in limits:
         value = getattr(record, limit.key, None)
-        if value is None or limit.minimum <= value <= limit.maximum:
+        if value is None or limit.minimum <= abs(value) <= limit.maximum:
             continue
         remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"
         if limit.key == "gear_ratio" and value > limit.maximum:

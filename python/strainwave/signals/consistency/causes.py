@@ -13,6 +13,7 @@ import numpy as np
 
 from strainwave.domain import Correction, Place, Suspicion
 from strainwave.domain.corrections import correction_text
+from strainwave.domain.kinds import arm_keys
 from strainwave.domain.study_limits import accepted_range
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.message_text import format_number, join_names
@@ -317,6 +318,8 @@ def _propose_amplitudes(evidence: Evidence, name: str) -> Iterator[Cause]:
 
 def _propose_gravity(evidence: Evidence) -> Iterator[Cause]:
     """Gravity stated for a horizontal arm, or missing for a vertical arm."""
+    if "gravity" not in arm_keys(evidence.study.arm):
+        return
     gravity = evidence.study.arm.gravity_size
     if not gravity:
         message = "the link sensors measure gravity, but the study states none: the arm is vertical"
