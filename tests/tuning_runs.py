@@ -22,6 +22,9 @@ from strainwave.domain import (
     Study,
 )
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors import Axis
+from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
@@ -260,7 +263,8 @@ def linear_record(
     time: FloatArray = 1e-3 * np.arange(n, dtype=np.float64)
     experiment = Experiment("linear", "linear.csv", "frequency", ("open", "open"))
     still = np.zeros((1, 2))
-    channels = [Channel(f"a{k}", 1, "accelerometer", False, shifted) for k in range(n_channels)]
+    sensor = (Accelerometer if shifted else LinkEncoder).of_joint(study.arm.joints[0])
+    channels = [Channel(f"a{k}", 1, Axis(sensor, 1)) for k in range(n_channels)]
     return LinearRecord(
         log=Log(experiment, time, 1e-3, {}),
         arm=Arm.of(study.arm),

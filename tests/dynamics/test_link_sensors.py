@@ -1,33 +1,34 @@
-"""Model of a link sensor, and its derivatives."""
+"""Link sensors: constants, compared channels, model over time."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from strainwave.domain import Imu, Joint
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import optional_constants
-from strainwave.domain.parameter_table import base_name
-from strainwave.dynamics.link_sensors import (
-    apply_sensor_model,
-    bandwidth_of,
-    delay_of,
-    differentiate_rows,
-    drift_of,
-    is_drift,
-    is_optional,
-    is_sensor_constant,
-    list_sensor_constants,
-    mount_of,
+from strainwave.domain.link_sensors import (
+    ConstantKind,
+    all_types,
+    compared_axes,
+    constant_of,
+    low_passes,
     nominal,
-    scale_of,
-    shift_samples,
+    optional_constants,
+    sensor_constants,
+    with_bandwidths,
+    with_estimates,
 )
-from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, ACCELEROMETER_TILT
+from strainwave.dynamics.link_sensors import apply_sensor_model, differentiate_rows, shift_samples
 
 T = 1e-3
 TIME = T * np.arange(2000)
 INNER = slice(40, -40)
+JOINT = Joint("linear", 0.01, accelerometer_distance=0.3)
+ANYWHERE = Joint("linear", 0.01)
+PRISMATIC = Joint("linear", 0.01, motion="prismatic")
 
 
 @pytest.mark.parametrize("ahead", [-7.3, -1.0, -0.25, 0.5, 3.0, 12.8])
@@ -59,36 +60,65 @@ def test_delay_and_scale_change_the_reading() -> None:
     x = np.sin(2.0 * np.pi * 20.0 * TIME)
     values: Values = {("accelerometer_delay", 2): 1.5e-3, ("accelerometer_scale", 2): 1.04}
     expected = 1.04 * np.sin(2.0 * np.pi * 20.0 * (TIME - 1.5e-3))
-    assert apply_sensor_model(x, T, 2, values)[INNER] == pytest.approx(expected[INNER], abs=1e-4)
-    assert np.array_equal(apply_sensor_model(x, T, 1, values), x)  # constants of another joint
+    (first,), (second,) = (compared_axes(JOINT, i, [f"a{i}"]) for i in (1, 2))
+    reading = apply_sensor_model(x, T, second, values)
+    assert reading[INNER] == pytest.approx(expected[INNER], abs=1e-4)
+    assert np.array_equal(apply_sensor_model(x, T, first, values), x)  # of another joint
 
 
-def test_names_of_sensor_constants() -> None:
-    every = [(name, 1) for name in ("accelerometer", "gyro", "link_angle")]
-    every += [("imu_accelerometer", 1), ("imu_gyro", 1)]
-    names = {name for name, _ in list_sensor_constants(every)} | {ACCELEROMETER_TILT}
-    names |= {key[0] for each in every if (key := bandwidth_of(*each)) is not None}
-    names |= {key[0] for each in every for key in mount_of(*each) or ()}
-    of_axes = [scale_of(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
-    names |= {key[0] for key in of_axes if key is not None}
-    axes = [(f"imu_{axis}", 1) for axis in ("ax", "ay", "az", "gx", "gy", "gz")]
-    drifts = [drift_of(*each, "prbs") for each in (*every, *axes)]
-    assert all(key[0].endswith("_drift[prbs]") and is_drift(key) for key in drifts if key)
-    names |= {base_name(key[0]) for key in drifts if key is not None}
-    assert names <= set(optional_constants())
-    assert all(is_optional((name, 1)) and is_sensor_constant((name, 1)) for name in names)
-    assert not is_optional((ACCELEROMETER_DISTANCE, 1))
-    assert is_sensor_constant((ACCELEROMETER_DISTANCE, 1))
-    keys = list(
-        list_sensor_constants([("motor_angle", 1), ("accelerometer", 1), ("link_angle", 2)])
-    )
-    assert keys == [
-        ("accelerometer_delay", 1),
-        ("accelerometer_scale", 1),
-        ("link_encoder_delay", 2),
-    ]
-    assert all(is_sensor_constant(key) for key in keys)
-    assert not is_sensor_constant(("gear_damping", 1))
-    assert delay_of("motor_angle", 1) is None
-    assert scale_of("link_angle", 1) is None
-    assert [nominal(key) for key in keys] == [0.0, 1.0, 0.0]
+def test_constants_and_their_keys() -> None:
+    names = [constant.name for kind in all_types() for constant in kind.constants()]
+    assert sorted(names) == sorted(sensor_constants())  # no name twice
+    assert constant_of(("gear_damping", 1)) is None
+    (axis,) = compared_axes(JOINT, 2, ["a2", "gyro2", "theta_l2"])
+    assert axis.key(ConstantKind.DELAY) == ("accelerometer_delay", 2)
+    drift = axis.key(ConstantKind.DRIFT, "prbs")
+    assert drift == ("accelerometer_drift[prbs]", 2)
+    constant = constant_of(drift)
+    assert constant is not None
+    assert (constant.kind, constant.unit) == (ConstantKind.DRIFT, "m/s^3")
+    assert {axis.key(kind) for kind in (ConstantKind.SHARE, ConstantKind.POSITION_X)} == {None}
+    assert {name: nominal((name, 1)) for name in optional_constants()} == {
+        name: 1.0
+        if constant.kind is ConstantKind.SCALE
+        else np.inf
+        if constant.kind in (ConstantKind.BANDWIDTH, ConstantKind.MOUNT_FREQUENCY)
+        else 0.0
+        for name, constant in sensor_constants().items()
+        if constant.is_optional
+    }
+
+
+@pytest.mark.parametrize(
+    ("joint", "logged", "compared"),
+    [
+        (JOINT, "a theta_l gyro", "a"),
+        (JOINT, "deflection theta_l gyro", "theta_l"),
+        (JOINT, "gyro tau_l", "gyro tau_l"),
+        (JOINT, "a ax ay gz", "a ax ay gz"),
+        (ANYWHERE, "a gyro", "gyro a"),
+        (ANYWHERE, "a theta_l ax gz", "theta_l ax gz"),
+        (PRISMATIC, "a ax", "a"),
+        (replace(JOINT, spring="rigid"), "tau_l", ""),
+    ],
+)
+def test_what_a_fit_compares(joint: Joint, logged: str, compared: str) -> None:
+    axes = compared_axes(joint, 1, [f"{kind}1" for kind in logged.split()])
+    assert {axis.channel for axis in axes} == {f"{kind}1" for kind in compared.split()}
+
+
+def test_bandwidths_reach_the_low_passes_of_the_core() -> None:
+    hz = {("accelerometer_bandwidth", 1): 80.0, ("imu_gyro_bandwidth", 1): 40.0}
+    known = low_passes(with_bandwidths(JOINT, 1, hz))
+    assert known == {"accelerometer_hz": 80.0, "gyro_hz": None}
+    unknown = low_passes(with_bandwidths(ANYWHERE, 1, hz))
+    assert unknown == {"imu_accelerometer_hz": 80.0, "gyro_hz": None}
+    with_imu = low_passes(with_bandwidths(replace(JOINT, imu=Imu()), 1, hz))
+    assert with_imu == known | {"imu_accelerometer_hz": None, "imu_gyro_hz": 40.0}
+    assert low_passes(with_bandwidths(JOINT, 2, hz)) == low_passes(JOINT)
+
+
+def test_an_estimated_distance_makes_the_place_known() -> None:
+    joint = with_estimates(ANYWHERE, 1, {("accelerometer_distance", 1): 0.2})
+    assert joint == replace(ANYWHERE, accelerometer_distance=0.2)
+    assert [axis.quantities for axis in compared_axes(joint, 1, ["a1"])] == [("accelerometer",)]

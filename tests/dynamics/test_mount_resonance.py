@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from strainwave.domain import FloatArray
-from strainwave.dynamics.link_sensors import apply_sensor_model, mount_of, mount_resonance
+from strainwave.domain import FloatArray, Joint
+from strainwave.domain.link_sensors import compared_axes
+from strainwave.dynamics.link_sensors import apply_sensor_model, mount_resonance
 from strainwave.dynamics.mount_resonance import MountResonance
 
 T = 1e-3
+JOINT = Joint("linear", 0.01, accelerometer_distance=0.3)
 FINER = 50
 TIME: FloatArray = T * np.arange(600, dtype=np.float64)
 
@@ -61,21 +63,18 @@ def test_a_constant_is_read_unchanged() -> None:
 
 
 def test_the_sensor_model_applies_the_mount() -> None:
-    names = mount_of("accelerometer", 2)
-    assert names is not None
-    values = dict(zip(names, (55.0, 0.04), strict=True))
-    mount = mount_resonance("accelerometer", 2, values)
+    first, second = (compared_axes(JOINT, i, [f"a{i}"])[0] for i in (1, 2))
+    assert second.mount is not None
+    values = dict(zip(second.mount, (55.0, 0.04), strict=True))
+    mount = mount_resonance(second, values)
     assert mount == MountResonance(55.0, 0.04)
-    assert mount_resonance("accelerometer", 1, values) is None
+    assert mount_resonance(first, values) is None
     x = motion(TIME)
-    np.testing.assert_array_equal(apply_sensor_model(x, T, 2, values), mount.read(x, T))
-    np.testing.assert_array_equal(apply_sensor_model(x, T, 1, values), x)
+    np.testing.assert_array_equal(apply_sensor_model(x, T, second, values), mount.read(x, T))
+    np.testing.assert_array_equal(apply_sensor_model(x, T, first, values), x)
 
 
 def test_encoders_have_no_mount() -> None:
-    assert mount_of("link_angle", 1) is None
-    assert mount_of("motor_angle", 1) is None
-    assert mount_of("imu_gyro", 1) == (
-        ("imu_gyro_mount_frequency", 1),
-        ("imu_gyro_mount_damping", 1),
-    )
+    assert mount_resonance(None, {}) is None
+    mounts = [axis.mount for axis in compared_axes(JOINT, 1, ["theta_l1", "gx1"])]
+    assert mounts == [None, (("imu_gyro_mount_frequency", 1), ("imu_gyro_mount_damping", 1))]

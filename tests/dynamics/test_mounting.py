@@ -10,17 +10,16 @@ import pytest
 
 from strainwave.domain import FloatArray, Imu, Study
 from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
+from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.link_sensors.link_signals import (
+    ACCELEROMETER_QUANTITIES,
+    GYRO_QUANTITIES,
+    accelerometer_weights,
+    spatial_weights,
+)
 from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import (
-    ACCELEROMETER_BASIS,
-    GYRO_QUANTITY,
-    Axis,
-    axes_of,
-    factors,
-    slopes,
-    unknowns_of,
-)
 from strainwave.dynamics.simulation import Drive, Quantity, simulate
 from strainwave.signals.imu_attitude import estimate_imu_starts
 from strainwave.signals.link_readings import JointMotion
@@ -44,7 +43,7 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
 
 
 def axes(study: Study, joint: int) -> tuple[Axis, ...]:
-    return axes_of([f"{name}{joint}" for name in NAMES], Arm.of(study.arm), joint)
+    return mounted_axes(study.arm.joints[joint - 1], joint, [f"{name}{joint}" for name in NAMES])
 
 
 def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -80,7 +79,7 @@ def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -
     voltage = 4.0 * rng.choice([-1.0, 1.0], size=(n // 40 + 1, 2))
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
-    record: list[Quantity] = ["link_angle", *ACCELEROMETER_BASIS, GYRO_QUANTITY]
+    record: list[Quantity] = ["link_angle", *ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES]
     run = simulate(Arm.of(study.arm), values, drive, sample_time=T, samples=n, record=record)
     position, link_attitude = path_of(run["link_angle"], study, joint)
     second = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / T**2
@@ -92,8 +91,8 @@ def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -
     rate = np.column_stack([spin[:, 2, 1], spin[:, 0, 2], spin[:, 1, 0]])
     for axis in axes(study, joint):
         parts = np.column_stack([run[name][:, joint - 1] for name in axis.quantities])
-        simulated = (parts @ factors(axis, Arm.of(study.arm), {}))[1:-1]
-        expected = (read if axis.kind == "accelerometer" else rate)[:, axis.number]
+        simulated = (parts @ axis.weights({}))[1:-1]
+        expected = (read if isinstance(axis.sensor, ImuAccelerometers) else rate)[:, axis.number]
         off = np.sqrt(np.mean((simulated - expected) ** 2) / np.mean(expected**2))
         # differences omit T^2/12 times the fourth derivative and smooth voltage steps
         assert off < 2e-3, axis
@@ -116,12 +115,28 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
         drive,
         sample_time=1e-3,
         samples=300,
-        record=[*motion, *ACCELEROMETER_BASIS],
+        record=[*motion, *ACCELEROMETER_QUANTITIES],
     )
     q, dq, ddq = (run[name] for name in motion)
     basis = accelerometer_quantities(Arm.of(study.arm), JointMotion(q, dq, ddq))
-    for k, name in enumerate(ACCELEROMETER_BASIS):
+    for k, name in enumerate(ACCELEROMETER_QUANTITIES):
         np.testing.assert_allclose(basis[:, :, k], run[name], atol=1e-9)
+
+
+def test_the_reading_of_a_spatial_motion() -> None:
+    rng = np.random.default_rng(11)
+    for _ in range(10):
+        c, r, f, dw, w = rng.normal(size=(5, 3))
+        signals = [*f, *dw, *(w * w), w[0] * w[1], w[0] * w[2], w[1] * w[2]]
+        expected = c @ (f + np.cross(dw, r) + np.cross(w, np.cross(w, r)))
+        reading = spatial_weights(c.tolist(), r.tolist()) @ np.array(signals)
+        assert reading == pytest.approx(expected, abs=1e-12)
+        # the planar signals are those of a motion about z
+        in_plane = np.array([f[0], f[1], dw[2], w[2] ** 2])
+        f[2] = dw[0] = dw[1] = w[0] = w[1] = 0.0
+        expected = c @ (f + np.cross(dw, r) + np.cross(w, np.cross(w, r)))
+        reading = accelerometer_weights(c.tolist(), r.tolist()) @ in_plane
+        assert reading == pytest.approx(expected, abs=1e-12)
 
 
 def test_attitude_and_angles_are_inverse() -> None:
@@ -147,12 +162,10 @@ def test_slopes_match_differences_of_the_factors(gravity: float | None, joint: i
         keys = unknowns_of(imu_axes, Arm.of(study.arm))
         values = {key: float(rng.uniform(0.1, 0.5)) for key in keys}
         for axis in imu_axes:
-            derivatives = slopes(axis, Arm.of(study.arm), values, keys)
+            derivatives = axis.slopes(values, keys)
             for k, key in enumerate(keys):
                 moved = {**values, key: values[key] + 1e-4}
-                step = factors(axis, Arm.of(study.arm), moved) - factors(
-                    axis, Arm.of(study.arm), values
-                )
+                step = axis.weights(moved) - axis.weights(values)
                 np.testing.assert_allclose(derivatives[:, k], step / 1e-4, atol=1e-3)
 
 
@@ -182,7 +195,7 @@ def test_unknowns_of_an_imu() -> None:
         assert unknowns_of(axes(study, joint), Arm.of(study.arm)) == [
             (name, joint) for name in names
         ]
-        one = axes_of([f"ay{joint}", f"gz{joint}"], Arm.of(study.arm), joint)
+        one = mounted_axes(study.arm.joints[joint - 1], joint, [f"ay{joint}", f"gz{joint}"])
         alone = [*names[:-3], "imu_turn_z", "imu_gz_z"]
         assert unknowns_of(one, Arm.of(study.arm)) == [(name, joint) for name in alone]
         assert not unknowns_of(axes(rig(gravity, joint), joint), Arm.of(rig(gravity, joint).arm))
@@ -219,19 +232,19 @@ def test_the_search_recovers_a_random_mounting(
     xyz = (rng.uniform(0.05, 0.3), rng.uniform(-0.1, 0.1), 0.02)
     true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
     unknown = rig(gravity, joint, Imu())
-    imu_axes = axes_of([f"{name}{joint}" for name in names], Arm.of(unknown.arm), joint)
+    channels = [f"{name}{joint}" for name in names]
+    imu_axes, true_axes = (
+        mounted_axes(rig.arm.joints[joint - 1], joint, channels) for rig in (unknown, true)
+    )
     basis = accelerometer_quantities(Arm.of(true.arm), JointMotion(q, dq, ddq))[:, joint - 1]
     rate = dq[:, :joint].sum(axis=1)[:, None]
     tables = []
-    for axis in imu_axes:
-        parts = rate if axis.kind == "gyro" else basis
-        rows = np.column_stack([parts, parts @ factors(axis, Arm.of(true.arm), {})])
+    for axis in true_axes:
+        parts = rate if isinstance(axis.sensor, ImuGyros) else basis
+        rows = np.column_stack([parts, parts @ axis.weights({})])
         tables.append(rows - rows.mean(axis=0))
     starts = estimate_imu_starts(imu_axes, tables, Arm.of(unknown.arm))
-    for axis in imu_axes:
-        counts, expected = (
-            factors(axis, Arm.of(unknown.arm), starts),
-            factors(axis, Arm.of(true.arm), {}),
-        )
-        is_excited = np.linalg.norm(tables[imu_axes.index(axis)][:, :-1], axis=0) > 1e-9
+    for axis, true_axis, table in zip(imu_axes, true_axes, tables, strict=True):
+        counts, expected = axis.weights(starts), true_axis.weights({})
+        is_excited = np.linalg.norm(table[:, :-1], axis=0) > 1e-9
         np.testing.assert_allclose(counts[is_excited], expected[is_excited], atol=1e-5)

@@ -224,14 +224,11 @@ class MotorResponse:
     resonances_hz: tuple[float, ...]
 
 
-LinkSensor = Literal["accelerometer", "link-encoder", "gyro"]
-
-
 @dataclass(frozen=True, slots=True)
 class SensorGain:
     """Predicted standard deviation of one parameter with an additional link sensor."""
 
-    sensor: LinkSensor
+    sensor: str  # type of link sensor
     link: int  # link that carries the sensor, from 1
     assumed: str  # assumed noise and position
     name: str

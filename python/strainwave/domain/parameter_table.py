@@ -113,6 +113,11 @@ def of_record(name: str, record: str) -> str:
     return f"{name}[{record}]"
 
 
+def record_of(name: str) -> str:
+    """Record of a parameter that belongs to one record; empty for other parameters."""
+    return name.partition("[")[2][:-1]
+
+
 def base_name(name: str) -> str:
     """Name of a parameter without its record."""
     return name.partition("[")[0]

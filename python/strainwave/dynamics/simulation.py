@@ -10,6 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DENSITY
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import raise_if_stopped
@@ -79,7 +80,7 @@ class LowPass:
 class SensorNoise:
     """Sensor errors, with typical values of a good rig."""
 
-    accelerometer_density: float = 100e-6 * 9.81  # [m/s^2/sqrt(Hz)]
+    accelerometer_density: float = ACCELEROMETER_DENSITY  # [m/s^2/sqrt(Hz)]
     accelerometer_bias: float = 25e-3 * 9.81  # [m/s^2] standard deviation
     accelerometer_range: float = 5.0 * 9.81  # [m/s^2]
     accelerometer_bits: int = 16

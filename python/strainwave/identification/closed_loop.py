@@ -21,6 +21,7 @@ from strainwave.domain import (
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.link_sensors import Axis, compared_axes
 from strainwave.domain.parameter_table import base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
@@ -32,6 +33,7 @@ from strainwave.signals.recorded_input import check_recorded_input, recorded_dri
 
 # minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
 _MIN_SIGNAL_TO_NOISE = 10.0
+_READS = ("accelerometer",)  # quantities of the compared sensors
 
 
 def keep_known_effects(arm: Arm, known: Collection[Key]) -> Arm:
@@ -76,7 +78,8 @@ class Observation:
     log: Log
     drive: Drive
     cutoff_hz: float
-    channels: tuple[str, ...]  # omega_m{i} [rad/s], then a{i} [m/s^2]
+    channels: tuple[str, ...]  # omega_m{i} [rad/s], then those of `axes` [m/s^2]
+    axes: tuple[Axis, ...]  # accelerometers
     time: FloatArray  # (n_rows,) [s] without the edges of the filter
     measured: FloatArray  # (n_rows, n_channels)
     noise: FloatArray  # (n_channels,) standard deviation of the filtered sensor noise
@@ -94,7 +97,7 @@ class Observation:
         have the springs and effects of `values`, which maps (name, joint) to a value.
         """
         record: list[Quantity] = ["encoder"]
-        if len(self.channels) > arm.n_joints:
+        if self.axes:
             record.append("accelerometer")
         is_hanging = self.drive.link_angle is None
         inputs = record_inputs(arm, dict(values), self.log.name, hanging=is_hanging)
@@ -107,10 +110,9 @@ class Observation:
             record=record,
         )
         columns = [runs["encoder"][0]]
-        for name in self.channels[arm.n_joints :]:
-            joint, T = int(name[1:]), self.log.sample_time
-            reading = apply_sensor_model(runs["accelerometer"][0, :, joint - 1], T, joint, values)
-            columns.append(reading[:, None])
+        for axis in self.axes:
+            ideal = runs["accelerometer"][0, :, axis.joint - 1]
+            columns.append(apply_sensor_model(ideal, self.log.sample_time, axis, values)[:, None])
         filtered = _filter(np.hstack(columns), arm.n_joints, self.log, self.cutoff_hz)
         shift = self.measured.mean(axis=0) - filtered.mean(axis=0)
         shift[: arm.n_joints] = 0.0
@@ -126,19 +128,21 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     check_recorded_input(arm, log)
     cutoff = cutoff_hz or velocity_band(log, arm)
     numbers = range(1, arm.n_joints + 1)
-    with_accelerometer = [i for i in numbers if has_accelerometer(log, arm, i)]
+    compared = (compared_axes(arm.joints[i - 1], i, log.channels) for i in numbers)
+    axes = tuple(axis for one in compared for axis in one if axis.sensor.quantities() == _READS)
     raw = [log.channels[f"theta_m{i}"] for i in numbers]
-    raw += [log.channels[f"a{i}"] for i in with_accelerometer]
+    raw += [log.channels[axis.channel] for axis in axes]
     T = log.sample_time
     # gain of white noise below the cut-off; encoders are differentiated
     derivative_gain = 2.0 * np.pi * cutoff / np.sqrt(3.0)
-    gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(with_accelerometer))
+    gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(axes))
     noise = np.array([noise_std(channel) for channel in raw])
     return Observation(
         log=log,
         drive=recorded_drive(arm, log),
         cutoff_hz=cutoff,
-        channels=tuple([f"omega_m{i}" for i in numbers] + [f"a{i}" for i in with_accelerometer]),
+        channels=tuple([f"omega_m{i}" for i in numbers] + [axis.channel for axis in axes]),
+        axes=axes,
         time=log.time[_inside(log, cutoff)],
         measured=_filter(np.column_stack(raw), arm.n_joints, log, cutoff),
         noise=noise * gains * np.sqrt(min(1.0, 2.0 * T * cutoff)),
@@ -187,15 +191,6 @@ def _warnings_at_rest(observation: Observation) -> Iterator[Diagnostic]:
             yield Diagnostic.at(
                 "nothing-to-predict", Place.in_records(observation.log.name), message
             )
-
-
-def has_accelerometer(log: Log, arm: Arm, joint: int) -> bool:
-    """Whether the accelerometer of `joint` (from 1) is logged and its position is known."""
-    description = arm.joints[joint - 1]
-    has_position = (
-        description.motion == "prismatic" or description.accelerometer_distance is not None
-    )
-    return has_position and f"a{joint}" in log.channels
 
 
 def _inside(log: Log, cutoff_hz: float) -> slice:

@@ -17,7 +17,7 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
 )
-from strainwave.dynamics.mounting import with_sensor_positions
+from strainwave.domain.link_sensors import with_estimates
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import validation, whole_arm
 from strainwave.identification.motor_responses import motor_response
@@ -127,7 +127,8 @@ def _predict_checks(
 ) -> tuple[Prediction, ...]:
     """Simulations of the check records' motion."""
     with reporter.time_part("checks", "simulating the check records"):
-        arm = with_sensor_positions(inputs.arm, arm_model.values)
+        joints = enumerate(inputs.arm.joints, start=1)
+        arm = inputs.arm.with_joints(with_estimates(j, i, arm_model.values) for i, j in joints)
         jobs = [
             partial(validation.predict_elastic, arm_model, log, arm)
             for log in inputs.logs_of("check")

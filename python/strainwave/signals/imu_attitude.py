@@ -14,20 +14,17 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors.rotations import angles, attitude
-from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import (
+from strainwave.domain.link_sensors import Axis, ConstantKind, is_kind, unknowns_of
+from strainwave.domain.link_sensors.imu import (
     IMU_BEARING,
     IMU_DISTANCE,
     IMU_POSITION,
     IMU_ROTATION,
     IMU_START_ATTITUDE,
-    Axis,
     attitude_of,
-    factors,
-    slopes,
-    unknowns_of,
 )
+from strainwave.domain.link_sensors.rotations import angles, attitude
+from strainwave.dynamics.arm import Arm
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search
@@ -49,7 +46,7 @@ def estimate_imu_starts(
 
     `axes` belong to one link. Each table is (n_rows, n_quantities + 1): the quantities of an axis
     and, in the last column, its reading. Returns (name, joint) -> value for
-    `strainwave.dynamics.mounting.unknowns_of` and for the attitude at which the rotation starts.
+    `strainwave.domain.link_sensors.unknowns_of` and for the attitude at which the rotation starts.
     """
     return imu_candidates(axes, tables, arm)[0]
 
@@ -149,10 +146,10 @@ def _search_minima(
                 }
             if has_bearing:
                 values[IMU_BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
-            candidate = _with_optimal_position(problems, values, keys, arm)
-            starts.append((_cost(problems, candidate, arm), candidate))
+            candidate = _with_optimal_position(problems, values, keys)
+            starts.append((_cost(problems, candidate), candidate))
     starts.sort(key=lambda one: one[0])
-    minima = [_find_minimum(problems, values, keys, arm) for _, values in starts[:_MAX_SEARCHES]]
+    minima = [_find_minimum(problems, values, keys) for _, values in starts[:_MAX_SEARCHES]]
     return sorted(minima, key=lambda one: one[0])
 
 
@@ -172,43 +169,42 @@ def _starting_rotations(*, flat: bool) -> Iterator[FloatArray]:
                 yield from (matrix @ rotation for rotation in intermediate)
 
 
-def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> FloatArray:
+def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> FloatArray:
     """Residuals of all axes for a mounting."""
-    parts = [
-        problem.root @ factors(problem.axis, arm, values) - problem.target for problem in problems
-    ]
+    parts = [problem.root @ problem.axis.weights(values) - problem.target for problem in problems]
     return np.concatenate(parts)
 
 
-def _cost(problems: Sequence[_AxisProblem], values: dict[Key, float], arm: Arm) -> float:
+def _cost(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> float:
     """Sum of squared residuals of a mounting."""
-    return float(np.sum(_residual(problems, values, arm) ** 2))
+    return float(np.sum(_residual(problems, values) ** 2))
 
 
 def _jacobian(
-    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
 ) -> FloatArray:
     """Derivatives of the residuals with respect to the unknowns, (n_rows, n_keys)."""
     return np.concatenate(
-        [problem.root @ slopes(problem.axis, arm, values, keys) for problem in problems]
+        [problem.root @ problem.axis.slopes(values, keys) for problem in problems]
     )
 
 
 def _with_optimal_position(
-    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
 ) -> dict[Key, float]:
     """Mounting with the optimal position and gyro factors for its attitude.
 
     The readings are linear in these unknowns.
     """
     linear = [
-        key for key in keys if key[0] in (IMU_DISTANCE, *IMU_POSITION) or key[0].endswith("_z")
+        key
+        for key in keys
+        if key[0] in (IMU_DISTANCE, *IMU_POSITION) or is_kind(key, ConstantKind.SHARE)
     ]
-    linear = [key for key in linear if key[0] not in IMU_ROTATION]
     if not linear:
         return values
-    jacobian = _jacobian(problems, values, linear, arm)
-    optimum = np.linalg.lstsq(jacobian, -_residual(problems, values, arm))[0]
+    jacobian = _jacobian(problems, values, linear)
+    optimum = np.linalg.lstsq(jacobian, -_residual(problems, values))[0]
     placed = {**values, **dict(zip(linear, optimum.tolist(), strict=True))}
     joint = linear[0][1]
     # A negative distance belongs to the opposite bearing.
@@ -218,14 +214,14 @@ def _with_optimal_position(
 
 
 def _find_minimum(
-    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key], arm: Arm
+    problems: Sequence[_AxisProblem], values: dict[Key, float], keys: Sequence[Key]
 ) -> tuple[float, dict[Key, float]]:
     """Levenberg-Marquardt search from a mounting: (objective, mounting) at the local minimum."""
-    cost, damping = _cost(problems, values, arm), _INITIAL_DAMPING
+    cost, damping = _cost(problems, values), _INITIAL_DAMPING
     for _ in range(_MAX_ITERATIONS):
         jacobian, residual = (
-            _jacobian(problems, values, keys, arm),
-            _residual(problems, values, arm),
+            _jacobian(problems, values, keys),
+            _residual(problems, values),
         )
         column_norm = np.linalg.norm(jacobian, axis=0)
         column_norm = np.maximum(
@@ -239,7 +235,7 @@ def _find_minimum(
         step *= min(1.0, _MAX_STEP / max(float(np.max(np.abs(step))), 1e-300))
         for key, change in zip(keys, step.tolist(), strict=True):
             trial[key] += change
-        trial_cost = _cost(problems, trial, arm)
+        trial_cost = _cost(problems, trial)
         if trial_cost < cost:
             decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping
             if decrease < _RELATIVE_TOLERANCE * cost:

@@ -12,10 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Imu, Log
+from strainwave.domain import FloatArray, Log
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
+from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.link_sensors.imu import ImuGyros
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import ACCELEROMETER_DISTANCE, Axis, axes_of, unknowns_of
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import estimate_imu_starts
@@ -33,7 +35,7 @@ def accelerometer_quantities(arm: Arm, motion: JointMotion) -> FloatArray:
     """Quantities of which each accelerometer on a link reads a linear combination.
 
     The result is (n_samples, n_joints, 4): f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2],
-    as in `ACCELEROMETER_BASIS`.
+    as in `ACCELEROMETER_QUANTITIES`.
     """
     links = motion.links(arm)
     return np.concatenate([links[..., [6, 7, 5]], links[..., 2:3] ** 2], axis=2)
@@ -53,7 +55,7 @@ def estimate_mounting_starts(
         axes = axes_on(logs if used is None else used, arm, joint)
         if unknowns_of(axes, arm):
             tables = _axis_tables(logs, arm, axes)
-            if axes[0].kind == "tangential":
+            if isinstance(axes[0].sensor, Accelerometer):
                 starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(tables[0])
             else:
                 starting_values |= estimate_imu_starts(axes, tables, arm)
@@ -62,7 +64,7 @@ def estimate_mounting_starts(
 
 def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[Axis, ...]:
     """Sensor axes on the link of a joint (from 1) in any of the records, without duplicates."""
-    axes_per_log = (axes_of(log.channels, arm, joint) for log in logs)
+    axes_per_log = (mounted_axes(arm.joints[joint - 1], joint, log.channels) for log in logs)
     return tuple(dict.fromkeys(axis for axes in axes_per_log for axis in axes))
 
 
@@ -88,7 +90,7 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[Fl
             if axis.channel not in log.channels:
                 continue
             reading = low_pass(log.channels[axis.channel], _cutoff_hz(log), log.sample_time)
-            columns = [rate] if axis.kind == "gyro" else list(basis.T)
+            columns = [rate] if isinstance(axis.sensor, ImuGyros) else list(basis.T)
             rows = np.column_stack([*columns, reading])[_inner_samples(log)]
             table.append(rows - rows.mean(axis=0))
     return [np.concatenate(table) for table in tables]
@@ -114,7 +116,7 @@ def _inner_samples(log: Log) -> slice:
 
 def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:
     """Least squares for the factors of one axis over all records, without negligible columns."""
-    if axis.kind == "tangential":
+    if isinstance(axis.sensor, Accelerometer):
         return np.array([0.0, 1.0, distance_of(rows), 0.0])
     columns, reading = rows[:, :-1], rows[:, -1]
     column_norm = np.linalg.norm(columns, axis=0)
@@ -148,7 +150,7 @@ def substitute_equivalent_sensors(
     for joint in range(1, arm.n_joints + 1):
         axes = axes_on(logs, arm, joint)
         direct_sensors = {"a", "theta_l", "gyro", "deflection"}
-        if axes and axes[0].kind == "tangential":
+        if axes and isinstance(axes[0].sensor, Accelerometer):
             direct_sensors = set()
         has_direct_sensor = any(
             f"{name}{joint}" in log.channels for name in direct_sensors for log in logs
@@ -180,20 +182,23 @@ def _with_equivalent_sensor(
     """Logs and arm with the equivalent accelerometer or gyro of one link."""
     joint = axes[0].joint
     drive = arm.joints[joint - 1]
-    imu = drive.imu or Imu()
-    accelerometers = [k for k, axis in enumerate(axes) if axis.kind != "gyro"]
+    gyros = [k for k, axis in enumerate(axes) if isinstance(axis.sensor, ImuGyros)]
+    accelerometers = [k for k in range(len(axes)) if k not in gyros]
     weights, distance = _tangential_weights([linear[k] for k in accelerometers], arm, joint)
     if accelerometers and abs(distance) > _MIN_DISTANCE:
-        hz = drive.accelerometer_hz if axes[0].kind == "tangential" else imu.accelerometer_hz
-        changed_joint = replace(drive, accelerometer_distance=distance, accelerometer_hz=hz)
         selected, name = [axes[k] for k in accelerometers], f"a{joint}"
+        hz = selected[0].sensor.hz
+        changed_joint = replace(drive, accelerometer_distance=distance, accelerometer_hz=hz)
     else:
-        selected = [axis for axis in axes if axis.kind == "gyro"]
-        shares = np.array([f[0] for a, f in zip(axes, linear, strict=True) if a.kind == "gyro"])
+        selected = [axes[k] for k in gyros]
+        shares = np.array(
+            [f[0] for a, f in zip(axes, linear, strict=True) if isinstance(a.sensor, ImuGyros)]
+        )
         if not selected or not float(shares @ shares) > 0.1:
             return _without_accelerometer(logs, joint), arm
         # equal delay of the first-order and the second-order low-pass
-        changed_joint = replace(drive, gyro_hz=imu.gyro_hz / np.sqrt(2.0) if imu.gyro_hz else None)
+        hz = selected[0].sensor.hz
+        changed_joint = replace(drive, gyro_hz=hz / np.sqrt(2.0) if hz else None)
         weights, name = shares / float(shares @ shares), f"gyro{joint}"
     new_logs = []
     for log in logs:
@@ -205,7 +210,7 @@ def _with_equivalent_sensor(
             counts = sum(
                 w * f for w, f in zip(weights, [linear[k] for k in accelerometers], strict=True)
             )
-            if name.startswith("a") and axes[0].kind != "tangential":
+            if name.startswith("a") and not isinstance(axes[0].sensor, Accelerometer):
                 channels[name] = channels[name] - _other_contributions(
                     log, arm, joint, counts, distance
                 )

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
 
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors import Axis
+from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import Axis, axes_of, factors
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, measure
 from strainwave.errors import InvalidInput
@@ -58,7 +59,7 @@ def record_experiment(
         quantities["gyro"] = "gyro"
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     imu_axes = [axis for i in range(1, arm.n_joints + 1) for axis in _imu_axes(study.path, arm, i)]
-    record += dict.fromkeys(name for axis in imu_axes for name in axis.quantities)
+    record += dict.fromkeys(cast("Quantity", name) for axis in imu_axes for name in axis.quantities)
     inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
         arm,
@@ -79,7 +80,7 @@ def record_experiment(
         for i, joint in enumerate(arm.joints):
             if _has_sensor(joint, quantity):
                 columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
-    columns |= _imu_readings(arm, imu_axes, trajectory, noise, rng)
+    columns |= _imu_readings(imu_axes, trajectory, noise, rng)
     for i, joint in enumerate(arm.joints):
         link = measured["link_angle"][:, i]
         if f"theta_l{i + 1}" in study.channels:
@@ -111,12 +112,11 @@ def _imu_axes(path: Path, arm: Arm, joint: int) -> list[Axis]:
             where=str(path),
             remedy="set its xyz and rpy; identification does not need them",
         )
-    kinds = ("ax", "ay", "az", "gx", "gy", "gz")
-    return list(axes_of([f"{kind}{joint}" for kind in kinds], arm, joint))
+    sensors = [s for s in arm.joints[joint - 1].sensors if isinstance(s, ImuSensor)]
+    return [axis for sensor in sensors for axis in sensor.axes(joint)]
 
 
 def _imu_readings(
-    arm: Arm,
     axes: Sequence[Axis],
     trajectory: Trajectory,
     noise: SensorNoise | None,
@@ -124,15 +124,18 @@ def _imu_readings(
 ) -> dict[str, FloatArray]:
     """Readings of the axes of IMUs by channel. Gravity across the plane is part of the biases."""
     columns: dict[str, FloatArray] = {}
-    kinds: tuple[tuple[str, Quantity], ...] = (("accelerometer", "accelerometer"), ("gyro", "gyro"))
+    kinds: tuple[tuple[type[ImuSensor], Quantity], ...] = (
+        (ImuAccelerometers, "accelerometer"),
+        (ImuGyros, "gyro"),
+    )
     for kind, quantity in kinds:
-        kind_axes = [axis for axis in axes if axis.kind == kind]
+        kind_axes = [axis for axis in axes if isinstance(axis.sensor, kind)]
         if not kind_axes:
             continue
         ideal = [
             sum(
-                weight * trajectory[name][:, axis.joint - 1]
-                for weight, name in zip(factors(axis, arm, {}), axis.quantities, strict=True)
+                weight * trajectory[cast("Quantity", name)][:, axis.joint - 1]
+                for weight, name in zip(axis.weights({}), axis.quantities, strict=True)
             )
             for axis in kind_axes
         ]

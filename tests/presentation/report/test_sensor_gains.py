@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from results import arm_model, identification
-from strainwave.domain import Identification, LinkSensor, Parameter, SensorGain
+from strainwave.domain import Identification, Parameter, SensorGain
 from strainwave.io.results import to_document
 from strainwave.presentation.report import gain_sentences, render
 
@@ -15,7 +15,7 @@ STIFFNESS = Parameter("gear_stiffness", 2, 6100.0, 28.0, "N m/rad", "tuned", (60
 DAMPING = Parameter("gear_damping", 2, 4.0, 0.08, "N m s/rad", "tuned", (3.84, 4.16))
 
 
-def gain(parameter: Parameter, share: float, sensor: LinkSensor, link: int) -> SensorGain:
+def gain(parameter: Parameter, share: float, sensor: str, link: int) -> SensorGain:
     assert parameter.value is not None
     assert parameter.std is not None
     return SensorGain(

@@ -6,7 +6,7 @@ core. All other code loops over the sensors of a joint.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -23,6 +23,7 @@ from strainwave.domain.link_sensors.interface import (
     Group,
     LinkSensor,
     SensorConstant,
+    TypicalSensor,
 )
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
@@ -31,7 +32,7 @@ from strainwave.domain.parameter_table import base_name
 from strainwave.domain.registry import Registry
 
 if TYPE_CHECKING:
-    from strainwave.domain.arm import Joint
+    from strainwave.domain.arm import ArmDescription, Joint
 
 __all__ = [
     "Axis",
@@ -39,19 +40,25 @@ __all__ = [
     "Group",
     "LinkSensor",
     "SensorConstant",
+    "TypicalSensor",
     "all_types",
     "compared_axes",
     "constant_of",
+    "is_hidden",
     "is_kind",
     "link_channel_kinds",
     "link_keys",
     "low_passes",
+    "mounted_axes",
+    "nominal",
     "optional_constants",
     "register",
     "sensor_constants",
     "sensors_of",
+    "unknowns_of",
     "unregister",
     "with_bandwidths",
+    "with_estimates",
 ]
 
 _TYPES = Registry[type[LinkSensor]](
@@ -116,6 +123,18 @@ def is_kind(key: Key, *kinds: ConstantKind) -> bool:
     return constant is not None and constant.kind in kinds
 
 
+def is_hidden(key: Key) -> bool:
+    """Whether a key names a sensor constant that results do not contain."""
+    constant = constant_of(key)
+    return constant is not None and constant.is_hidden
+
+
+def nominal(key: Key) -> float:
+    """Value of a sensor constant for an ideal sensor."""
+    constant = constant_of(key)
+    return constant.kind.nominal if constant else 0.0
+
+
 def optional_constants() -> tuple[str, ...]:
     """Names of the constants that the whole-arm fit estimates if the data support them."""
     return tuple(name for name, constant in sensor_constants().items() if constant.is_optional)
@@ -138,7 +157,7 @@ def low_passes(joint: Joint) -> dict[str, float | None]:
 def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
     """Axes on a link, from 1, that a fit compares if a log has these channels.
 
-    Of each group of sensors, these are the axes of least rank.
+    Of each group of sensors, in the order of the groups, these are the axes of least rank.
     """
     axes = [
         axis
@@ -150,7 +169,26 @@ def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple
     least: dict[Group, int] = {}
     for sensor in (axis.sensor for axis in axes):
         least[sensor.group] = min(sensor.rank, least.get(sensor.group, sensor.rank))
-    return tuple(axis for axis in axes if axis.sensor.rank == least[axis.sensor.group])
+    compared = [axis for axis in axes if axis.sensor.rank == least[axis.sensor.group]]
+    return tuple(sorted(compared, key=lambda axis: list(Group).index(axis.sensor.group)))
+
+
+def mounted_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+    """The compared axes whose readings depend on a mounting."""
+    axes = compared_axes(joint, number, channels)
+    return tuple(axis for axis in axes if axis.sensor.group is Group.MOUNTED)
+
+
+def unknowns_of(axes: Sequence[Axis], arm: ArmDescription) -> list[Key]:
+    """Unknowns of the mounting of one link's axes, in the coordinates of a fit."""
+    return axes[0].sensor.unknowns(axes, has_gravity=bool(arm.gravity)) if axes else []
+
+
+def with_estimates(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
+    """The table of a joint, from 1, with estimated bandwidths and places of its sensors."""
+    for sensor in joint.sensors:
+        joint = sensor.with_place(joint, number, values)
+    return with_bandwidths(joint, number, values)
 
 
 def with_bandwidths(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
@@ -16,6 +16,7 @@ from strainwave.domain.link_sensors.interface import (
     Group,
     LinkSensor,
     SensorConstant,
+    TypicalSensor,
 )
 from strainwave.domain.link_sensors.link_signals import (
     ACCELEROMETER_QUANTITIES,
@@ -29,6 +30,13 @@ ACCELEROMETER_DISTANCE, ACCELEROMETER_TILT = "accelerometer_distance", "accelero
 """Unknowns of the mounting: distance from the axis, and angle to the tangent."""
 
 
+ACCELEROMETER_DENSITY = 100e-6 * 9.81
+"""Noise density [m/s^2/sqrt(Hz)] of a typical accelerometer."""
+
+_TYPICAL_HZ = 300.0  # [Hz] bandwidth of a typical accelerometer
+_DEFAULT_DISTANCE = 0.3  # [m] from the axis if the study gives no length
+
+
 @dataclass(frozen=True)
 class Accelerometer(LinkSensor):
     """Accelerometer `a{i}` along the tangent, or along a prismatic joint."""
@@ -40,6 +48,7 @@ class Accelerometer(LinkSensor):
     channel_kinds = ("a",)
     drift_unit = "m/s^3"
     keys = ("accelerometer_distance", "accelerometer_hz")
+    suggested_as = "an accelerometer"
     bandwidth_key = "accelerometer_hz"
 
     @classmethod
@@ -69,6 +78,20 @@ class Accelerometer(LinkSensor):
         direction = (-np.sin(tilt), np.cos(tilt), 0.0)
         position = (values[ACCELEROMETER_DISTANCE, axis.joint], 0.0, 0.0)
         return accelerometer_weights(direction, position)
+
+    def with_place(self, joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
+        known = joint.accelerometer_distance or values.get((ACCELEROMETER_DISTANCE, number))
+        return replace(joint, accelerometer_distance=known)
+
+    @classmethod
+    def typical(cls, joint: Joint, length: float) -> TypicalSensor:
+        distance = joint.accelerometer_distance or length or _DEFAULT_DISTANCE
+        hz = joint.accelerometer_hz or _TYPICAL_HZ
+        text = f"{hz:g} Hz, {1e3 * ACCELEROMETER_DENSITY:.2g} mm/s^2/sqrt(Hz)"
+        if joint.motion == "revolute":
+            text += f", {distance:.2g} m from the joint's axis"
+        table = replace(joint, accelerometer_distance=distance, accelerometer_hz=hz)
+        return TypicalSensor(table, text, noise_density=ACCELEROMETER_DENSITY)
 
     def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
         return [] if self.is_at_known_place else [(ACCELEROMETER_DISTANCE, axes[0].joint)]

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
-from strainwave.domain.link_sensors.interface import LinkSensor
+from strainwave.domain.link_sensors.interface import LinkSensor, TypicalSensor
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
+
+
+_TYPICAL_HZ = 100.0  # [Hz] bandwidth of a typical gyro
+_TYPICAL_DENSITY = math.radians(0.01)  # [rad/s/sqrt(Hz)] its noise density
 
 
 @dataclass(frozen=True)
@@ -22,6 +27,7 @@ class Gyro(LinkSensor):
     channel_kinds = ("gyro",)
     drift_unit = "rad/s^2"
     keys = ("gyro_hz",)
+    suggested_as = "a gyro"
     bandwidth_key = "gyro_hz"
     rank = 2
 
@@ -34,3 +40,11 @@ class Gyro(LinkSensor):
 
     def low_passes(self) -> Mapping[str, float | None]:
         return {"gyro_hz": self.hz}
+
+    @classmethod
+    def typical(cls, joint: Joint, length: float) -> TypicalSensor | None:
+        if joint.motion == "prismatic":
+            return None
+        hz = joint.gyro_hz or _TYPICAL_HZ
+        text = f"{hz:g} Hz, 0.01 deg/s/sqrt(Hz)"
+        return TypicalSensor(replace(joint, gyro_hz=hz), text, noise_density=_TYPICAL_DENSITY)

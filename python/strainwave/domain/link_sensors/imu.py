@@ -154,7 +154,7 @@ class ImuSensor(LinkSensor):
         roll, pitch, yaw = angles(matrix).tolist()
         count = _count_accelerometers(axes)
         has_gyros = count < len(axes)
-        if count == 2 and not has_gyros and axes[0].number > 0:
+        if count == 2 and not has_gyros and all(axis.number for axis in axes):
             return report
         if count == 3 or (count == 2 and has_gyros):
             report |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}

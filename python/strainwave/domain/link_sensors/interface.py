@@ -54,6 +54,11 @@ class ConstantKind(Enum):
     PITCH = "pitch"
     YAW = "yaw"
 
+    @property
+    def nominal(self) -> float:
+        """Value for an ideal sensor; bandwidth and mount frequency are infinite."""
+        return _NOMINAL.get(self, 0.0)
+
 
 K = ConstantKind
 _OPTIONAL = frozenset(
@@ -91,11 +96,6 @@ class SensorConstant:
     def key(self, joint: int, record: str | None = None) -> Key:
         """Name and joint; a drift belongs to one record."""
         return self.name if record is None else of_record(self.name, record), joint
-
-    @property
-    def nominal(self) -> float:
-        """Value for an ideal sensor; the bandwidth and the mount's frequency are infinite."""
-        return _NOMINAL.get(self.kind, 0.0)
 
     @property
     def is_optional(self) -> bool:
@@ -146,6 +146,9 @@ class LinkSensor(ABC):
 
     keys: ClassVar[tuple[str, ...]] = ()
     """Keys of a `[[joint]]` table that describe it."""
+
+    suggested_as: ClassVar[str] = ""
+    """Noun with its article, in a report that suggests the sensor."""
 
     bandwidth_key: ClassVar[str | None] = None
     """Key of its bandwidth [Hz] in the table."""
@@ -210,6 +213,15 @@ class LinkSensor(ABC):
         changes: dict[str, Any] = {} if self.bandwidth_key is None else {self.bandwidth_key: hz}
         return replace(joint, **changes)
 
+    def with_place(self, joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
+        """The table of a joint, from 1, with the estimated place of the sensor."""
+        return joint
+
+    @classmethod
+    def typical(cls, joint: Joint, length: float) -> TypicalSensor | None:
+        """A typical sensor for a link of this length [m]; None if none is suggested."""
+        return None
+
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
         """Weights (n_quantities,) of the quantities for values of the mounting's unknowns."""
         return np.ones(1)
@@ -264,6 +276,22 @@ class LinkSensor(ABC):
 
 
 @dataclass(frozen=True, slots=True)
+class TypicalSensor:
+    """A typical sensor for a link that has none."""
+
+    joint: Joint  # the joint's table with the sensor
+    specification: str  # as text
+    noise_density: float = 0.0  # per root of Hz
+    resolution: float = 0.0
+
+    def sample_std(self, sample_time: float) -> float:
+        """Standard deviation of the noise of a sample."""
+        return float(
+            np.hypot(self.noise_density * np.sqrt(0.5 / sample_time), self.resolution / 12**0.5)
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Axis:
     """One axis of a sensor on the link of a joint."""
 
@@ -275,6 +303,11 @@ class Axis:
     def channel(self) -> str:
         """Channel of its readings."""
         return f"{self.sensor.channel_kinds[self.number]}{self.joint}"
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """Simulated quantities that it reads."""
+        return self.sensor.quantities()
 
     def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
         """Key of one of its constants; None if it has none of this kind."""
@@ -289,7 +322,7 @@ class Axis:
     ) -> float:
         """Value of one of its constants; that of an ideal sensor if it is not in `values`."""
         key = self.key(kind, record)
-        return values.get(key, _NOMINAL.get(kind, 0.0)) if key else _NOMINAL.get(kind, 0.0)
+        return values.get(key, kind.nominal) if key else kind.nominal
 
     @property
     def mount(self) -> tuple[Key, Key] | None:
@@ -303,7 +336,7 @@ class Axis:
 
     def slopes(self, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
         """Derivatives of the weights with respect to mounting unknowns: (n_quantities, n_keys)."""
-        derivatives = np.zeros((len(self.sensor.quantities()), len(keys)))
+        derivatives = np.zeros((len(self.quantities), len(keys)))
         for k, key in enumerate(keys):
             if key[1] == self.joint:
                 value, step = values.get(key, 0.0), _DIFFERENCE_STEP

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
-from strainwave.domain.link_sensors.interface import ConstantKind, LinkSensor
+from strainwave.domain.link_sensors.interface import ConstantKind, LinkSensor, TypicalSensor
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
+
+
+_TYPICAL_COUNTS = 2**17  # per turn, of a typical link encoder
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,7 @@ class LinkEncoder(LinkSensor):
     noun = "link encoder"
     channel_kinds = ("theta_l",)
     keys = ("link_encoder_counts",)
+    suggested_as = "an encoder"
     rank = 1
     reads_angle = True
     has_bias = False
@@ -31,3 +36,10 @@ class LinkEncoder(LinkSensor):
 
     def quantities(self) -> tuple[str, ...]:
         return ("link_angle",)
+
+    @classmethod
+    def typical(cls, joint: Joint, length: float) -> TypicalSensor | None:
+        if joint.motion == "prismatic":
+            return None
+        text = f"{_TYPICAL_COUNTS} counts per turn"
+        return TypicalSensor(joint, text, resolution=2.0 * math.pi / _TYPICAL_COUNTS)

@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import ArmModel, Criticism
+from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING
-from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
 )

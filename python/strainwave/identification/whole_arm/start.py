@@ -11,9 +11,9 @@ from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidMode
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import constant_of
+from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import is_optional, nominal
-from strainwave.dynamics.mounting import IMU_START_ATTITUDE
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import (
     keep_known_effects,
@@ -119,7 +119,8 @@ def prepare_start(
     space = extended_space(joints)
     measured_keys = {key for record in records for key in record.sensor_constants()}
     space = add_sensor_constants(space, [key for key in given if key in measured_keys])
-    nominal_values = {key: nominal(key) for key in space.keys if is_optional(key)}
+    optional = {k: c for k in space.keys if (c := constant_of(k)) and c.is_optional}
+    nominal_values = {key: constant.kind.nominal for key, constant in optional.items()}
     start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
     initial = start
     if best.end_values is not None:
@@ -175,7 +176,8 @@ def _check_link_encoders(record: Dataset, arm: Arm) -> None:
     """Raise `InvalidInput` if an effect moves a link encoder relative to the ground."""
     for channel in record.channels:
         for effect in arm.joints[channel.joint - 1].named_effects:
-            if channel.quantity == "link_angle" and effect_named(effect).moves_link_encoder:
+            reads_angle = channel.axis is not None and channel.axis.sensor.reads_angle
+            if reads_angle and effect_named(effect).moves_link_encoder:
                 raise InvalidInput(
                     f"{channel.name} does not measure the angle in space: the joint has"
                     f" a {effect.replace('-', ' ')}",

@@ -191,7 +191,7 @@ def test_counts_are_noise() -> None:
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
     channels = dataset_of(log, Arm.of(study.arm), CUTOFF).channels
-    return [(c.name, c.quantity, c.rate, c.shifted) for c in channels]
+    return [(c.name, c.reads[0], c.rate, c.shifted) for c in channels]
 
 
 def test_what_is_compared() -> None:

@@ -40,9 +40,7 @@ def motor_side_limits(
     at a bound of their range. Yields at most one diagnostic on the gear and one on viscous friction
     for each joint whose link has no sensor in any record.
     """
-    sensed_joints = {
-        c.joint for r in fit.objective.records for c in r.channels if c.quantity != "motor_angle"
-    }
+    sensed_joints = {c.joint for r in fit.objective.records for c in r.channels if c.axis}
     for number, joint in enumerate(arm.joints, start=1):
         if number in sensed_joints or not joint.elastic:
             continue
@@ -150,7 +148,7 @@ def _busiest_velocity(fit: Fit, joint: int) -> _Velocity:
     """Velocity of a motor in the record in which it moves most."""
     velocities = []
     for record, weights in zip(fit.objective.records, fit.objective.weights, strict=True):
-        column = [(c.quantity, c.joint) for c in record.channels].index(("motor_angle", joint))
+        column = [(c.axis, c.joint) for c in record.channels].index((None, joint))
         slope = np.linalg.norm(record.kernels.taps(rate=True))
         rounding = float(record.counts[column] / np.sqrt(12.0) * slope)
         motion = float(np.std(record.measured[:, column]))

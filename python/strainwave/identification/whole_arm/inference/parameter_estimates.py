@@ -14,10 +14,10 @@ from strainwave.domain import (
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.parameter_table import VISCOUS
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import is_mounting, reported
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -91,20 +91,19 @@ def mountings_of(fit: Fit) -> Mountings:
     """
     space = fit.objective.space
     keys, fitted_values = space.keys, space.values(fit.z)
-    arm = fit.objective.records[0].arm
-    axes = dict.fromkeys(
-        c.axis for r in fit.objective.records for c in r.channels if c.axis is not None
-    )
-    hidden = [k for k, key in enumerate(keys) if is_mounting(key)]
+    channels = (c for r in fit.objective.records for c in r.channels if c.is_mounted)
+    axes = dict.fromkeys(c.axis for c in channels if c.axis)
+    hidden = [k for k, key in enumerate(keys) if (one := constant_of(key)) and one.is_mounting]
     mountings = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
     for joint in dict.fromkeys(axis.joint for axis in axes):
         sensor_axes = [axis for axis in axes if axis.joint == joint]
-        positions = reported(sensor_axes, arm, fitted_values)
+        sensor = sensor_axes[0].sensor
+        positions = sensor.report(sensor_axes, fitted_values)
         slopes = np.zeros((len(positions), len(keys)))
         for k in hidden:
             ends = [
-                reported(
-                    sensor_axes, arm, {**fitted_values, keys[k]: fitted_values[keys[k]] + step}
+                sensor.report(
+                    sensor_axes, {**fitted_values, keys[k]: fitted_values[keys[k]] + step}
                 )
                 for step in (_MOUNTING_STEP, -_MOUNTING_STEP)
             ]

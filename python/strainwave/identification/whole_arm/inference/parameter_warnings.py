@@ -8,8 +8,8 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Parameter, Place
 from strainwave.domain.gear_laws import is_by_load, is_slope
+from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING, VISCOUS
-from strainwave.dynamics.mounting import is_hidden
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.parameter_estimates import vanished_parameters
 from strainwave.identification.whole_arm.search.fit import Fit

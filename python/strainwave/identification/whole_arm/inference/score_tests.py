@@ -16,9 +16,9 @@ from strainwave.domain import BoolArray, FloatArray, ParameterShift, ScoreTest
 from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.effects import Effect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
+from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.inference.effect_columns import (
@@ -97,7 +97,7 @@ def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     """Effects that the model lacks and that the channels of the records permit."""
     present = effects_in(fit.objective.space, arm)
     channels = [channel for record in fit.objective.records for channel in record.channels]
-    encoders = {channel.joint for channel in channels if channel.quantity == "link_angle"}
+    encoders = {c.joint for c in channels if c.axis and c.axis.sensor.reads_angle}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)
@@ -272,7 +272,7 @@ def _is_primary(key: Key) -> bool:
     excluded = (*VISCOUS, OFFSET, SETTLING)
     of_effects = {name for effect in all_effects() for name in effect.names}
     name = base_name(key[0])
-    return not (name in excluded or name in of_effects or is_sensor_constant(key))
+    return not (name in excluded or name in of_effects or constant_of(key))
 
 
 def _step(columns: EffectColumns, one: Hypothesis, selected: FloatArray) -> _Step:

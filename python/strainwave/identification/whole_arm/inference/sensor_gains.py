@@ -13,11 +13,10 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, LinkSensor, Parameter, SensorGain
+from strainwave.domain import FloatArray, Parameter, SensorGain
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import TypicalSensor, all_types, constant_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import is_sensor_constant
-from strainwave.dynamics.simulation import Quantity, SensorNoise
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import (
     confidence_of,
@@ -32,11 +31,6 @@ from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
 
-_ACCELEROMETER_HZ = 300.0  # [Hz] bandwidth of a typical accelerometer
-_GYRO_HZ = 100.0  # [Hz] bandwidth of a typical gyro
-_GYRO_DENSITY = float(np.radians(0.01))  # [rad/s/sqrt(Hz)] noise density of a typical gyro
-_LINK_COUNTS = 2**17  # counts per turn of a typical link encoder
-_DEFAULT_DISTANCE = 0.3  # [m] of an accelerometer from the axis if the study gives no length
 _MEAN_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
 # prefixes of the reported parameters
 _REPORTED_PREFIXES = ("gear_", "motor_inertia", "link_inertia")
@@ -46,9 +40,9 @@ _REPORTED_PREFIXES = ("gear_", "motor_inertia", "link_inertia")
 class _Candidate:
     """A sensor that a link lacks."""
 
-    sensor: LinkSensor
+    sensor: str
     channel: Channel
-    assumed: str  # assumed specification, as text
+    typical: TypicalSensor
 
 
 def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[SensorGain]:
@@ -109,7 +103,7 @@ def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGa
     return SensorGain(
         sensor=candidate.sensor,
         link=candidate.channel.joint,
-        assumed=candidate.assumed,
+        assumed=candidate.typical.specification,
         name=parameter.name,
         joint=parameter.joint,
         std=parameter.std,
@@ -128,45 +122,29 @@ def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
 
 def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
     """Candidate sensors of elastic joints whose link has no sensor in any record."""
-    sensed_joints = {c.joint for r in records for c in r.channels if c.quantity != "motor_angle"}
+    sensed_joints = {c.joint for r in records for c in r.channels if c.axis}
     for number, joint in enumerate(arm.joints, start=1):
         if number in sensed_joints or not joint.elastic:
             continue
-        density = SensorNoise().accelerometer_density
-        place = ""
-        if joint.motion == "revolute":
-            place = f", {_distance(joint, arm):.2g} m from the joint's axis"
-        hz = joint.accelerometer_hz or _ACCELEROMETER_HZ
-        yield _Candidate(
-            "accelerometer",
-            Channel(f"a{number}", number, "accelerometer", rate=False, shifted=True),
-            f"{hz:g} Hz, {1e3 * density:.2g} mm/s^2/sqrt(Hz){place}",
-        )
-        if joint.motion == "prismatic":
-            continue
-        yield _Candidate(
-            "link-encoder",
-            Channel(f"theta_l{number}", number, "link_angle", rate=True, shifted=False),
-            f"{_LINK_COUNTS} counts per turn",
-        )
-        yield _Candidate(
-            "gyro",
-            Channel(f"gyro{number}", number, "gyro", rate=False, shifted=True),
-            f"{joint.gyro_hz or _GYRO_HZ:g} Hz, 0.01 deg/s/sqrt(Hz)",
-        )
+        for kind in all_types():
+            typical = kind.typical(joint, _length(arm))
+            sensor = typical and kind.of_joint(typical.joint)
+            if typical and sensor:
+                (axis,) = sensor.axes(number)
+                channel = Channel(axis.channel, number, axis)
+                yield _Candidate(kind.name.replace("_", "-"), channel, typical)
 
 
-def _distance(joint: Joint, arm: Arm) -> float:
-    """Distance [m] of the accelerometer from the axis: given, or the length of the first link."""
-    length = math.hypot(*arm.joints[-1].origin.xyz)
-    return joint.accelerometer_distance or length or _DEFAULT_DISTANCE
+def _length(arm: Arm) -> float:
+    """Length [m] of the first link; zero if it is unknown."""
+    return math.hypot(*arm.joints[-1].origin.xyz)
 
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
     """Fisher information (n_unknowns, n_unknowns) of each record, without and with each sensor."""
     objective, values = fit.objective, fit.objective.space.values(fit.z)
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
-    parameter_places = [k for k, key in enumerate(keys) if not is_sensor_constant(key)]
+    parameter_places = [k for k, key in enumerate(keys) if not constant_of(key)]
 
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         extended = _with_candidates(record, arm, candidates)
@@ -209,27 +187,16 @@ def _shared_information(factor: FloatArray, n_own: int) -> FloatArray:
 def _with_candidates(record: Dataset, arm: Arm, candidates: Sequence[_Candidate]) -> Dataset:
     """Replace the channels of a record by the candidates, with their filtered noise."""
     missing_joints = {candidate.channel.joint for candidate in candidates}
-    joints = tuple(
-        replace(
-            joint,
-            accelerometer_distance=_distance(joint, arm),
-            accelerometer_hz=joint.accelerometer_hz or _ACCELEROMETER_HZ,
-            gyro_hz=joint.gyro_hz or _GYRO_HZ,
-        )
-        if number in missing_joints
-        else joint
-        for number, joint in enumerate(record.arm.joints, start=1)
-    )
+    joints = list(record.arm.joints)
+    for number in missing_joints:
+        for kind in all_types():
+            typical = kind.typical(joints[number - 1], _length(arm))
+            joints[number - 1] = typical.joint if typical else joints[number - 1]
     channels = tuple(candidate.channel for candidate in candidates)
-    # standard deviation of a sample per unit noise density
-    noise_per_density = np.sqrt(0.5 / record.log.sample_time)
-    sample_std: dict[Quantity, float] = {
-        "accelerometer": SensorNoise().accelerometer_density * noise_per_density,
-        "gyro": _GYRO_DENSITY * noise_per_density,
-        "link_angle": 2.0 * np.pi / _LINK_COUNTS / np.sqrt(12.0),
-    }
+    T = record.log.sample_time
     noise = [
-        sample_std[c.quantity] * np.linalg.norm(record.kernels.taps(rate=c.rate)) for c in channels
+        one.typical.sample_std(T) * np.linalg.norm(record.kernels.taps(rate=one.channel.rate))
+        for one in candidates
     ]
     return replace(
         record,

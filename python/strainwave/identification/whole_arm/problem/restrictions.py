@@ -10,10 +10,10 @@ import numpy as np
 from strainwave.domain import FloatArray, Log, WholeArmOptions
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.options import PUBLISHED_RANGE
 from strainwave.domain.parameter_table import COULOMB, OFFSET, base_name
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import is_sensor_constant
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import Prior
@@ -101,7 +101,7 @@ def _names(key: Key) -> list[str]:
 def _factors_of(options: WholeArmOptions, key: Key) -> tuple[float, float] | None:
     """Lower and upper factor of the start; None if the options do not limit the parameter."""
     given = next((options.ranges[name] for name in _names(key) if name in options.ranges), None)
-    is_limited = options.as_published and not is_sensor_constant(key)
+    is_limited = options.as_published and not constant_of(key)
     return given or (PUBLISHED_RANGE if is_limited else None)
 
 

@@ -9,34 +9,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.domain.keys import Key
-from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import (
-    bandwidth_of,
-    delay_of,
-    differentiate_rows,
-    drift_of,
-    is_bandwidth,
-    is_of_mount,
-    is_sensor_constant,
-    list_sensor_constants,
-    mount_of,
-    mount_resonance,
-    scale_of,
-)
-from strainwave.dynamics.mount_resonance import MountResonance
-from strainwave.dynamics.mounting import (
-    ACCELEROMETER_TILT,
+from strainwave.domain.link_sensors import (
     Axis,
-    factors,
-    is_mounting,
-    is_scale_identifiable,
-    slopes,
+    ConstantKind,
+    Group,
+    constant_of,
+    is_kind,
+    with_bandwidths,
 )
+from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
+from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.record_effects import RecordInputs, record_inputs
 from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
@@ -52,8 +41,6 @@ _REFINEMENT_FACTOR = 4.0  # factor of shorter steps with negligible step error
 # steps per period of the cut-off (600 per resonance period): negligible error
 _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
-# sensors with a bandwidth
-_SENSORS_WITH_BANDWIDTH = ("accelerometer", "gyro", "imu_accelerometer", "imu_gyro")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +49,51 @@ class Channel:
 
     name: str
     joint: int  # from 1
-    quantity: Quantity
-    rate: bool  # True for an angle, which is compared as a velocity
-    shifted: bool  # whether it has an unknown bias
-    axis: Axis | None = None  # of a sensor of unknown mounting
+    axis: Axis | None = None  # of a link sensor; None: the motor's encoder
 
     @property
-    def sensor(self) -> str:
-        """Name of the sensor in the keys of its constants."""
-        return self.quantity if self.axis is None else self.axis.sensor
+    def rate(self) -> bool:
+        """Whether it is an angle, which is compared as a velocity."""
+        return self.axis is None or self.axis.sensor.reads_angle
 
     @property
-    def scaled(self) -> str:
-        """Name of the sensor or axis in the key of its scale factor."""
-        return self.quantity if self.axis is None else self.axis.scaled
+    def shifted(self) -> bool:
+        """Whether it has an unknown bias."""
+        return self.axis is not None and self.axis.sensor.has_bias
+
+    @property
+    def is_mounted(self) -> bool:
+        """Whether its reading depends on the mounting of its sensor."""
+        return self.axis is not None and self.axis.sensor.group is Group.MOUNTED
 
     @property
     def reads(self) -> tuple[Quantity, ...]:
         """Simulated quantities that the channel requires."""
-        return (self.quantity,) if self.axis is None else self.axis.quantities
+        quantities = ("motor_angle",) if self.axis is None else self.axis.sensor.quantities()
+        return cast("tuple[Quantity, ...]", quantities)
+
+    def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
+        """Key of a constant of its sensor; None if there is none."""
+        return None if self.axis is None else self.axis.key(kind, record)
+
+    def value(
+        self, kind: ConstantKind, values: Mapping[Key, float], record: str | None = None
+    ) -> float:
+        """Value of a constant of its sensor; that of an ideal sensor if there is none."""
+        return kind.nominal if self.axis is None else self.axis.value(kind, values, record)
+
+    @property
+    def mount(self) -> tuple[Key, Key] | None:
+        """Natural frequency and damping ratio of its sensor's mount; None if it has none."""
+        return None if self.axis is None else self.axis.mount
+
+    def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
+        """Reading (n, ...) of an ideal sensor from (n, n_joints, ...) of each quantity."""
+        parts = [of[name][:, self.joint - 1] for name in self.reads]
+        if self.axis is None or (len(parts) == 1 and not self.is_mounted):
+            return parts[0]
+        pairs = zip(self.axis.weights(values), parts, strict=True)
+        return np.asarray(sum(weight * part for weight, part in pairs))
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +168,7 @@ class Dataset:
         `directions`, which are parameters and sensor constants, and then to the initial states.
         """
         inputs = self._inputs(values)
-        simulated = [key for key in directions if not is_sensor_constant(key)]
+        simulated = [key for key in directions if not constant_of(key)]
         core_directions = inputs.directions(simulated)
         resonates = self._has_resonant_mount(values)
         runs = sensitivities(
@@ -180,7 +193,7 @@ class Dataset:
         if np.any(scales != 1.0):
             tangent = tangent * scales[:, None]
         if len(simulated) < len(directions):
-            sensor_places = [k for k, key in enumerate(directions) if is_sensor_constant(key)]
+            sensor_places = [k for k, key in enumerate(directions) if constant_of(key)]
             keys = [directions[k] for k in sensor_places]
             by_sensors = self._sensor_tangent(channels, motion, values, initial, keys)
             columns = np.empty((*channels.shape, tangent.shape[2] + len(sensor_places)))
@@ -197,18 +210,17 @@ class Dataset:
 
     def _arm_at(self, values: Mapping[Key, float]) -> Arm:
         """The arm with the sensor bandwidths of `values`."""
-        bandwidths = {k: hz for k, hz in values.items() if is_bandwidth(k) and np.isfinite(hz)}
-        return with_bandwidths(self.arm, bandwidths) if bandwidths else self.arm
+        if not any(is_kind(key, ConstantKind.BANDWIDTH) for key in values):
+            return self.arm
+        joints = enumerate(self.arm.joints, start=1)
+        return self.arm.with_joints(with_bandwidths(joint, i, values) for i, joint in joints)
 
     def observed(self, values: Mapping[Key, float]) -> FloatArray:
         """Measured channels (n_rows, n_channels), advanced by the delays of their sensors.
 
         The first and the last sample extend the record.
         """
-        delays = [
-            values.get(key, 0.0) if (key := delay_of(c.sensor, c.joint)) else 0.0
-            for c in self.channels
-        ]
+        delays = [channel.value(ConstantKind.DELAY, values) for channel in self.channels]
         if not any(delays):
             return self.measured
         T, channels = self.log.sample_time, self.measured.copy()
@@ -237,7 +249,8 @@ class Dataset:
         `keys` are sensor constants. Returns (n_rows, n_channels, n_keys).
         """
         motion: Mapping[Quantity, FloatArray] = {}
-        if any(is_mounting(key) or is_of_mount(key) for key in keys):
+        constants = [constant for key in keys if (constant := constant_of(key))]
+        if any(constant.is_mounting or constant.is_of_mount for constant in constants):
             motion = self.run(values, initial, self.quantities())
             motion = motion if self._has_resonant_mount(values) else self._rows(motion)
         return self._sensor_tangent(simulated, motion, values, initial, keys)
@@ -257,18 +270,19 @@ class Dataset:
         """
         tangent, scales = np.zeros((*simulated.shape, len(keys))), self.sensor_scales(values)
         row_time = self.kernels.step * self.log.sample_time
-        mounting = [k for k, key in enumerate(keys) if is_mounting(key)]
+        constants = [constant_of(key) for key in keys]
+        mounting = [k for k, one in enumerate(constants) if one and one.is_mounting]
         for k, channel in enumerate(self.channels):
             for at, key in enumerate(keys):
-                if key == scale_of(channel.scaled, channel.joint):
+                if key == channel.key(ConstantKind.SCALE):
                     tangent[:, k, at] = simulated[:, k]
-                elif key == drift_of(channel.scaled, channel.joint, self.log.name):
+                elif key == channel.key(ConstantKind.DRIFT, self.log.name):
                     tangent[:, k, at] = self.since_middle
-                elif key == delay_of(channel.sensor, channel.joint):
+                elif key == channel.key(ConstantKind.DELAY):
                     tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
-            if channel.axis is not None and mounting:
+            if channel.axis is not None and channel.is_mounted and mounting:
                 quantities = np.stack(
                     [motion[name][:, channel.joint - 1] for name in channel.reads], 1
                 )
@@ -276,9 +290,11 @@ class Dataset:
                     quantities = self.kernels.rows(
                         self._filter_by_mount(channel, quantities, values), rate=False
                     )
-                by = slopes(channel.axis, self.arm, values, [keys[at] for at in mounting])
+                by = channel.axis.slopes(values, [keys[at] for at in mounting])
                 tangent[:, k, mounting] += scales[k] * quantities @ by
-        bandwidths = [k for k, key in enumerate(keys) if is_bandwidth(key)]
+        bandwidths = [
+            k for k, one in enumerate(constants) if one and one.kind is ConstantKind.BANDWIDTH
+        ]
         if bandwidths:
             wider = {
                 keys[k]: (1.0 + _RELATIVE_BANDWIDTH_STEP) * values[keys[k]] for k in bandwidths
@@ -289,7 +305,7 @@ class Dataset:
             wider_rows, nominal = (self.filtered_channels(run, values) for run in runs)
             for k, channel in enumerate(self.channels):
                 for at in bandwidths:
-                    if keys[at] == bandwidth_of(channel.sensor, channel.joint):
+                    if keys[at] == channel.key(ConstantKind.BANDWIDTH):
                         by = (wider_rows[:, k] - nominal[:, k]) / (
                             _RELATIVE_BANDWIDTH_STEP * values[keys[at]]
                         )
@@ -304,29 +320,25 @@ class Dataset:
         keys: Sequence[Key],
     ) -> dict[Key, FloatArray]:
         """Derivatives of a channel's rows by its mount constants, without scale factors."""
-        mount, names = self._mount_of(channel, values), mount_of(channel.sensor, channel.joint)
+        mount, names = mount_resonance(channel.axis, values), channel.mount
         if mount is None or names is None or not any(name in keys for name in names):
             return {}
-        slopes = mount.slopes(self._reading(channel, motion, values), self.log.sample_time)
+        slopes = mount.slopes(channel.reading(motion, values), self.log.sample_time)
         pairs = zip(names, slopes, strict=True)
         return {n: self.kernels.rows(x, rate=channel.rate) for n, x in pairs if n in keys}
 
     def sensor_constants(self) -> list[Key]:
         """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
-        constants = list(list_sensor_constants((c.sensor, c.joint) for c in self.channels))
-        axes = self._axes()
-        for axis in axes:
-            joint_axes = [one for one in axes if one.joint == axis.joint]
-            scale = scale_of(axis.scaled, axis.joint)
-            is_separate = is_scale_identifiable(axis, joint_axes, self.arm)
-            if scale is not None and is_separate and scale not in constants:
-                constants.append(scale)
-            if scale in constants and not is_separate:
-                constants.remove(scale)
-            if axis.kind == "tangential":
-                constants.append((ACCELEROMETER_TILT, axis.joint))
-        drifts = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels if c.shifted)
-        return [*constants, *(key for key in drifts if key is not None)]
+        has_gravity, kinds = bool(self.arm.gravity), (ConstantKind.DELAY, ConstantKind.SCALE)
+        constants: dict[Key | None, None] = {}
+        for axis in self._axes():
+            axes = [one for one in self._axes() if one.joint == axis.joint]
+            is_separate = axis.sensor.is_scale_identifiable(axis, axes, has_gravity=has_gravity)
+            constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
+            if axis.sensor.group is Group.MOUNTED:
+                constants[axis.key(ConstantKind.TILT)] = None
+        drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self._axes())
+        return [key for key in (*constants, *drifts) if key is not None]
 
     def tables(self, values: Mapping[Key, float], axes: Sequence[Axis]) -> list[FloatArray]:
         """For each axis, the simulated quantities that it combines and, last, its reading.
@@ -338,8 +350,9 @@ class Dataset:
         at = {channel.axis: k for k, channel in enumerate(self.channels)}
         tables = []
         for axis in axes:
-            parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
-            table = np.zeros((0, len(axis.quantities) + 1))
+            quantities = cast("tuple[Quantity, ...]", axis.sensor.quantities())
+            parts = [rows[name][:, axis.joint - 1] for name in quantities if name in rows]
+            table = np.zeros((0, len(quantities) + 1))
             if axis in at:
                 table = np.column_stack([*parts, self.measured[:, at[axis]]])
                 table = table - table.mean(axis=0)
@@ -347,18 +360,17 @@ class Dataset:
         return tables
 
     def _axes(self) -> list[Axis]:
-        """Sensor axes of unknown mounting."""
+        """Axes of the link sensors."""
         return [channel.axis for channel in self.channels if channel.axis is not None]
 
     def sensor_scales(self, values: Mapping[Key, float]) -> FloatArray:
         """Scale factors (n_channels,), one where a sensor has none."""
-        keys = (scale_of(channel.scaled, channel.joint) for channel in self.channels)
-        return np.array([1.0 if key is None else values.get(key, 1.0) for key in keys])
+        return np.array([channel.value(ConstantKind.SCALE, values) for channel in self.channels])
 
     def drifts(self, values: Mapping[Key, float]) -> FloatArray:
         """Contribution (n_rows, n_channels) of the sensor drifts to the channels."""
-        keys = (drift_of(c.scaled, c.joint, self.log.name) for c in self.channels)
-        rates = [0.0 if key is None else values.get(key, 0.0) for key in keys]
+        name = self.log.name
+        rates = [channel.value(ConstantKind.DRIFT, values, name) for channel in self.channels]
         return np.outer(self.since_middle, rates)
 
     @property
@@ -408,7 +420,7 @@ class Dataset:
         scales = self.sensor_scales(values)
         residuals = [
             self.log.channels[c.name]
-            - scale * self._filter_by_mount(c, self._reading(c, runs, values), values)
+            - scale * self._filter_by_mount(c, c.reading(runs, values), values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
         return noise_behind(self.channels, residuals, self.kernels, self.counts)
@@ -445,7 +457,7 @@ class Dataset:
         if not self._has_resonant_mount(known_values):
             return self._stack_channels(self._rows(runs), known_values)
         readings = [
-            self._filter_by_mount(c, self._reading(c, runs, known_values), known_values)
+            self._filter_by_mount(c, c.reading(runs, known_values), known_values)
             for c in self.channels
         ]
         pairs = zip(readings, self.channels, strict=True)
@@ -467,20 +479,16 @@ class Dataset:
         tested = [(names, mount) for names, candidates in mounts.items() for mount in candidates]
         changes = np.zeros((len(self.time), len(self.channels), len(tested)))
         for k, channel in enumerate(self.channels):
-            reading = self._reading(channel, runs, values)
+            reading = channel.reading(runs, values)
             for at, (names, mount) in enumerate(tested):
-                if names == mount_of(channel.sensor, channel.joint):
+                if names == channel.mount:
                     change = mount.read(reading, self.log.sample_time) - reading
                     changes[:, k, at] = scales[k] * self.kernels.rows(change, rate=channel.rate)
         return changes
 
-    def _mount_of(self, channel: Channel, values: Mapping[Key, float]) -> MountResonance | None:
-        """Mount resonance of a channel's sensor; None if it has none."""
-        return mount_resonance(channel.sensor, channel.joint, values)
-
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
-        return any(self._mount_of(channel, values) for channel in self.channels)
+        return any(mount_resonance(channel.axis, values) for channel in self.channels)
 
     def _filter_by_mount(
         self,
@@ -489,7 +497,7 @@ class Dataset:
         values: Mapping[Key, float],
     ) -> FloatArray:
         """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
-        mount = self._mount_of(channel, values)
+        mount = mount_resonance(channel.axis, values)
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
     def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
@@ -503,21 +511,7 @@ class Dataset:
         values: Mapping[Key, float],
     ) -> FloatArray:
         """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
-        return np.stack([self._reading(c, rows, values) for c in self.channels], axis=1)
-
-    def _reading(
-        self,
-        channel: Channel,
-        of: Mapping[Quantity, FloatArray],
-        values: Mapping[Key, float],
-    ) -> FloatArray:
-        """Reading (n, ...) of one channel from (n, n_joints, ...) of each quantity."""
-        at = channel.joint - 1
-        if channel.axis is None:
-            return of[channel.quantity][:, at]
-        weights = factors(channel.axis, self.arm, values)
-        parts = zip(weights, channel.reads, strict=True)
-        return np.asarray(sum(weight * of[name][:, at] for weight, name in parts))
+        return np.stack([c.reading(rows, values) for c in self.channels], axis=1)
 
 
 def noise_behind(
@@ -534,23 +528,3 @@ def noise_behind(
     stds = [noise_std(x) for x in samples]
     gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
     return np.asarray(np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain)
-
-
-def with_bandwidths(arm: Arm, values: Mapping[Key, float]) -> Arm:
-    """Set the sensor bandwidths [Hz] of an arm; other `values` are ignored."""
-    joints = []
-    for i, joint in enumerate(arm.joints, start=1):
-        bandwidths = {
-            f"{name}_hz": values.get((f"{name}_bandwidth", i)) for name in _SENSORS_WITH_BANDWIDTH
-        }
-        given = {key: hz for key, hz in bandwidths.items() if hz is not None}
-        tangential = joint.accelerometer_distance is None
-        imu = joint.imu
-        if imu is not None:
-            inner = {k[len("imu_") :]: hz for k, hz in given.items() if k.startswith("imu_")}
-            if tangential and "accelerometer_hz" in given:
-                inner.setdefault("accelerometer_hz", given["accelerometer_hz"])
-            imu = replace(imu, **inner)  # type: ignore[arg-type]
-        outer = {k: hz for k, hz in given.items() if not k.startswith("imu_")}
-        joints.append(replace(joint, imu=imu, **outer))  # type: ignore[arg-type]
-    return arm.with_joints(joints)

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Joint, Log
+from strainwave.domain.link_sensors import compared_axes
+from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import Axis, axes_of
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
-from strainwave.identification.closed_loop import has_accelerometer
 from strainwave.identification.whole_arm.records.dataset import (
     INITIAL_INTERVAL,
     Channel,
@@ -70,8 +70,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     raw = [log.channels[channel.name] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        _encoder_resolution(arm.joints[c.joint - 1]) if c.quantity == "motor_angle" else 0.0
-        for c in channels
+        0.0 if c.axis else _encoder_resolution(arm.joints[c.joint - 1]) for c in channels
     )
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
@@ -171,16 +170,10 @@ def _unmasked_rows(log: Log, channels: Sequence[Channel], kernels: Kernels) -> B
 def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
     """Compared channels of a log: motor angles, then the link sensors of each joint."""
     for i in range(1, arm.n_joints + 1):
-        yield Channel(f"theta_m{i}", i, "motor_angle", rate=True, shifted=False)
-    for i in range(1, arm.n_joints + 1):
-        if has_accelerometer(log, arm, i):
-            yield Channel(f"a{i}", i, "accelerometer", rate=False, shifted=True)
-        elif f"theta_l{i}" in log.channels:
-            yield Channel(f"theta_l{i}", i, "link_angle", rate=True, shifted=False)
-        elif f"gyro{i}" in log.channels:
-            yield Channel(f"gyro{i}", i, "gyro", rate=False, shifted=True)
-        for axis in axes_of(log.channels, arm, i):
-            yield Channel(axis.channel, i, axis.quantities[0], False, True, axis)
+        yield Channel(f"theta_m{i}", i)
+    for i, joint in enumerate(arm.joints, start=1):
+        for axis in compared_axes(joint, i, log.channels):
+            yield Channel(axis.channel, i, axis)
 
 
 def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
@@ -215,18 +208,11 @@ def _encoder_resolution(joint: Joint) -> float:
 
 
 def _simulated_arm(log: Log, arm: Arm) -> Arm:
-    """The arm for simulation: unquantised encoders, and IMUs for sensors of unknown mounting."""
-    joints = tuple(
-        replace(joint, encoder_counts=None, imu=_imu(axes_of(log.channels, arm, i), joint))
-        for i, joint in enumerate(arm.joints, start=1)
-    )
+    """The arm for simulation: unquantised encoders, and the IMUs whose channels are logged."""
+    joints = []
+    for i, joint in enumerate(arm.joints, start=1):
+        axes = compared_axes(joint, i, log.channels)
+        has_imu = any(isinstance(axis.sensor, ImuSensor) for axis in axes)
+        imu = (joint.imu or Imu()) if has_imu else None
+        joints.append(replace(joint, encoder_counts=None, imu=imu))
     return arm.with_joints(joints)
-
-
-def _imu(axes: Sequence[Axis], joint: Joint) -> Imu | None:
-    """IMU that simulates the axes of unknown mounting; None if there are none."""
-    if not axes:
-        return None
-    if axes[0].kind == "tangential":
-        return Imu(accelerometer_hz=joint.accelerometer_hz)
-    return joint.imu or Imu()

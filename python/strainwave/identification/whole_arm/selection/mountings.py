@@ -13,14 +13,14 @@ import numpy as np
 
 from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.domain.keys import Key, Values
-from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.mounting import (
-    ACCELEROMETER_DISTANCE,
+from strainwave.domain.link_sensors import Axis, unknowns_of
+from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
+from strainwave.domain.link_sensors.imu import (
     IMU_ROTATION,
     IMU_START_ATTITUDE,
-    Axis,
-    unknowns_of,
+    ImuAccelerometers,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
@@ -84,7 +84,7 @@ def _choose_mounting(
     starts = [_with_mounting(objective, values, one) for one in mountings]
     if (
         has_attitude
-        and {a.kind for a in axes} == {"accelerometer"}
+        and all(isinstance(axis.sensor, ImuAccelerometers) for axis in axes)
         and {0, 1} == {a.number for a in axes}
     ):
         held: dict[Key, float] = {(name, joint): 0.0 for name in IMU_ROTATION[:2]}
@@ -168,8 +168,8 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
 
 def _axes_on(objective: Objective, joint: int) -> list[Axis]:
     """Sensor axes of unknown mounting on the link of a joint, over all records."""
-    all_axes = (c.axis for record in objective.records for c in record.channels)
-    return list(dict.fromkeys(a for a in all_axes if a and a.joint == joint))
+    channels = (c for record in objective.records for c in record.channels if c.is_mounted)
+    return list(dict.fromkeys(c.axis for c in channels if c.axis and c.joint == joint))
 
 
 def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
@@ -231,6 +231,6 @@ def _simulated_mountings(
     """Mountings by least squares on the simulated link motion of all records."""
     per_record = [record.tables(values, axes) for record in objective.records]
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
-    if axes[0].kind == "tangential":
+    if isinstance(axes[0].sensor, Accelerometer):
         return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(tables[0])}]
     return imu_candidates(axes, tables, arm, flat=flat)[:_MAX_STARTS]

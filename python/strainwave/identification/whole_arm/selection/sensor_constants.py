@@ -22,30 +22,15 @@ from strainwave.domain import (
 )
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Values
-from strainwave.domain.parameter_table import base_name
-from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.link_sensors import (
-    MAX_SCALE_ERROR,
-    MAX_SENSOR_DELAY,
-    bandwidth_of,
-    delay_of,
-    drift_of,
-    is_bandwidth,
-    is_drift,
-    is_of_mount,
-    is_optional,
-    nominal,
-)
-from strainwave.dynamics.mounting import (
-    ACCELEROMETER_DISTANCE,
-    ACCELEROMETER_TILT,
+from strainwave.domain.link_sensors import ConstantKind, constant_of, is_kind, nominal
+from strainwave.domain.link_sensors.imu import (
     IMU_DISTANCE,
-    IMU_POSITION,
     IMU_ROTATION,
     IMU_START_ATTITUDE,
-    is_hidden,
-    is_mounting,
+    ImuAccelerometers,
 )
+from strainwave.domain.parameter_table import record_of
+from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.objective import Objective
@@ -70,8 +55,14 @@ _MIN_START_DISTANCE = 1e-3  # [m] minimum starting distance from the axis
 _MOUNTING_RANGE = 30.0  # range of mounting coordinates, in units of their scale
 # range of the logarithm of a distance, bandwidth or mount constant
 _LOG_RANGE = float(np.log(30.0))
-_DRIFT_RANGE = 1e4  # [m/s^3 or rad/s^2] range of drifts
-_TILT_RANGE = 0.5  # [rad] range of the tilt of a tangential accelerometer
+# scale of each constant that starts at its nominal value, and its range in units of the scale:
+# those of drifts [m/s^3 or rad/s^2] and of tilts [rad] hardly limit them
+_SCALES = {
+    ConstantKind.DELAY: (MAX_SENSOR_DELAY, 1.0),
+    ConstantKind.SCALE: (MAX_SCALE_ERROR, 1.0),
+    ConstantKind.TILT: (0.5, 1.0),
+    ConstantKind.DRIFT: (1.0, 1e4),
+}
 _MIN_LOW_PASS_DELAY = 3e-5  # [s] minimum delay that a low-pass may explain, of 7.5 kHz
 _LOW_PASS_DELAY_SHARE = 0.5  # share of a delay that the starting bandwidth explains
 _MIN_REPORTED_DELAY = 1e-4  # [s] minimum delay of a warning: half a sample of a typical logger
@@ -97,32 +88,17 @@ def add_sensor_constants(
 
 def _unknown_of(key: Key, starts: Values) -> Unknown:
     """Unknown of a sensor constant, with its starting value, scale and range."""
-    name, joint = key
-    if is_mounting(key) and not is_optional(key):
-        start = starts[key]
-        if name == IMU_DISTANCE:
-            start = max(start, _MIN_START_DISTANCE)
-            return Unknown(name, joint, "m", start, start, False, _LOG_RANGE)
-        unit = (
-            "m"
-            if name in (ACCELEROMETER_DISTANCE, IMU_DISTANCE, *IMU_POSITION)
-            else "1"
-            if is_hidden(key)
-            else "rad"
-        )
-        return Unknown(
-            name, joint, unit, start, max(abs(start), _MIN_MOUNTING_SCALE), True, _MOUNTING_RANGE
-        )
-    if is_bandwidth(key) or is_of_mount(key):
-        unit = "1" if name.endswith("_damping") else "Hz"
-        return Unknown(name, joint, unit, starts[key], starts[key], False, _LOG_RANGE)
-    if name == ACCELEROMETER_TILT:
-        return Unknown(name, joint, "rad", 0.0, _TILT_RANGE, True, 1.0)
-    if is_drift(key):
-        unit = "m/s^3" if name.startswith(("accelerometer", "imu_a")) else "rad/s^2"
-        return Unknown(name, joint, unit, 0.0, 1.0, True, _DRIFT_RANGE)
-    unit, scale = ("s", MAX_SENSOR_DELAY) if name.endswith("_delay") else ("1", MAX_SCALE_ERROR)
-    return Unknown(name, joint, unit, nominal(key), scale, True, 1.0)
+    constant, (name, joint) = constant_of(key), key
+    assert constant is not None
+    if constant.kind in _SCALES:
+        scale, reach = _SCALES[constant.kind]
+        return Unknown(name, joint, constant.unit, constant.kind.nominal, scale, True, reach)
+    start = starts[key]
+    if constant.is_mounting and name != IMU_DISTANCE:
+        scale = max(abs(start), _MIN_MOUNTING_SCALE)
+        return Unknown(name, joint, constant.unit, start, scale, True, _MOUNTING_RANGE)
+    start = max(start, _MIN_START_DISTANCE) if constant.is_mounting else start
+    return Unknown(name, joint, constant.unit, start, start, False, _LOG_RANGE)
 
 
 def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
@@ -131,10 +107,10 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     The starting values attribute half of each delay to the low-pass. `coarse` selects the search
     that follows.
     """
-    arm, options = selection.arm, selection.options
+    options = selection.options
     space = fit.objective.space
     values, starts = space.values(fit.z), {}
-    for delay, bandwidth in _delayed_sensors(fit, arm):
+    for delay, bandwidth in _delayed_sensors(fit):
         lag = values[delay]
         if (
             lag > _MIN_LOW_PASS_DELAY
@@ -155,21 +131,15 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     return _refine_from(fit, objective, start, options)
 
 
-def _delayed_sensors(fit: Fit, arm: Arm) -> Iterator[tuple[Key, Key]]:
+def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
     """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
     keys, visited = fit.objective.space.keys, set()
-    for channel in (c for record in fit.objective.records for c in record.channels):
-        delay, bandwidth = (of(channel.sensor, channel.joint) for of in (delay_of, bandwidth_of))
-        if delay is None or bandwidth is None or delay not in keys or delay in visited:
-            continue
-        visited.add(delay)
-        joint_data = arm.joints[channel.joint - 1]
-        sensor = channel.sensor
-        given = getattr(joint_data, f"{sensor}_hz", None)
-        if sensor.startswith("imu_"):
-            given = getattr(joint_data.imu, f"{sensor[len('imu_') :]}_hz", None)
-        if given is None:
-            yield delay, bandwidth
+    for axis in (c.axis for record in fit.objective.records for c in record.channels if c.axis):
+        delay, bandwidth = axis.key(ConstantKind.DELAY), axis.key(ConstantKind.BANDWIDTH)
+        if delay in keys and delay not in visited and delay and bandwidth:
+            visited.add(delay)
+            if axis.sensor.hz is None:
+                yield delay, bandwidth
 
 
 def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: bool) -> Fit:
@@ -220,16 +190,20 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
     bandwidth is tested in any case.
     """
     space = fit.objective.space
-    optional = [key for key in space.keys if is_optional(key) and not is_of_mount(key)]
-    if not optional:
+    ideal = {
+        key: constant.kind.nominal
+        for key in space.keys
+        if (constant := constant_of(key)) and constant.is_optional and not constant.is_of_mount
+    }
+    if not ideal:
         return {}
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
     within_range = (fit.z > _BOUND_SHARE * space.lower) & (fit.z < _BOUND_SHARE * space.upper)
     rows = zip(space.keys, space.parameters(fit.z), stds, within_range, strict=True)
     distances = {
-        key: (value if is_bandwidth(key) else abs(value - nominal(key))) / std
+        key: (abs(value - ideal[key]) if np.isfinite(ideal[key]) else value) / std
         for key, value, std, within in rows
-        if key in optional and (within or is_bandwidth(key))
+        if key in ideal and (within or not np.isfinite(ideal[key]))
     }
     for key in [
         key for key in distances if _counterpart(key) in distances and _counterpart(key) != key
@@ -243,24 +217,33 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
             del distances[key]
     weakest = min(distances, key=lambda key: distances[key], default=None)
     return (
-        {weakest: nominal(weakest)}
+        {weakest: ideal[weakest]}
         if weakest is not None and distances[weakest] < _MIN_KEPT_SIGNIFICANCE
         else {}
     )
 
 
+_COUNTERPARTS = {
+    ConstantKind.DELAY: ConstantKind.BANDWIDTH,
+    ConstantKind.BANDWIDTH: ConstantKind.DELAY,
+}
+
+
 def _counterpart(key: Key) -> Key:
     """Bandwidth key for a delay key and vice versa; other keys are unchanged."""
-    name, joint = key
-    sensor, _, quantity = name.rpartition("_")
-    other = {"delay": "bandwidth", "bandwidth": "delay"}.get(quantity, quantity)
-    return f"{sensor}_{other}", joint
+    constant = constant_of(key)
+    other = _COUNTERPARTS.get(constant.kind) if constant else None
+    if constant is None or other is None or key[1] is None:
+        return key
+    return replace(constant, kind=other).key(key[1])
 
 
 def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
     """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
     k = fit.objective.space.keys.index(key)
-    return is_bandwidth(key) and bool(fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k])
+    return is_kind(key, ConstantKind.BANDWIDTH) and bool(
+        fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k]
+    )
 
 
 def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) -> dict[Key, float]:
@@ -273,7 +256,8 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     candidates = [
         key
         for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
-        if key not in included and not is_drift(key) and not is_held(key, options)
+        if key not in included and not is_held(key, options)
+        if not is_kind(key, ConstantKind.DRIFT)
         if not _is_collinear_with_tilt(key, fit)
     ]
     if not candidates:
@@ -312,7 +296,7 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
         time = record.since_middle
         residuals = rows.residual * weights.stds
         for channel, residual in zip(record.channels, residuals.T, strict=True):
-            key = drift_of(channel.scaled, channel.joint, record.log.name)
+            key = channel.key(ConstantKind.DRIFT, record.log.name)
             is_candidate = channel.shifted and key is not None and not is_held(key, options)
             if key is None or not is_candidate or key in objective.space.keys:
                 continue
@@ -328,12 +312,17 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
 
 def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
     """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes."""
-    name, joint = key
-    if not name.startswith("imu_a") or not name.endswith("_scale"):
-        return False
     axes = {c.axis for record in fit.objective.records for c in record.channels}
-    count = sum(a.kind == "accelerometer" and a.joint == joint for a in axes if a is not None)
-    return count == 2 and (IMU_ROTATION[0], joint) in fit.objective.space.keys
+    accelerometers = [
+        axis
+        for axis in axes
+        if axis and axis.joint == key[1] and isinstance(axis.sensor, ImuAccelerometers)
+    ]
+    return (
+        len(accelerometers) == 2
+        and key in [axis.key(ConstantKind.SCALE) for axis in accelerometers]
+        and (IMU_ROTATION[0], key[1]) in fit.objective.space.keys
+    )
 
 
 def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
@@ -359,50 +348,26 @@ def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """Warn of link sensors with delays, scale errors or drifts."""
     for parameter in parameters:
-        key = parameter.name, parameter.joint
-        if is_drift(key) and parameter.value is not None:
-            yield _drift_warning(parameter, parameter.value)
-        if not parameter.name.endswith(("_delay", "_scale")) or parameter.value is None:
+        constant = constant_of((parameter.name, parameter.joint))
+        if constant is None or parameter.value is None:
             continue
-        if not is_optional(key):
-            continue
-        threshold = (
-            _MIN_REPORTED_DELAY if parameter.name.endswith("_delay") else _MIN_REPORTED_SCALE_ERROR
-        )
-        if abs(parameter.value - nominal(key)) < threshold:
-            continue
-        sensor = parameter.name.rsplit("_", 1)[0].replace("_", " ")
-        half = CI95_STDS * (parameter.std or 0.0)
-        if parameter.name.endswith("_delay"):
-            side = "behind" if parameter.value > 0.0 else "ahead of"
-            text = (
-                f"the {sensor} is {1e3 * abs(parameter.value):.3g} ± {1e3 * half:.2g} ms {side} the"
-            )
-            text += (
-                " motor encoder. The fit corrects the delay. Likely causes are a bandwidth that is"
-            )
+        sensor, half = constant.owner.replace("_", " "), CI95_STDS * (parameter.std or 0.0)
+        error = parameter.value - constant.kind.nominal
+        place = Place(joint=parameter.joint)
+        if constant.kind is ConstantKind.DRIFT:
+            text = f"in {record_of(parameter.name)} the {sensor} drifts by"
+            text += f" {parameter.value:.3g} ± {half:.2g} {parameter.unit}. The fit corrects the"
+            text += " drift. Likely causes are warm-up, the supply, and the recovery of an"
+            text += " amplifier"
+            yield Diagnostic.at("sensor-drift", place, text)
+        elif constant.kind is ConstantKind.DELAY and abs(error) >= _MIN_REPORTED_DELAY:
+            side = "behind" if error > 0.0 else "ahead of"
+            text = f"the {sensor} is {1e3 * abs(error):.3g} ± {1e3 * half:.2g} ms {side} the motor"
+            text += " encoder. The fit corrects the delay. Likely causes are a bandwidth that is"
             text += " missing from the study, latency of the converter or bus, and time stamps"
-            yield Diagnostic.at("sensor-delay", Place(joint=parameter.joint), text)
-        else:
-            text = (
-                f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion. The fit"
-            )
-            text += (
-                " corrects the scale. Likely causes are the calibration, the distance from the axis"
-            )
-            text += " in the study and the direction of the sensor"
-            yield Diagnostic("sensor-scale", f"joint {parameter.joint}", text)
-
-
-def _drift_warning(estimate: Parameter, rate: float) -> Diagnostic:
-    """Warn about the drift of a sensor."""
-    name = base_name(estimate.name)
-    sensor, record = (
-        name.removesuffix("_drift").replace("_", " "),
-        estimate.name[len(name) + 1 : -1],
-    )
-    half = CI95_STDS * (estimate.std or 0.0)
-    text = f"in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {estimate.unit}. The fit"
-    text += " corrects the drift. Likely causes are warm-up, the supply, and the recovery of an"
-    text += " amplifier"
-    return Diagnostic("sensor-drift", f"joint {estimate.joint}", text)
+            yield Diagnostic.at("sensor-delay", place, text)
+        elif constant.kind is ConstantKind.SCALE and abs(error) >= _MIN_REPORTED_SCALE_ERROR:
+            text = f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion. The"
+            text += " fit corrects the scale. Likely causes are the calibration, the distance from"
+            text += " the axis in the study and the direction of the sensor"
+            yield Diagnostic.at("sensor-scale", place, text)

@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.domain import Diagnostic, FloatArray, Parameter
 from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.keys import Key
-from strainwave.dynamics.link_sensors import is_of_mount, mount_of
+from strainwave.domain.link_sensors import ConstantKind, constant_of
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
@@ -117,7 +117,7 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
         objective.records, channels_above_noise(objective, fit.z), strict=True
     ):
         for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
-            names = mount_of(channel.sensor, channel.joint)
+            names = channel.mount
             if (
                 not exceeds_noise
                 or names is None
@@ -167,7 +167,7 @@ def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
     evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
     for record, weights, rows in evaluated:
         for channel, cost in zip(record.channels, rows.costs(weights), strict=True):
-            costs[0 if mount_of(channel.sensor, channel.joint) == names else 1] += cost
+            costs[0 if channel.mount == names else 1] += cost
     sensor_cost, others = costs.tolist()
     return sensor_cost, others
 
@@ -175,13 +175,11 @@ def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
 def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """Warn of link sensors with a mount resonance."""
     for parameter in parameters:
-        key = parameter.name, parameter.joint
-        if (
-            not (is_of_mount(key) and parameter.name.endswith("_frequency"))
-            or parameter.value is None
-        ):
+        constant = constant_of((parameter.name, parameter.joint))
+        is_frequency = constant is not None and constant.kind is ConstantKind.MOUNT_FREQUENCY
+        if constant is None or not is_frequency or parameter.value is None:
             continue
-        sensor = parameter.name.removesuffix("_mount_frequency").replace("_", " ")
+        sensor = constant.owner.replace("_", " ")
         text = (
             f"the mount of the {sensor} of link {parameter.joint} resonates at"
             f" {parameter.value:.3g} ± {CI95_STDS * (parameter.std or 0.0):.2g} Hz. The fit"
