@@ -24,7 +24,6 @@ def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> C
         placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints]
         gravity = arm.gravity or (0.0, 0.0, 0.0)
         return CoreArm.serial_chain(placed, springs, ratios, gravity=gravity, **constants)
-    length = arm.joints[-1].origin.xyz[0]
     return CoreArm(
         arm.kind,
         springs,

@@ -163,9 +163,13 @@ def _pair_with_ranges(
         rows.insert(0, (constant, joint.torque_per_volt, "N m/V", "torque per volt"))
     for label, value, unit, quantity in rows:
         ranges = [
-            (r.minimum * joint.gear_ratio**r.power, r.maximum * joint.gear_ratio**r.power)
+            (
+                r.minimum * abs(joint.gear_ratio) ** r.power,
+                r.maximum * abs(joint.gear_ratio) ** r.power,
+            )
             for r in PLAUSIBLE_RANGES
-            if r.quantity == quantity and (joint.gear_ratio <= MAX_GEARED_RATIO or not r.geared)
+            if r.quantity == quantity
+            and (abs(joint.gear_ratio) <= MAX_GEARED_RATIO or not r.geared)
         ]
         if ranges:
             minimum, maximum = max(low for low, _ in ranges), min(high for _, high in ranges)

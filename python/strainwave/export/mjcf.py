@@ -86,7 +86,7 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
     if not joint.elastic:
         n2 = joint.gear_ratio**2
         viscous += arm.need("motor_viscous_friction", number) / n2
-        friction = arm.need("motor_coulomb_friction", number) / joint.gear_ratio
+        friction = arm.need("motor_coulomb_friction", number) / abs(joint.gear_ratio)
         attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
         if not holds_motor(arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)

@@ -71,7 +71,7 @@ def _joint(robot: ET.Element, arm: IdentifiedArm, number: int) -> None:
     ET.SubElement(joint, "axis", xyz=numbers(*arm.joint(number).axis))
     viscous = arm.need("motor_viscous_friction", number) / n**2
     viscous += arm.need("link_viscous_friction", number)
-    friction = arm.need("motor_coulomb_friction", number) / n
+    friction = arm.need("motor_coulomb_friction", number) / abs(n)
     ET.SubElement(joint, "dynamics", damping=numbers(viscous), friction=numbers(friction))
     if is_prismatic:
         limits = dict.fromkeys(("upper", "effort", "velocity"), _NO_LIMIT)

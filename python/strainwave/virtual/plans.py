@@ -88,8 +88,8 @@ def smooth_reference(gear_ratio: float, tick: float, rng: np.random.Generator) -
         duration=MOTION_DURATION,
         clock=tick,
         top_hz=_MAX_MOTION_HZ,
-        excursion=_MAX_LINK_EXCURSION / gear_ratio,
-        speed=_MAX_LINK_SPEED / gear_ratio,
+        excursion=_MAX_LINK_EXCURSION / abs(gear_ratio),
+        speed=_MAX_LINK_SPEED / abs(gear_ratio),
         rng=rng,
     )
 
