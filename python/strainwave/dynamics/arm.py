@@ -19,6 +19,7 @@ from strainwave.domain.effects import RecordEffect, effect_named
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.link_sensors import low_passes
+from strainwave.domain.parameter_table import family_of
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput, NumericalFailure
 
@@ -356,7 +357,7 @@ def _constant(values: list[Any]) -> FloatArray:
 
 def _is_zero_by_default(key: Key) -> bool:
     """Whether a parameter is zero if it is not given."""
-    return key[0] in _ZERO_BY_DEFAULT or key[0].startswith("gravity_torque_")
+    return key[0] in _ZERO_BY_DEFAULT or family_of(key[0]) == "gravity"
 
 
 @contextmanager
