@@ -155,8 +155,10 @@ def test_a_result_reads_back_equal(tmp_path: Path) -> None:
         with pytest.raises(sw.InvalidInput, match=r"has no samples.*identify the study again"):
             request()
     assert fresh.report(tmp_path / "report.html").read_text().startswith("<!doctype html>")
-    with pytest.raises(sw.InvalidInput, match=r"there is no figure 'bode-joint-3'.*bode-joint-1"):
+    with pytest.raises(sw.InvalidInput, match=r"there is no figure 'bode joint 3'.*bode joint 1"):
         fresh.plot("bode", joint=3)
+    with pytest.raises(sw.InvalidInput, match=r"no kind of figure 'bod'.*did you mean 'bode'"):
+        fresh.plot("bod")  # type: ignore[arg-type]
     assert "gear_damping" in fresh._repr_html_()
 
 
@@ -309,7 +311,7 @@ def test_a_figure_is_found_by_the_name_of_its_experiment() -> None:
     prediction = replace(run.fitted[0], experiment="Slow motion (1)")
     result = sw.Result.of(replace(run, fitted=(prediction,)))
     assert result.plot("fitted", experiment="Slow motion (1)").axes
-    with pytest.raises(sw.InvalidInput, match="there is no figure 'fitted-slow-motion-2'"):
+    with pytest.raises(sw.InvalidInput, match="there is no figure 'fitted Slow motion"):
         result.plot("fitted", experiment="Slow motion (2)")
 
 

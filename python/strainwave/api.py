@@ -43,6 +43,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
+    from strainwave.presentation.report import FigureKind
+
 Key = str | tuple[str, int | None]
 
 _POLL_S = 0.05  # [s] between two checks of `cancel`; a user notices delays above 0.1 s
@@ -527,34 +529,34 @@ class Result:
         return (*(each.message for each in written.warnings), *written.notes)
 
     def plot(
-        self, kind: str | None = None, *, joint: int | None = None, experiment: str | None = None
+        self,
+        kind: FigureKind = "parameters",
+        *,
+        joint: int | None = None,
+        experiment: str | None = None,
+        part: str | None = None,
     ) -> Figure:
-        """One of the figures of the report.
+        """One of the figures of the report; an unknown one raises `InvalidInput` with a list.
 
-        `kind` is the beginning of its name: "bode", "gear", "check", "correlations", ...; an
-        unknown one raises `InvalidInput` with a list of all. Without `kind`, the figure shows the
-        standard deviation of each parameter relative to its value.
+        "parameters" shows the standard deviation of each parameter relative to its value. `part` is
+        "slope" or "torsion" of a gear, "time" or "spectrum" of an interaction, a channel of the
+        residuals.
         """
         from strainwave.presentation.matplotlib_backend import draw
         from strainwave.presentation.notebook import certainty
-        from strainwave.presentation.report import figures_of, slug
+        from strainwave.presentation.report import FIGURE_KINDS, FigureName, find_figure
 
-        if kind is None:
+        if kind not in FIGURE_KINDS:
+            raise InvalidInput(
+                f"there is no kind of figure {kind!r}",
+                remedy=f"choose from: {', '.join(FIGURE_KINDS)}{suggest_name(kind, FIGURE_KINDS)}",
+            )
+        if kind == "parameters":
             return draw(certainty(self._parameters))
         if kind == "bode" and joint is not None and self.run is None:
             return self.frequency_response(joint).plot()
-        figures = figures_of(self._needs_run('figures other than plot("bode", joint=1)'))
-        parts = [kind]
-        parts += [f"joint-{joint}"] if joint is not None else []
-        parts += [experiment] if experiment is not None else []
-        prefix = slug(" ".join(parts))
-        for name, figure in figures.items():
-            if name == prefix or name.startswith(f"{prefix}-"):
-                return draw(figure)
-        raise InvalidInput(
-            f"there is no figure {prefix!r}",
-            remedy=f"choose from: {', '.join(figures)}{suggest_name(prefix, figures)}",
-        )
+        run = self._needs_run('figures other than plot("bode", joint=1)')
+        return draw(find_figure(run, FigureName(kind, joint, experiment, part)))
 
     def report(self, path: Path | str) -> Path:
         """Write the report, one HTML file; `InvalidInput` for a result read from a file."""

@@ -1,15 +1,19 @@
 """The report: an identification as one self-contained HTML file."""
 
-from strainwave.presentation.report.blocks import slug
+from strainwave.presentation.report.blocks import FIGURE_KINDS, FigureKind, FigureName, slug
 from strainwave.presentation.report.comparisons import render_comparisons
-from strainwave.presentation.report.page import figures_of, render
+from strainwave.presentation.report.page import figures_of, find_figure, render
 from strainwave.presentation.report.remedies import advice, by_severity, sentence
 from strainwave.presentation.report.sensor_gains import gain_sentences
 
 __all__ = [
+    "FIGURE_KINDS",
+    "FigureKind",
+    "FigureName",
     "advice",
     "by_severity",
     "figures_of",
+    "find_figure",
     "gain_sentences",
     "render",
     "render_comparisons",

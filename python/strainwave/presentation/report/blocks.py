@@ -8,12 +8,54 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, get_args
 
 from strainwave.presentation.figures import Figure
 
 Mark = Literal["", "good", "doubt", "bad"]
 Row = Sequence["str | Cell"]
+FigureKind = Literal[
+    "parameters",
+    "bode",
+    "amplitude",
+    "sweep",
+    "motor",
+    "poles",
+    "gear",
+    "check",
+    "tuning",
+    "fitted",
+    "residuals",
+    "correlation",
+    "interaction",
+    "correlations",
+    "record",
+]
+"""Kinds of figures of an identification; "parameters" is not in the report."""
+FIGURE_KINDS: tuple[FigureKind, ...] = get_args(FigureKind)
+
+
+@dataclass(frozen=True, slots=True)
+class FigureName:
+    """Which figure of an identification: its kind, and what it shows."""
+
+    kind: FigureKind
+    joint: int | None = None
+    experiment: str | None = None
+    part: str | None = None  # of a pair ("slope", "torsion"), or a channel
+
+    def includes(self, other: FigureName) -> bool:
+        """Whether the other figure has all that this name states."""
+        pairs = (
+            (self.joint, other.joint),
+            (self.experiment, other.experiment),
+            (self.part, other.part),
+        )
+        return self.kind == other.kind and all(mine in (None, its) for mine, its in pairs)
+
+    def __str__(self) -> str:
+        joint = None if self.joint is None else f"joint {self.joint}"
+        return " ".join(filter(None, (self.kind, joint, self.experiment, self.part)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +131,7 @@ class Plot:
     """A figure with its title and caption."""
 
     kind: ClassVar[str] = "plot"
-    name: str  # of its files, before `slug`
+    name: FigureName | str  # of its files, before `slug`
     label: str  # title above the figure
     figure: Figure
     words: str = ""  # caption below the figure, also read by screen readers
@@ -172,7 +214,7 @@ def keyed(sections: Iterable[Section]) -> dict[str, Plot]:
     plots: dict[str, Plot] = {}
     for section in sections:
         for plot in plots_of(section.blocks):
-            plots[_unique(slug(plot.name), plots)] = plot
+            plots[_unique(slug(str(plot.name)), plots)] = plot
     return plots
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.formatting import percent
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.options import changed_options
+from strainwave.errors import InvalidInput, suggest_name
 from strainwave.presentation.figures import MAX_POINTS, Figure
 from strainwave.presentation.report import (
     amplitudes,
@@ -34,6 +36,8 @@ from strainwave.presentation.report.blocks import (
     Block,
     Cell,
     Facts,
+    FigureKind,
+    FigureName,
     Fold,
     Plot,
     Row,
@@ -67,6 +71,19 @@ def render(identification: Identification) -> str:
 def figures_of(identification: Identification) -> dict[str, Figure]:
     """Every figure of the report, by a name that is valid as a file name."""
     return {key: plot.figure for key, plot in keyed(_sections(identification)).items()}
+
+
+def find_figure(identification: Identification, name: FigureName) -> Figure:
+    """The first figure of the report that has a name; `InvalidInput` lists the others."""
+    plots = keyed(_sections(identification)).values()
+    for plot in plots:
+        if isinstance(plot.name, FigureName) and name.includes(plot.name):
+            return plot.figure
+    names = [str(plot.name) for plot in plots]
+    raise InvalidInput(
+        f"there is no figure {str(name)!r}",
+        remedy=f"choose from: {', '.join(names)}{suggest_name(str(name), names)}",
+    )
 
 
 def _sections(result: Identification) -> list[Section]:
@@ -120,12 +137,12 @@ def _response_blocks(result: Identification) -> Iterator[Block]:
     for sweep in result.sweeps:
         label = f"Joint {sweep.joint}, stiffness over amplitude: {amplitudes.trend_title(sweep)}"
         figure, caption = amplitudes.stiffness_figure(sweep), amplitudes.describe_trend(sweep)
-        yield Plot(f"amplitude joint {sweep.joint}", label, figure, caption)
+        yield Plot(FigureName("amplitude", sweep.joint), label, figure, caption)
     for joint_number, records in amplitudes.swept_records(result).items():
         label = f"Joint {joint_number}, response by amplitude: motor torque to motor velocity"
         figure = amplitudes.response_figure(records)
         caption = "Joint model of each record, within the band of its fit."
-        yield Plot(f"sweep joint {joint_number}", label, figure, caption)
+        yield Plot(FigureName("sweep", joint_number), label, figure, caption)
     plots = tuple(_motor_plots(result))
     if plots:
         yield Fold(f"Responses of the motors in the complete arm ({len(plots)})", plots)
@@ -137,7 +154,12 @@ def _motor_plots(result: Identification) -> Iterator[Plot]:
         label = f"Motor {response.joint} in {response.experiment},"
         label += f" {CONDITION_TEXTS[response.condition]}: torque to velocity"
         figure = motors.motor_figure(response, is_prismatic=joint_of_motor.motion == "prismatic")
-        yield Plot(f"motor {response.experiment}", label, figure, motors.describe(response))
+        yield Plot(
+            FigureName("motor", experiment=response.experiment),
+            label,
+            figure,
+            motors.describe(response),
+        )
 
 
 def _bode_plot(result: Identification, joint: JointModel) -> Plot:
@@ -156,7 +178,7 @@ def _bode_plot(result: Identification, joint: JointModel) -> Plot:
         is_prismatic=description.motion == "prismatic",
     )
     label = f"Joint {joint.joint}: motor torque to motor velocity"
-    return Plot(f"bode joint {joint.joint}", label, figure, bode.describe(joint, measured))
+    return Plot(FigureName("bode", joint.joint), label, figure, bode.describe(joint, measured))
 
 
 def _pole_blocks(result: Identification) -> Iterator[Block]:
@@ -172,7 +194,7 @@ def _pole_blocks(result: Identification) -> Iterator[Block]:
         caption = (
             "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
         )
-        yield Plot(f"poles joint {joint.joint}", label, figure, caption)
+        yield Plot(FigureName("poles", joint.joint), label, figure, caption)
 
 
 def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordModel]:
@@ -215,14 +237,16 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
 def _prediction_blocks(result: Identification) -> Iterator[Block]:
     """Check records first, then fitted records, folded."""
     whole_arm = result.whole_arm
-    fitted = [("tuning", p) for p in (whole_arm.simulated if whole_arm else ())]
+    fitted: list[tuple[FigureKind, Prediction]] = [
+        ("tuning", p) for p in (whole_arm.simulated if whole_arm else ())
+    ]
     fitted += [("fitted", p) for p in result.fitted]
     channels = sum(len(p.channels) for p in (*result.checks, *(p for _, p in fitted)))
     limit = _line_points(_MAX_PREDICTION_POINTS, 3 * channels)
     for prediction in result.checks:
-        yield _prediction_plot(result, prediction, ("check", "check record"), limit)
+        yield _prediction_plot(result, prediction, "check", limit)
     if fitted:
-        plots = [_prediction_plot(result, p, (kind, "fitted record"), limit) for kind, p in fitted]
+        plots = [_prediction_plot(result, p, kind, limit) for kind, p in fitted]
         yield Fold(f"Fitted records ({len(plots)})", tuple(plots))
     if whole_arm is not None:
         yield from _fit_blocks(whole_arm)
@@ -234,14 +258,14 @@ def _line_points(total: int, lines: int) -> int:
 
 
 def _prediction_plot(
-    result: Identification, prediction: Prediction, names: tuple[str, str], limit: int
+    result: Identification, prediction: Prediction, kind: FigureKind, limit: int
 ) -> Plot:
     """One record over time, with its fits."""
-    kind, use = names
+    use = "check record" if kind == "check" else "fitted record"
     fits = [f"{name} {_format_fit(fit)}" for name, fit in prediction.fit_percent.items()]
     model = "drive by the rigid model" if prediction.of_drive else "motion by the elastic model"
     return Plot(
-        f"{kind} {prediction.experiment}",
+        FigureName(kind, experiment=prediction.experiment),
         f"{prediction.experiment}, {use}: {model}",
         prediction_figure(prediction, result.study.arm.joints, limit),
         f"Fit: {', '.join(fits)}.",
@@ -276,10 +300,15 @@ def _fit_blocks(whole_arm: ArmModel) -> Iterator[Block]:
 def _interaction_blocks(result: Identification) -> Iterator[Block]:
     for record in torques.interaction_records(result):
         where = f"Joint {record.joint}, {record.experiment.name}"
-        name, caption = f"interaction joint {record.joint}", torques.describe(record)
-        figure = torques.time_figure(record)
-        yield Plot(f"{name} time", f"{where}: torques over time", figure, caption)
-        yield Plot(f"{name} spectrum", f"{where}: spectra", torques.spectrum_figure(record))
+        name = FigureName("interaction", record.joint)
+        yield Plot(
+            replace(name, part="time"),
+            f"{where}: torques over time",
+            torques.time_figure(record),
+            torques.describe(record),
+        )
+        figure = torques.spectrum_figure(record)
+        yield Plot(replace(name, part="spectrum"), f"{where}: spectra", figure)
     heads = ("joint", "record", "source", "bias [rad/s²]", "error of (10) [rad/s]")
     delays = ("link sensor delay [ms]", "motor response delay [ms]")
     rows = elastic.link_rows(result)
@@ -292,12 +321,12 @@ def _interaction_blocks(result: Identification) -> Iterator[Block]:
 def _gear_blocks(result: Identification) -> Iterator[Block]:
     for curve in gears.stiffness_curves(result):
         label = f"Gear {curve.joint}: stiffness over torque, and torques in the records"
-        name = f"gear joint {curve.joint}"
+        name = FigureName("gear", curve.joint)
         figure = gears.stiffness_figure(curve)
-        yield Plot(f"{name} slope", label, figure, gears.describe(curve))
+        yield Plot(replace(name, part="slope"), label, figure, gears.describe(curve))
         if curve.is_nonlinear:
             label = f"Gear {curve.joint}: torque over torsion"
-            yield Plot(f"{name} torsion", label, gears.torsion_figure(curve))
+            yield Plot(replace(name, part="torsion"), label, gears.torsion_figure(curve))
 
 
 def _residual_blocks(result: Identification) -> Iterator[Block]:
@@ -315,7 +344,7 @@ def _correlation_blocks(result: Identification) -> Iterator[Block]:
     errors = correlations.correlations(result)
     if errors is not None:
         label, caption = "Correlations of the parameter errors", correlations.describe(errors)
-        yield Plot("correlations", label, correlations.heat_map(errors), caption)
+        yield Plot(FigureName("correlations"), label, correlations.heat_map(errors), caption)
 
 
 def _recording_blocks(result: Identification) -> Iterator[Block]:

@@ -18,7 +18,7 @@ from strainwave.presentation.figures import (
     Panel,
     decimate,
 )
-from strainwave.presentation.report.blocks import Block, Fold, Plot
+from strainwave.presentation.report.blocks import Block, FigureName, Fold, Plot
 from strainwave.presentation.report.predictions import unit_of
 
 _TITLES = {
@@ -47,7 +47,7 @@ def recordings(identification: Identification, limit: int) -> Iterator[Block]:
         )
         label = f"{log.name}: {log.experiment.use} record"
         figure = recording_figure(log, joints, limit)
-        logs[title].append(Plot(f"record {log.name}", label, figure, caption))
+        logs[title].append(Plot(FigureName("record", experiment=log.name), label, figure, caption))
     for title, plots in logs.items():
         if identification.decisions and plots:
             yield Fold(f"{title} ({len(plots)})", tuple(plots))

@@ -44,6 +44,7 @@ from strainwave.presentation.figures import (
 )
 from strainwave.presentation.report.blocks import (
     Block,
+    FigureName,
     Fold,
     Paragraph,
     Plot,
@@ -90,7 +91,7 @@ def residual_tests(criticism: Criticism) -> Iterator[Block]:
             f"The residuals are {_noise_ratio(test):.2g} times the sensor noise; the excess is"
         )
         caption += f" largest near {test.worst_hz:.3g} Hz."
-        yield Plot(f"residuals {test.channel}", label, spectrum(test), caption)
+        yield Plot(FigureName("residuals", part=test.channel), label, spectrum(test), caption)
 
 
 def residual_correlations(identification: Identification) -> Iterator[Block]:
@@ -101,7 +102,12 @@ def residual_correlations(identification: Identification) -> Iterator[Block]:
         by_record.setdefault(test.experiment, []).append(test)
     yield from _check_correlations(identification, by_record)
     fitted = tuple(
-        Plot(f"correlation {name}", f"{name}, fitted: residual correlations", figure, _LIMITS)
+        Plot(
+            FigureName("correlation", experiment=name),
+            f"{name}, fitted: residual correlations",
+            figure,
+            _LIMITS,
+        )
         for name, record in by_record.items()
         if (figure := _fitted_correlations(record)) is not None
     )
@@ -279,7 +285,8 @@ def _check_correlations(
         if panels:
             label = f"{prediction.experiment}, check: residual correlations"
             figure = Figure(Axis("lag [ms]"), tuple(panels))
-            yield Plot(f"correlation {prediction.experiment}", label, figure, _LIMITS)
+            name = FigureName("correlation", experiment=prediction.experiment)
+            yield Plot(name, label, figure, _LIMITS)
 
 
 def _prediction_correlation(
@@ -369,7 +376,7 @@ def _state_space_plots(records: Sequence[RecordModel]) -> Iterator[Plot]:
         figure = _state_space_figure(record.check, record.state_space.sample_time)
         label = f"Joint {joint}, {name}: state-space model on the data that were not fitted"
         caption = "Shaded: 99 % limits for white residuals that are independent of the inputs."
-        yield Plot(f"correlation joint {joint} {name}", label, figure, caption)
+        yield Plot(FigureName("correlation", joint, name), label, figure, caption)
 
 
 def _state_space_figure(check: ModelCheck, sample_time: float) -> Figure:
