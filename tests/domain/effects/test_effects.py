@@ -23,7 +23,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.effects import Effect, KnownJoint, RecordEffect, effect_named
 from strainwave.domain.effects.interface import Values
-from strainwave.domain.effects.stribeck import Stribeck
+from strainwave.domain.effects.motor import Stribeck
 from strainwave.domain.gear_laws import RIGID
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm

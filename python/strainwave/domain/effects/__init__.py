@@ -1,32 +1,24 @@
-"""Effects: optional terms of the joint model, one file for each name in `effects` of a study.
+"""Effects: optional terms of the joint model, grouped by the part of the joint that they act on.
 
-A new effect needs a file in this package, an entry in `_EFFECTS`, and its equations in
+A new effect needs a class in one of these files, an entry in `_EFFECTS`, and its equations in
 `rust/core/src/joint`. A `RecordEffect` needs no equations: it states how parameters and initial
 states of the core change in a record. All other code loops over the registered effects.
 """
 
 from __future__ import annotations
 
-from strainwave.domain.effects.backlash import Backlash
-from strainwave.domain.effects.dead_zone import DeadZone
-from strainwave.domain.effects.drive_gain import DriveGain
-from strainwave.domain.effects.drive_gain_by_record import DriveGainByRecord
-from strainwave.domain.effects.drive_lag import DriveLag
-from strainwave.domain.effects.drive_limit import DriveLimit
-from strainwave.domain.effects.drive_saturation import DriveSaturation
-from strainwave.domain.effects.encoder_zero import EncoderZero
-from strainwave.domain.effects.flexible_link import FlexibleLink
-from strainwave.domain.effects.friction_by_record import FrictionByRecord
-from strainwave.domain.effects.ground_spring import GroundSpring
-from strainwave.domain.effects.hysteresis import Hysteresis
+from strainwave.domain.effects.by_record import DriveGainByRecord, EncoderZero, FrictionByRecord
+from strainwave.domain.effects.drive import (
+    DeadZone,
+    DriveGain,
+    DriveLag,
+    DriveLimit,
+    DriveSaturation,
+)
+from strainwave.domain.effects.gear import Backlash, Hysteresis, KinematicError
 from strainwave.domain.effects.interface import Effect, Input, KnownJoint, RecordEffect
-from strainwave.domain.effects.kinematic_error import KinematicError
-from strainwave.domain.effects.load_friction import LoadFriction
-from strainwave.domain.effects.power_friction import PowerFriction
-from strainwave.domain.effects.soft_base import SoftBase
-from strainwave.domain.effects.stribeck import Stribeck
-from strainwave.domain.effects.tilt import Tilt
-from strainwave.domain.effects.torque_ripple import TorqueRipple
+from strainwave.domain.effects.link import FlexibleLink, GroundSpring, SoftBase, Tilt
+from strainwave.domain.effects.motor import LoadFriction, PowerFriction, Stribeck, TorqueRipple
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput

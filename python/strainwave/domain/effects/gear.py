@@ -1,0 +1,85 @@
+"""Effects of the gear: hysteresis, kinematic error, backlash."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from strainwave.domain.effects.interface import Effect, KnownJoint, Values
+
+_TYPICAL_TORQUE_SHARE = 0.02  # of the largest gear torque
+
+
+class Hysteresis(Effect):
+    """The gear's torque depends on the direction of its torsion.
+
+    Hysteresis, (S11): Dahl torque T_h z added to the spring, dz = (ddelta - |ddelta| z)/delta_h.
+    """
+
+    name = "hysteresis"
+    sizes = ("hysteresis_torque",)
+    shapes: Mapping[str, float] = {"hysteresis_twist": 1.5e-4}
+    needs_elastic_gear = True
+    description = "hysteresis of the gear torque over the torsion"
+    consequence = "damping and the lowest slope of the stiffness are biased"
+    experiment = "hold the link and turn the motor slowly back and forth up to several torques"
+    record = "a record of slow reversals"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """A share of the largest gear torque."""
+        return {"hysteresis_torque": _TYPICAL_TORQUE_SHARE * joint.largest_torque}
+
+
+_ORDER = "kinematic_error_order"
+_DEFAULT_ORDER = 2.0  # periods per motor turn: the lobes of a wave generator
+_OTHER_ORDERS = (1.0, 4.0)  # eccentricity; second harmonic of the lobes
+_TYPICAL_AMPLITUDE = 1e-4  # [rad] link side, about 1/3 arc minute
+
+
+class KinematicError(Effect):
+    """The gear's ratio varies with the motor angle.
+
+    Kinematic error, (S12): a cos(k q_M) + b sin(k q_M) added to the gear's torsion.
+    """
+
+    name = "kinematic-error"
+    sizes = ("kinematic_error_cos", "kinematic_error_sin")
+    shapes: Mapping[str, float] = {_ORDER: _DEFAULT_ORDER}
+    defaults: Mapping[str, float] = {_ORDER: _DEFAULT_ORDER}
+    needs_elastic_gear = True
+    description = "a periodic error of the gear over the motor angle, usually twice per turn"
+    consequence = "its excitation of a resonance biases the gear's damping and stiffness"
+    experiment = (
+        "turn the motor at constant speed for many turns and look for spectral lines per turn"
+        " in the accelerometers, most often at order two"
+    )
+    record = "a record of slow rotation at constant speed"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """The same for every gear."""
+        return dict.fromkeys(self.sizes, _TYPICAL_AMPLITUDE)
+
+    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
+        """One set per order: an error of one order does not correlate with another order."""
+        return tuple({_ORDER: order} for order in (_DEFAULT_ORDER, *_OTHER_ORDERS))
+
+
+_TYPICAL_TORSION_SHARE = 0.1  # of the torsion at the largest gear torque
+
+
+class Backlash(Effect):
+    """Dead band of the gear.
+
+    Backlash, (S18): the spring acts only on the torsion beyond +-b_G.
+    """
+
+    name = "backlash"
+    sizes = ("backlash",)
+    needs_elastic_gear = True
+    description = "a dead band of the gear"
+    consequence = "the estimated stiffness at small torques is too low"
+    experiment = "hold the link and turn the motor back and forth through zero torque"
+    record = "a record of small motion through zero torque"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """A share of the largest torsion."""
+        return {"backlash": _TYPICAL_TORSION_SHARE * joint.largest_torque / joint.stiffness}

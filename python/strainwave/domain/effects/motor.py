@@ -1,0 +1,104 @@
+"""Effects on the motor: friction and torque ripple."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from strainwave.domain.effects.interface import Effect, KnownJoint, Values
+
+_STRIBECK_TYPICAL_SHARE = 0.2  # of Coulomb friction
+
+
+class Stribeck(Effect):
+    """The breakaway torque of the motor exceeds Coulomb friction.
+
+    Stribeck friction, (S10): f_M + f_S exp(-(dq_M/w_s)^2), largest at standstill.
+    """
+
+    name = "stribeck"
+    sizes = ("stribeck_friction",)
+    shapes: Mapping[str, float] = {"stribeck_velocity": 3.0}
+    description = "friction that falls with the motor's velocity"
+    consequence = "Coulomb and viscous friction are biased"
+    experiment = "turn the motor slowly at several constant speeds of both signs"
+    record = "a record of slow motion"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """A share of Coulomb friction."""
+        return {"stribeck_friction": _STRIBECK_TYPICAL_SHARE * joint.coulomb_friction}
+
+
+_LOAD_FRICTION_TYPICAL_SHARE = 0.05  # of the gear torque, motor side
+
+
+class LoadFriction(Effect):
+    """The teeth rub under load.
+
+    Load friction, (S15): dry friction mu |n T| that grows with the gear torque.
+    """
+
+    name = "load-friction"
+    sizes = ("load_friction",)
+    needs_elastic_gear = True
+    description = "dry friction that grows with the gear torque"
+    consequence = "Coulomb friction is too large and inertias are biased"
+    experiment = (
+        "turn the motor slowly back and forth under several loads, for example in several postures"
+    )
+    record = "a record of motion under changing load"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """The same share for every gear."""
+        return {"load_friction": _LOAD_FRICTION_TYPICAL_SHARE}
+
+
+_POWER_FRICTION_TYPICAL_SHARE = 0.2  # of Coulomb friction
+
+
+class PowerFriction(Effect):
+    """Drag of grease that grows less than in proportion to the velocity.
+
+    Power friction, (S16): f_P ((|dq_M|/w + s)^p - s^p), a power of the motor velocity.
+    """
+
+    name = "power-friction"
+    sizes = ("power_friction",)
+    shapes: Mapping[str, float] = {"power_exponent": 0.5}
+    description = "friction that grows with a power of the motor's velocity"
+    consequence = "Coulomb and viscous friction each absorb a part of it"
+    experiment = "turn the motor at several constant speeds of both signs up to the highest"
+    record = "a record of motion at all speeds"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """A share of Coulomb friction."""
+        return {"power_friction": _POWER_FRICTION_TYPICAL_SHARE * joint.coulomb_friction}
+
+
+_TORQUE_RIPPLE_TYPICAL_SHARE = 0.1  # of Coulomb friction
+_TESTED_ORDERS = (2.0, 1.0, 4.0, 6.0)  # periods per turn: poles, windings, eccentricity
+
+
+class TorqueRipple(Effect):
+    """The motor cogs, or its commutation is wrong.
+
+    Torque ripple, (S17): motor torque a_r cos(k q_M) + b_r sin(k q_M) over the motor angle.
+    """
+
+    name = "torque-ripple"
+    sizes = ("torque_ripple_cos", "torque_ripple_sin")
+    shapes: Mapping[str, float] = {"torque_ripple_order": _TESTED_ORDERS[0]}
+    description = "a periodic motor torque over the motor angle"
+    consequence = "friction is biased, and so is damping if the ripple excites a resonance"
+    experiment = (
+        "turn the motor slowly at constant speed and look for spectral lines per turn"
+        " in the voltage"
+    )
+    record = "a record of slow rotation at constant speed"
+
+    def typical_sizes(self, joint: KnownJoint) -> Values:
+        """A share of Coulomb friction."""
+        return dict.fromkeys(self.sizes, _TORQUE_RIPPLE_TYPICAL_SHARE * joint.coulomb_friction)
+
+    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
+        """One set per order: a ripple of one order does not correlate with another order."""
+        return tuple({"torque_ripple_order": order} for order in _TESTED_ORDERS)
