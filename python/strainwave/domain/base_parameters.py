@@ -18,6 +18,7 @@ from strainwave.domain.arrays import FloatArray
 from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import RigidColumn, kind_of
+from strainwave.domain.parameter_table import grouped_name
 from strainwave.domain.units import unit_of
 
 MOTOR_INERTIA = "motor_inertia"
@@ -93,6 +94,8 @@ def base_parameters(arm: ArmDescription) -> BaseParameters:
 def _base_parameters(arm: ArmDescription) -> BaseParameters:
     regressor, links = _regressor(arm)
     norms = np.linalg.norm(regressor, axis=0)
+    norms[norms < _MAX_DEPENDENT_NORM * norms.max()] = 0.0
+    regressor = regressor * (norms > 0.0)
     scale = np.where(norms > 0.0, norms, 1.0)
     order = _preference(links, arm)
     triangular = np.linalg.qr(regressor[:, order] / scale[order], mode="r")
@@ -170,13 +173,15 @@ def _grouped_names(axis: Vector) -> tuple[str, str, str]:
 def _named_column(
     leading: Key, row: Row, named: Mapping[Key, Row], arm: ArmDescription
 ) -> RigidColumn:
-    """Base parameter with the name of a proportional combination, or else of its leading part."""
+    """Base parameter with the name of a proportional combination, or of its leading parameter."""
     for key, declared in named.items():
         if declared.keys() == row.keys():
             factors = [declared[part] / weight for part, weight in row.items()]
             if np.ptp(factors) < _MAX_DEPENDENT_NORM * abs(factors[0]):
                 return RigidColumn(*key, _unit(key, arm), declared)
-    return RigidColumn(*leading, _unit(leading, arm), row)
+    name, joint = leading
+    key = (grouped_name(name) if len(row) > 1 else name, joint)
+    return RigidColumn(*key, _unit(key, arm), row)
 
 
 def _unit(key: Key, arm: ArmDescription) -> str:

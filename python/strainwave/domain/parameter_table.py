@@ -7,7 +7,7 @@ and the parameters of effects that the core does not simulate.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from types import MappingProxyType
 from typing import Literal
@@ -108,6 +108,9 @@ _EFFECT_PARAMETERS = (
 """Parameters of effects that the core does not simulate."""
 
 
+_CHAIN = "serial"  # owner of the standard parameters of links
+
+
 def of_record(name: str, record: str) -> str:
     """Name of a parameter in one record, such as "friction_change[NAME]"."""
     return f"{name}[{record}]"
@@ -116,6 +119,11 @@ def of_record(name: str, record: str) -> str:
 def record_of(name: str) -> str:
     """Record of a parameter that belongs to one record; empty for other parameters."""
     return name.partition("[")[2][:-1]
+
+
+def grouped_name(name: str) -> str:
+    """Name of a link's parameter with the parameters that rigid motion groups with it."""
+    return f"grouped_{name}"
 
 
 def base_name(name: str) -> str:
@@ -139,6 +147,14 @@ def parameter_table() -> Mapping[str, ParameterDescription]:
     for owner, name, symbol, description, units, values in core_parameter_table():
         declared = ParameterDescription(name, symbol, description, units, values, owner)
         table.setdefault(name, declared)
+        if owner == _CHAIN:
+            grouped = replace(
+                declared,
+                name=grouped_name(name),
+                description=f"{description}, with the parameters grouped with it",
+                range="any",
+            )
+            table[grouped.name] = grouped
     for parameter in (*_DERIVED, *_EFFECT_PARAMETERS):
         table[parameter.name] = parameter
     return MappingProxyType(table)
