@@ -208,7 +208,7 @@ def test_an_option_changes_the_whole_arm_fit(
     outputs = []
     for options in (WholeArmOptions(), replace(WholeArmOptions(), **{key: CHANGES["tuning"][key]})):
         fit = begun(options)
-        values = fit.objective.space.values(fit.z)
+        values = fit.values
         outputs.append(
             (len(fit.z), fit.converged, [values[name] for name in sorted(TRUE, key=str)])
         )
@@ -227,10 +227,10 @@ def test_held_parameters_keep_their_values_and_ranges_bound_estimates(
     constrained = begun(
         WholeArmOptions(ranges={"gear_stiffness 1": (0.9999, 1.0001)}, hold=(d[0],))
     )
-    values = constrained.objective.space.values(constrained.z)
-    assert values[d] == initial[d] != free.objective.space.values(free.z)[d]
+    values = constrained.values
+    assert values[d] == initial[d] != free.values[d]
     assert abs(values[k] / initial[k] - 1.0) <= 1.0001e-4
-    assert d not in constrained.objective.space.keys
+    assert d not in constrained.space.keys
 
 
 def test_tuning_as_published(small: Path) -> None:

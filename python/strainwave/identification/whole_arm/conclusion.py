@@ -63,7 +63,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     initial_fit_percent = start.coarse.fit_percentages(start.initial)
     initial_values = start.coarse.space.values(start.initial)
     instant_settling = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
-    values = instant_settling | fit.objective.space.values(fit.z)
+    values = instant_settling | fit.values
     gear_loads = gear_torque_samples(fit.objective.records, values)
     largest_torque = largest_of(gear_loads).tolist()
     parameters, covariance = parameters_of(fit, arm, largest_torque)
@@ -116,7 +116,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, arm, parameters, keys_at_bounds),
             *disagreement(differences, agreement, suspects),
-            *warn_removed_effects(fit.objective.space, arm),
+            *warn_removed_effects(fit.space, arm),
             *warn_added_effects(fit, arm),
             *sensor_warnings(parameters),
             *mount_warnings(parameters),

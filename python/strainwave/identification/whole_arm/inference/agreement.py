@@ -63,7 +63,7 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     correlation. `fit` is at its minimum. Values without information in the fast records are
     omitted. The result is empty without a rigid model.
     """
-    prior, confidence = fit.objective.space.prior, confidence_of(fit)
+    prior, confidence = fit.space.prior, confidence_of(fit)
     F = prior.factor
     difference = F @ confidence.prior_residual
     std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
@@ -95,7 +95,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     `fit` is at its minimum. The result is empty without a rigid model, or if the records contain no
     information on its values.
     """
-    prior, confidence = fit.objective.space.prior, confidence_of(fit)
+    prior, confidence = fit.space.prior, confidence_of(fit)
     F = prior.factor
     _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
     std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
@@ -163,7 +163,7 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
     changed between slow and fast records. Its share is the decrease of the objective, including the
     prior, in one linear step. Likely effects are included with the shares of their fits.
     """
-    prior = fit.objective.space.prior
+    prior = fit.space.prior
     hypotheses = [
         (
             SuspectConstant(
@@ -199,7 +199,7 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
 
 def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
     """Test the distance of a joint from the one before, on which its acceleration depends."""
-    values, objective = fit.objective.space.values(fit.z), fit.objective
+    values, objective = fit.values, fit.objective
     origin = arm.joints[number - 1].origin
 
     def scaled(factor: float) -> Origin:
@@ -235,7 +235,7 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
 
 def _shift_share(fit: Fit, shifted: FloatArray) -> float:
     """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
-    n, width = len(fit.objective.space.unknowns), shifted.shape[1]
+    n, width = len(fit.space.unknowns), shifted.shape[1]
 
     def nothing(_: int, evaluated: Evaluation) -> FloatArray:
         return np.zeros((*evaluated.difference.shape, width))

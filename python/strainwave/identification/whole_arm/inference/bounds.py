@@ -20,7 +20,7 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
     The total viscous friction of a joint is omitted, because it can be identifiable although its
     parts are not.
     """
-    keys = fit.objective.space.keys
+    keys = fit.space.keys
     ended = [key for key, at in zip(keys, at_bounds(fit), strict=True) if at and key[0] != SETTLING]
     yield from ended
     links = {key: row for key, row in arm.reported.items() if key[0] == "link_inertia"}
@@ -31,7 +31,7 @@ def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:
 
 def at_bounds(fit: Fit) -> list[bool]:
     """Whether each unknown is at a bound of its range."""
-    space = fit.objective.space
+    space = fit.space
     margin = 0.5 * _BOUND_TOLERANCE * (space.upper - space.lower)
     is_near: list[bool] = ((fit.z < space.lower + margin) | (fit.z > space.upper - margin)).tolist()
     return is_near

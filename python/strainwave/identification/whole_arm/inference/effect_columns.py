@@ -54,7 +54,7 @@ class _Pass:
     @classmethod
     def of(cls, fit: Fit, arm: Arm, tested: Mapping[Hypothesis, Shapes]) -> _Pass:
         """A pass over effects of which no two are the same effect of one joint."""
-        values = fit.objective.space.values(fit.z)
+        values = fit.values
         absent = {
             (name, one.joint): value
             for one, shapes in tested.items()
@@ -98,7 +98,7 @@ class EffectColumns:
         further number. Raises `InvalidInput` or `NumericalFailure` if the arm with effects cannot
         be simulated with finite derivatives.
         """
-        objective, n = fit.objective, len(fit.objective.space.unknowns)
+        objective, n = fit.objective, len(fit.space.unknowns)
         each = [
             _Pass.of(
                 fit, arm, {one: shapes for one, shapes in tested.items() if one.number == number}

@@ -92,7 +92,7 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
 
 def _undamped_joint(fit: Fit, arm: Arm, joint: int) -> TwoInertia:
     """A fitted joint with a free motor, without friction and damping; stiffness at zero torsion."""
-    values, description = fit.objective.space.values(fit.z), arm.joints[joint - 1]
+    values, description = fit.values, arm.joints[joint - 1]
     curve = description.law.of_joint(values, joint)
     return TwoInertia(
         motor_inertia=values["motor_inertia", joint],
@@ -119,7 +119,7 @@ def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
             f"the gear is very stiff: its resonance, {resonance_hz:.3g} Hz, lies {where} the band"
             f" of {band:.3g} Hz in which the motor's motion stands above its encoder's noise"
         )
-    damping = fit.objective.space.values(fit.z)["gear_damping", joint]
+    damping = fit.values["gear_damping", joint]
     damping_ratio = np.pi * resonance_hz * damping / undamped.gear_stiffness
     if damping_ratio > _MAX_PEAK_DAMPING_RATIO:
         yield (

@@ -35,7 +35,7 @@ def parameters_of(
     `largest_torque` [N m] is the largest torque of each gear in the records. The covariance is
     (n_parameters, n_parameters).
     """
-    space = fit.objective.space
+    space = fit.space
     keys = space.keys
     names = list(keys)
     units = [unknown.unit for unknown in space.unknowns]
@@ -89,7 +89,7 @@ def mountings_of(fit: Fit) -> Mountings:
 
     Empty without such an IMU.
     """
-    space = fit.objective.space
+    space = fit.space
     keys, fitted_values = space.keys, space.values(fit.z)
     channels = (c for r in fit.objective.records for c in r.channels if c.is_mounted)
     axes = dict.fromkeys(c.axis for c in channels if c.axis)
@@ -125,7 +125,7 @@ def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
     """Yield gear parameters that the fit fixes to zero."""
     for number, joint in enumerate(arm.joints, start=1):
         for name in joint.law.may_vanish:
-            if fit.objective.space.fixed.get((name, number)) == 0.0:
+            if fit.space.fixed.get((name, number)) == 0.0:
                 yield name, number
 
 
@@ -133,7 +133,7 @@ def _identified_curves(
     fit: Fit, covariance: FloatArray, arm: Arm, largest_torque: Sequence[float]
 ) -> dict[Key, Key | None]:
     """Map each curve parameter to its unknown, or to None if no record reaches its torque."""
-    space = fit.objective.space
+    space = fit.space
     at = {key: k for k, key in enumerate(space.keys)}
     values = space.values(fit.z)
     identified: dict[Key, Key | None] = {}

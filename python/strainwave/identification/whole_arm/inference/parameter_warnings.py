@@ -51,7 +51,7 @@ def warnings_of(
 
     `is_at_bound` states for each unknown whether it is at a bound of its range.
     """
-    space = fit.objective.space
+    space = fit.space
     values = space.parameters(fit.z)
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
     for k, (unknown, at_bound) in enumerate(zip(space.unknowns, is_at_bound, strict=True)):

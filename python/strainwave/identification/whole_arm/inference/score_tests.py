@@ -95,7 +95,7 @@ def lengthen_steps(fit: Fit) -> Fit:
 
 def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     """Effects that the model lacks and that the channels of the records permit."""
-    present = effects_in(fit.objective.space, arm)
+    present = effects_in(fit.space, arm)
     channels = [channel for record in fit.objective.records for channel in record.channels]
     encoders = {c.joint for c in channels if c.axis and c.axis.sensor.reads_angle}
     return [
@@ -116,12 +116,10 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
     an effect already, because each derivative then requires a separate simulation. The frequencies
     of further sets lie within the band of the low-pass.
     """
-    records, values = fit.objective.records, fit.objective.space.values(fit.z)
+    records, values = fit.objective.records, fit.values
     band_hz = max(record.cutoff_hz for record in records)
     loads = loads_of(records, values)
-    single_set = bool(effects_in(fit.objective.space, arm)) or not has_excess_residuals(
-        fit.objective, fit.z
-    )
+    single_set = bool(effects_in(fit.space, arm)) or not has_excess_residuals(fit.objective, fit.z)
     hypotheses: dict[Hypothesis, Shapes] = {}
     for joint, name in candidates:
         effect = effect_named(name)
@@ -200,7 +198,7 @@ def _best_shapes(steps: Sequence[_Step]) -> dict[Hypothesis, _Step]:
 def _values_after_step(columns: EffectColumns, step: _Step, fit: Fit) -> Values:
     """Values of the unknowns after the linear step of an effect."""
     change = columns.change_of_unknowns(step.candidate, step.size, step.shift)
-    space = fit.objective.space
+    space = fit.space
     return space.values(space.move(fit.z, space.limit_step(fit.z, change, 1.0)))
 
 
@@ -255,10 +253,10 @@ def shifts(fit: Fit, values: Values) -> Iterator[ParameterShift]:
     inertias, gravity, gears and Coulomb friction. Sensor constants are not parameters of the arm,
     and only sums of viscous frictions are identifiable.
     """
-    estimates = fit.objective.space.values(fit.z)
+    estimates = fit.values
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
     parameter_shifts = []
-    for (name, joint), std in zip(fit.objective.space.keys, stds.tolist(), strict=True):
+    for (name, joint), std in zip(fit.space.keys, stds.tolist(), strict=True):
         if _is_primary((name, joint)) and std > 0.0:
             shift = values[name, joint] - estimates[name, joint]
             parameter_shifts.append(

@@ -71,7 +71,7 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
         parts = _information(fit, arm, candidates)
     except (InvalidInput, NumericalFailure):
         return []
-    space = fit.objective.space
+    space = fit.space
     slope = space.slope(fit.z)
     prior = space.linearise_prior(fit.z)[0]
     prior_information = prior.T @ prior
@@ -142,7 +142,7 @@ def _length(arm: Arm) -> float:
 
 def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[list[FloatArray]]:
     """Fisher information (n_unknowns, n_unknowns) of each record, without and with each sensor."""
-    objective, values = fit.objective, fit.objective.space.values(fit.z)
+    objective, values = fit.objective, fit.values
     keys, slope = objective.space.keys, objective.space.slope(fit.z)
     parameter_places = [k for k, key in enumerate(keys) if not constant_of(key)]
 

@@ -66,7 +66,7 @@ def select_candidate(
         if len(searches) == 1 and not searches[0].is_limited:
             break
     best = min(searches, key=lambda search: search.fit.cost)
-    return SelectedCandidate(best.joints, best.fit.objective.space.values(best.fit.z))
+    return SelectedCandidate(best.joints, best.fit.values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +79,7 @@ class _SearchState:
     @property
     def is_limited(self) -> bool:
         """Whether a stiffness is at the limit of its range; for a curve, all of its slopes."""
-        space, z = self.fit.objective.space, self.fit.z
+        space, z = self.fit.space, self.fit.z
         is_near = np.minimum(z - space.lower, space.upper - z) < LIMIT_SHARE * (
             space.upper - space.lower
         )
@@ -174,7 +174,7 @@ def _continue_search(
 
 def _recentre(search: _SearchState) -> list[JointModel]:
     """The joints with the stiffnesses of the search, so that the ranges are centred there."""
-    estimates = search.fit.objective.space.values(search.fit.z)
+    estimates = search.fit.values
     arm, recentred = search.fit.objective.records[0].arm, []
     for joint in search.joints:
         stiffness = arm.joints[joint.joint - 1].law.linearised_by
@@ -187,5 +187,5 @@ def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
     """The values of the search, with the springs at their starts."""
     space = objective.space
     start_values = space.values(np.zeros(len(space.unknowns)))
-    gear_names, estimates = gear_parameters(), fit.objective.space.values(fit.z)
+    gear_names, estimates = gear_parameters(), fit.values
     return {**start_values, **{key: x for key, x in estimates.items() if key[0] not in gear_names}}

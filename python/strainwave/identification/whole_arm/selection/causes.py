@@ -198,8 +198,8 @@ def _refit(
     The search starts at the result of the linear step. If it gains much less than the linear step
     predicts, a second search starts from the fit without the effect.
     """
-    n = len(fit.objective.space.unknowns)
-    estimates = fit.objective.space.values(fit.z)
+    n = len(fit.space.unknowns)
+    estimates = fit.values
     sizes = {key: value for key, value in tested.values.items() if key not in estimates}
     loads = loads_of(fit.objective.records, estimates)
     best: Fit | None = None
@@ -221,8 +221,8 @@ def _refit(
     if best is None:
         return None
     gain = fit.cost - tested.rigid - best.cost
-    parameter_shifts = tuple(shifts(fit, best.objective.space.values(best.z)))
-    n_added = len(best.objective.space.unknowns) - n
+    parameter_shifts = tuple(shifts(fit, best.values))
+    n_added = len(best.space.unknowns) - n
     share = gain / max(fit.cost, 1e-300)
     evidence = schwarz_decrease(share, n_added, fit.cost)
     return Refit(tested.named_effect, best, gain - n_added, share, evidence, parameter_shifts)
@@ -237,7 +237,7 @@ def _search_with_effect(
     options: WholeArmOptions,
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
-    space = fit.objective.space
+    space = fit.space
     extended, begin = add_effects(space, [one], arm, start, loads, fit.records)
     objective = replace(
         fit.objective.replace_unknowns(extended),
@@ -261,7 +261,7 @@ def _search_with_effect(
 
 def _in_short_steps(fit: Fit, refit: Refit, arm: Arm) -> tuple[Objective, FloatArray]:
     """The objective of a refit in the steps of the fit, and the point of the refit."""
-    space = refit.fit.objective.space
+    space = refit.fit.space
     records = set_record_effects(
         fit.objective.records, _with_possible_effect(arm, refit.named_effect), space.keys
     )
@@ -290,7 +290,7 @@ def _effect_parameters(refit: Refit) -> set[Key]:
     """The parameters of the refit's effect."""
     joint, effect = refit.named_effect
     names = effect_named(effect).names
-    keys = refit.fit.objective.space.keys
+    keys = refit.fit.space.keys
     return {key for key in keys if key[1] == joint and base_name(key[0]) in names}
 
 
@@ -298,7 +298,7 @@ def list_causes(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
     """The published record of each refit."""
     for refit in refits:
         joint, effect = refit.named_effect
-        values = refit.fit.objective.space.values(refit.fit.z)
+        values = refit.fit.values
         largest = gear_torques(refit.fit.objective.records, values).tolist()
         parameters, _ = parameters_of(
             refit.fit, _with_possible_effect(arm, refit.named_effect), largest
@@ -388,7 +388,7 @@ def _shift_text(moves: Sequence[ParameterShift]) -> str:
 
 def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
     """Warn about the effects that the fit added."""
-    for number, name in effects_in(fit.objective.space, arm):
+    for number, name in effects_in(fit.space, arm):
         if arm.joints[number - 1].selects_effects:
             effect = effect_named(name)
             text = f"{name}, {effect.description}, was added to the model: without it"

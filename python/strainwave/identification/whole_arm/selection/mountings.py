@@ -140,7 +140,7 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     """
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
-        space, values = fit.objective.space, fit.objective.space.values(fit.z)
+        space, values = fit.space, fit.values
         axes = _axes_on(fit.objective, joint)
         has_attitude = (IMU_ROTATION[2], joint) in space.keys and (
             IMU_ROTATION[2],
@@ -181,14 +181,14 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
         # about a fixed axis, tilt and distance are nearly collinear without gravity
-        if not _is_in_plane(fit.objective.space, joint) or (joint == 1 and not arm.gravity):
+        if not _is_in_plane(fit.space, joint) or (joint == 1 and not arm.gravity):
             continue
         tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        values = fit.objective.space.values(fit.z)
+        values = fit.values
         trials = []
         for side in (1.0, -1.0):
             starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
-            space = add_sensor_constants(fit.objective.space, tilts, starts)
+            space = add_sensor_constants(fit.space, tilts, starts)
             objective = fit.objective.replace_unknowns(space)
             start = space.coordinates({**values, **starts})
             evaluations = fit.iterations

@@ -37,11 +37,9 @@ def add_named_effects(fit: Fit, selection: Selection) -> Fit:
     if not named_effects(arm):
         return fit
     selection.grant(selection.budget)  # as many as the fit without them
-    values = fit.objective.space.values(fit.z)
+    values = fit.values
     loads = loads_of(fit.objective.records, values)
-    space, begin = add_effects(
-        fit.objective.space, named_effects(arm), arm, values, loads, fit.records
-    )
+    space, begin = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
     extended = search_minimum(
         _with_space(fit.objective, space, arm),
         begin,
@@ -55,13 +53,13 @@ def add_named_effects(fit: Fit, selection: Selection) -> Fit:
 
 def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     """Cost reduction due to the lower trust in the rigid step that the effects require."""
-    parameters = fit.objective.space.parameters(fit.z)
+    parameters = fit.space.parameters(fit.z)
 
     def cost(prior: Prior) -> float:
         left = prior.rows[:, : len(parameters)] @ parameters - prior.target
         return float(np.sum(left**2))
 
-    return cost(fit.objective.space.prior) - cost(space.prior)
+    return cost(fit.space.prior) - cost(space.prior)
 
 
 def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
@@ -70,8 +68,8 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     if not named_effects(arm):
         return fit
     while gone := _insignificant_effects(fit):
-        values = fit.objective.space.values(fit.z)
-        space = remove_effects(fit.objective.space, gone, arm)
+        values = fit.values
+        space = remove_effects(fit.space, gone, arm)
         objective = _with_space(fit.objective, space, arm)
         fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
     return fit
@@ -80,7 +78,7 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
 def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
     """The insignificant effects among the unknowns."""
     covariance = confidence_of(fit).cautious
-    return set(insignificant_effects(fit.objective.space, fit.z, covariance))
+    return set(insignificant_effects(fit.space, fit.z, covariance))
 
 
 def _with_space(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:

@@ -108,7 +108,7 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     that follows.
     """
     options = selection.options
-    space = fit.objective.space
+    space = fit.space
     values, starts = space.values(fit.z), {}
     for delay, bandwidth in _delayed_sensors(fit):
         lag = values[delay]
@@ -133,7 +133,7 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
 
 def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
     """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
-    keys, visited = fit.objective.space.keys, set()
+    keys, visited = fit.space.keys, set()
     for axis in (c.axis for record in fit.objective.records for c in record.channels if c.axis):
         delay, bandwidth = axis.key(ConstantKind.DELAY), axis.key(ConstantKind.BANDWIDTH)
         if delay in keys and delay not in visited and delay and bandwidth:
@@ -155,8 +155,8 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
         estimates |= _significant_drifts(fit, options)
         if not estimates:
             break
-        values = fit.objective.space.values(fit.z)
-        space = add_sensor_constants(fit.objective.space, list(estimates))
+        values = fit.values
+        space = add_sensor_constants(fit.space, list(estimates))
         start = space.coordinates(values | estimates)
         objective = fit.objective.replace_unknowns(space)
         if coarse:
@@ -175,8 +175,8 @@ def _refine_from(fit: Fit, objective: Objective, z: FloatArray, options: WholeAr
 def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
     while insignificant := _least_significant(fit):
-        values = fit.objective.space.values(fit.z)
-        space = fit.objective.space.fix_values(insignificant)
+        values = fit.values
+        space = fit.space.fix_values(insignificant)
         fit = _refine_from(
             fit, fit.objective.replace_unknowns(space), space.coordinates(values), selection.options
         )
@@ -189,7 +189,7 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
     A constant at a bound of its range stays, because its standard deviation is invalid there. A
     bandwidth is tested in any case.
     """
-    space = fit.objective.space
+    space = fit.space
     ideal = {
         key: constant.kind.nominal
         for key in space.keys
@@ -240,9 +240,9 @@ def _counterpart(key: Key) -> Key:
 
 def _is_at_upper_bound(fit: Fit, key: Key) -> bool:
     """Whether a bandwidth is at its upper bound, so that the sensor has no low-pass."""
-    k = fit.objective.space.keys.index(key)
+    k = fit.space.keys.index(key)
     return is_kind(key, ConstantKind.BANDWIDTH) and bool(
-        fit.z[k] > _BOUND_SHARE * fit.objective.space.upper[k]
+        fit.z[k] > _BOUND_SHARE * fit.space.upper[k]
     )
 
 
@@ -252,7 +252,7 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     Forward selection: each constant must reduce the cost by `min_gain` and significantly, given the
     constants before it.
     """
-    included = set(fit.objective.space.keys)
+    included = set(fit.space.keys)
     candidates = [
         key
         for key in dict.fromkeys(k for r in fit.objective.records for k in r.sensor_constants())
@@ -321,7 +321,7 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
     return (
         len(accelerometers) == 2
         and key in [axis.key(ConstantKind.SCALE) for axis in accelerometers]
-        and (IMU_ROTATION[0], key[1]) in fit.objective.space.keys
+        and (IMU_ROTATION[0], key[1]) in fit.space.keys
     )
 
 

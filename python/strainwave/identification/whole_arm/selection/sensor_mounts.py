@@ -134,10 +134,10 @@ def _fit_mount(
 ) -> Fit | None:
     """Best of short searches with a mount as additional unknowns, from several starts."""
     best: Fit | None = None
-    values = fit.objective.space.values(fit.z)
+    values = fit.values
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
-        space = add_sensor_constants(fit.objective.space, list(starts), starts)
+        space = add_sensor_constants(fit.space, list(starts), starts)
         objective, start = fit.objective.replace_unknowns(space), space.coordinates(values | starts)
         options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
         try:

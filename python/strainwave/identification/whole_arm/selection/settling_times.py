@@ -32,8 +32,8 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     required = selection.options.settling
     if required is False or fit.iterations >= selection.max_evaluations:
         return fit
-    values = fit.objective.space.values(fit.z)
-    space = add_settling_unknowns(fit.objective.space)
+    values = fit.values
+    space = add_settling_unknowns(fit.space)
     start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
     objective = fit.objective.replace_unknowns(space)
     max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS
@@ -46,21 +46,19 @@ def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
 
     The friction of those joints acts instantly.
     """
-    if selection.options.settling or all(name != SETTLING for name, _ in fit.objective.space.keys):
+    if selection.options.settling or all(name != SETTLING for name, _ in fit.space.keys):
         return fit
-    values = fit.objective.space.values(fit.z)
+    values = fit.values
     stds = np.sqrt(np.diag(confidence_of(fit).cautious))
-    at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.objective.space.lower
+    at_lower_bound = fit.z < _ZERO_BOUND_SHARE * fit.space.lower
     insignificant = {
         key: 0.0
-        for key, std, is_at_bound in zip(
-            fit.objective.space.keys, stds, at_lower_bound, strict=True
-        )
+        for key, std, is_at_bound in zip(fit.space.keys, stds, at_lower_bound, strict=True)
         if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
     }
     if not insignificant:
         return fit
-    space = fit.objective.space.fix_values(insignificant)
+    space = fit.space.fix_values(insignificant)
     start = space.coordinates(values)
     return fine_search(
         fit.objective.replace_unknowns(space), start, fit.iterations, selection.options

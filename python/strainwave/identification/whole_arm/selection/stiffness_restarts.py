@@ -26,20 +26,20 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
     """
     for number, joint in enumerate(selection.arm.joints, start=1):
         law = joint.law
-        if not law.is_curved or (law.names[0], number) not in fit.objective.space.keys:
+        if not law.is_curved or (law.names[0], number) not in fit.space.keys:
             continue
-        values = fit.objective.space.values(fit.z)
+        values = fit.values
         largest = gear_torques(fit.objective.records, values)[number - 1]
         for start in alternative_curves(law, values, number, largest):
             if fit.iterations >= selection.max_evaluations:
                 return replace(fit, converged=False)
-            z = fit.objective.space.coordinates(start)
+            z = fit.space.coordinates(start)
             try:
                 restarted = run_trial(fit, fit.objective, z, selection, MAX_CANDIDATE_EVALUATIONS)
             except NotIdentifiable:
                 continue  # the arm cannot be simulated with this curve
             fit = select_better(fit, restarted)
-            new_values = fit.objective.space.values(fit.z)
+            new_values = fit.values
             if new_values != values and not any(
                 alternative_curves(law, new_values, number, largest)
             ):

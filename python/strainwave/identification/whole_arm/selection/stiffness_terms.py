@@ -19,8 +19,8 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
     insignificant = _insignificant_terms(fit, selection)
     if not insignificant:
         return fit
-    values = fit.objective.space.values(fit.z)
-    space = fit.objective.space.fix_values(dict.fromkeys(insignificant, 0.0))
+    values = fit.values
+    space = fit.space.fix_values(dict.fromkeys(insignificant, 0.0))
     start = space.coordinates(values)
     return fine_search(
         fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
@@ -32,12 +32,12 @@ def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:
 
     A chi-square distance tests all optional parameters of a gear together.
     """
-    keys, insignificant = fit.objective.space.keys, list[Key]()
+    keys, insignificant = fit.space.keys, list[Key]()
     for number, joint in enumerate(selection.arm.joints, start=1):
         names = joint.law.may_vanish
         places = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
         if places:
-            estimate = fit.objective.space.parameters(fit.z)[places]
+            estimate = fit.space.parameters(fit.z)[places]
             covariance = confidence_of(fit).cautious[np.ix_(places, places)]
             if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
                 insignificant += [keys[k] for k in places]
