@@ -7,16 +7,18 @@ gear stiffness.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.domain import FloatArray
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
-from strainwave.signals.consistency.regression import Fit, regress
+from strainwave.signals.consistency.regression import regress
+from strainwave.signals.link_readings import JointMotion
 
 # Maximum share of samples at the servo limit; above it, the servo law does not hold.
 _MAX_SATURATED_SHARE = 0.01
@@ -28,8 +30,8 @@ _MIN_SLIDING_ROWS = 60
 _MAX_LOG_RATIO = float(np.log(1e3))
 # Number of grid points of the ratio search; the spacing is 0.7 %.
 _RATIO_GRID_SIZE = 2001
-# Parameters that occur in the equations of both joints.
-_SHARED_PARAMETERS = ("beta", "gamma", "gravity_torque_2")
+# Norm of a column of an equation over that of the largest below which the column is zero.
+_MIN_COLUMN_NORM = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +53,13 @@ class TorqueRegression:
     inertia: float  # [kg m^2] motor side, coefficient of the joint's own acceleration
     inertia_std: float
     explained: float  # share of the variance of the torque
-    shared: tuple[str, ...]  # names of the coupling parameters: beta, gamma, G2
-    coupling: FloatArray  # (n_shared,) estimates of the coupling parameters
-    coupling_covariance: FloatArray  # (n_shared, n_shared)
+    base: tuple[Key, ...]  # base parameters in the equation
+    value: FloatArray  # (n_base,) their estimates
+    covariance: FloatArray  # (n_base, n_base)
+
+    def shared(self, other: TorqueRegression) -> list[int]:
+        """Indices of the base parameters that also occur in the equation of another joint."""
+        return [k for k, key in enumerate(self.base) if key in other.base]
 
 
 def compute_reference_ratios(evidence: Evidence) -> list[Ratio]:
@@ -114,23 +120,17 @@ def compute_velocity_ratios(evidence: Evidence) -> list[Ratio]:
 def regress_torques(evidence: Evidence) -> list[TorqueRegression]:
     """Regress the torque of each joint on the regressor of the rigid-joint equations.
 
-    The two joints are regressed separately, so the shared parameters beta, gamma and G2 are
-    estimated twice. Joints without a torque or voltage channel are omitted.
+    The joints are regressed separately, so base parameters that couple joints are estimated by
+    each of them. Joints without a torque or voltage channel are omitted.
     """
     slow = [r for r in evidence.records if is_slow(r.experiment)]
     estimates = []
     for i in range(evidence.arm.n_joints):
         records = slow or [r for r in evidence.records if r.experiment.joint in (None, i + 1)]
         records = [r for r in records if {f"u{i + 1}", f"torque{i + 1}"} & set(r.channels)]
-        fit, names = _regress_torque(records, evidence.arm, i)
-        if fit is None:
-            continue
-        std = np.sqrt(np.diag(fit.covariance))
-        indices = [names.index(name) for name in _SHARED_PARAMETERS if name in names]
-        shared = tuple(names[k] for k in indices)
-        inertia = float(fit.value[0]), float(std[0])
-        coupling = fit.value[indices], fit.covariance[np.ix_(indices, indices)]
-        estimates.append(TorqueRegression(i + 1, *inertia, fit.explained, shared, *coupling))
+        estimate = _regress_torque(records, evidence.arm, i)
+        if estimate is not None:
+            estimates.append(estimate)
     return estimates
 
 
@@ -160,23 +160,38 @@ def _regress_ratio(
         yield Ratio(channel, record.experiment.name, float(fit.value[0]), std, fit.explained)
 
 
-def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> tuple[Fit | None, list[str]]:
+def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> TorqueRegression | None:
     """Regress the torque of joint i (from 0) over all records, with one constant per record."""
-    targets, blocks = [], []
-    names: list[str] = []
+    targets, blocks, inertias = [], [], []
     for record in records:
-        columns = _regressor_columns(record, arm, i)
-        names = list(columns)
+        equation = _Equation.of(record, arm, i)
         # Near a velocity reversal, the Coulomb friction is undetermined between its two values.
         rows = record.inside & (np.abs(record.direction[:, i]) > _MIN_MEAN_DIRECTION)
         rows = rows if rows.sum() > _MIN_SLIDING_ROWS else record.inside
-        torque = compute_motor_torque(record, arm, i)[rows]
-        block = np.column_stack(list(columns.values()))[rows]
+        torque, block = compute_motor_torque(record, arm, i)[rows], equation.columns[rows]
         targets.append(torque - torque.mean())
         blocks.append(block - block.mean(axis=0))
+        inertias.append(equation.inertia[rows])
     if not targets:
-        return None, names
-    return regress(np.concatenate(targets), np.concatenate(blocks)), names
+        return None
+    columns = np.concatenate(blocks)
+    norms = np.linalg.norm(columns, axis=0)
+    used = np.flatnonzero(norms > _MIN_COLUMN_NORM * norms.max())
+    fit = regress(np.concatenate(targets), columns[:, used])
+    if fit is None:
+        return None
+    base = used[used < arm.n_body]
+    n = len(base)
+    weights, covariance = np.concatenate(inertias).mean(axis=0)[base], fit.covariance[:n, :n]
+    return TorqueRegression(
+        joint=i + 1,
+        inertia=float(weights @ fit.value[:n]),
+        inertia_std=float(np.sqrt(weights @ covariance @ weights)),
+        explained=fit.explained,
+        base=tuple(arm.rigid_columns[k].key for k in base),
+        value=fit.value[:n],
+        covariance=covariance,
+    )
 
 
 def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
@@ -191,64 +206,58 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     return (arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
 
 
-def _regressor_columns(record: SlowRecord, arm: Arm, i: int) -> dict[str, FloatArray]:
-    """Regressor columns of the equation of joint i (from 0), by parameter, motor side."""
-    n = arm.gear_ratios
-    joints = range(1, arm.n_joints + 1)
-    motor = np.column_stack([record.channels[f"theta_m{j}"] for j in joints])
-    q = motor * n
-    dq = differentiate(q, record.sample_time)
-    ddq = differentiate(dq, record.sample_time)
-    friction = {"viscous": dq[:, i] / n[i], "coulomb": record.direction[:, i]}
-    gravity = arm.gravity is not None
-    if arm.n_joints == 1:
-        gravity_columns = {"gravity_torque_1": n[0] * np.cos(q[:, 0])} if gravity else {}
-        return {"inertia": ddq[:, 0] / n[0]} | friction | gravity_columns
-    c, s = np.cos(q[:, 1]), np.sin(q[:, 1])
-    inertia = {"inertia": ddq[:, i] / n[i]}
-    if i == 0:
-        accelerations = 2.0 * ddq[:, 0] + ddq[:, 1]
-        velocity_products = 2.0 * dq[:, 0] * dq[:, 1] + dq[:, 1] ** 2
-        coupled = {
-            "beta": n[0] * ddq[:, 1],
-            "gamma": n[0] * (c * accelerations - s * velocity_products),
-        }
-    else:
-        coupled = {"beta": n[1] * ddq[:, 0], "gamma": n[1] * (c * ddq[:, 0] + s * dq[:, 0] ** 2)}
-    gravity_columns = {}
-    if gravity:
-        gravity_columns["gravity_torque_2"] = n[i] * np.cos(q[:, 0] + q[:, 1])
-        if i == 0:
-            gravity_columns["gravity_torque_1"] = n[0] * np.cos(q[:, 0])
-    return inertia | coupled | friction | gravity_columns
+@dataclass(frozen=True, slots=True)
+class _Equation:
+    """Rigid-joint equation of one joint in one record, motor side."""
+
+    columns: FloatArray  # (n_rows, n_body + 2) per base parameter and friction coefficient
+    inertia: FloatArray  # (n_rows, n_body) the joint's own inertia per base parameter
+
+    @classmethod
+    def of(cls, record: SlowRecord, arm: Arm, i: int) -> _Equation:
+        motors = np.column_stack([record.channels[f"theta_m{j + 1}"] for j in range(arm.n_joints)])
+        motion, T = JointMotion.of_motors(motors, arm, record.sample_time), record.sample_time
+        q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
+        friction = differentiate(motors[:, i], T), record.direction[:, i]
+        columns = np.column_stack([arm.rigid_regressor(q, dq, ddq)[:, i], *friction])
+        rest = np.zeros_like(q)
+        unit = rest + arm.links_of(np.eye(arm.n_joints)[i])
+        inertia = arm.rigid_regressor(q, rest, unit) - arm.rigid_regressor(q, rest, rest)
+        return cls(columns, inertia[:, i])
 
 
-def estimate_torque_ratio(regressions: list[TorqueRegression]) -> tuple[float, float] | None:
-    """Ratio of the torque-constant errors of joints 1 and 2, from the symmetry of M(q).
+def estimate_torque_ratios(
+    regressions: Sequence[TorqueRegression],
+) -> dict[int, tuple[float, float]]:
+    """Ratios of the torque-constant error of joint 1 to those of other joints, by joint.
 
-    beta, gamma and G2 occur in the equations of both joints. If the torque constant of joint i is
-    wrong by a factor f_i, the equation of joint i gives estimates x_i that are f_i times the true
-    values. The ratio f_1 / f_2 minimises over r
+    M(q) is symmetric: base parameters that couple joints occur in the equations of both. If the
+    torque constant of joint i is wrong by a factor f_i, the equation of joint i gives estimates x_i
+    that are f_i times the true values. The ratio f_1 / f_2 minimises over r
 
         (x1 - r x2)' (C1 + r^2 C2)^-1 (x1 - r x2)
 
-    Returns the ratio and its standard deviation. The standard deviation is at least
-    abs(r - 1) sqrt(s / (cost(1) - cost(r))), the likelihood-ratio value for a ratio of 1, where s
-    is the cost per degree of freedom, at least 1. Returns None for one joint, or if the motion
-    does not determine the ratio.
+    The standard deviation is at least abs(r - 1) sqrt(s / (cost(1) - cost(r))), the
+    likelihood-ratio value for a ratio of 1, where s is the cost per degree of freedom, at least 1.
+    Ratios that the motion does not determine are omitted.
     """
-    if (
-        len(regressions) < 2
-        or regressions[0].shared != regressions[1].shared
-        or not regressions[0].shared
-    ):
+    first = next((each for each in regressions if each.joint == 1), None)
+    pairs = [(first, each) for each in regressions if first is not None and each.joint > 1]
+    ratios = {second.joint: _torque_ratio(first, second) for first, second in pairs}
+    return {joint: ratio for joint, ratio in ratios.items() if ratio is not None}
+
+
+def _torque_ratio(first: TorqueRegression, second: TorqueRegression) -> tuple[float, float] | None:
+    """Ratio of the torque-constant errors of two joints; None if the motion determines none."""
+    k1, k2 = first.shared(second), second.shared(first)
+    if not k1:
         return None
-    first, second = regressions
+    x1, x2 = first.value[k1], second.value[k2]
+    covariances = first.covariance[np.ix_(k1, k1)], second.covariance[np.ix_(k2, k2)]
 
     def costs_of(ratios: FloatArray) -> FloatArray:
-        error = first.coupling - ratios[:, None] * second.coupling
-        squares = ratios[:, None, None] ** 2
-        covariance = first.coupling_covariance + squares * second.coupling_covariance
+        error = x1 - ratios[:, None] * x2
+        covariance = covariances[0] + ratios[:, None, None] ** 2 * covariances[1]
         return np.asarray(
             (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(axis=1)
         )
@@ -264,7 +273,7 @@ def estimate_torque_ratio(regressions: list[TorqueRegression]) -> tuple[float, f
     left, middle, right = (float(c) for c in costs[best - 1 : best + 2])
     curvature = max((left - 2.0 * middle + right) / step**2, 1e-12)
     ratio = float(grid[best]) * float(np.exp(0.5 * (left - right) / (step * curvature)))
-    excess = max(1.0, middle / max(1, len(first.shared) - 1))
+    excess = max(1.0, middle / max(1, len(k1) - 1))
     std = ratio * float(np.sqrt(2.0 / curvature * excess))
     increase = float(costs_of(np.ones(1))[0]) - middle
     if increase > 1.0:  # The cost is not parabolic far from its minimum.

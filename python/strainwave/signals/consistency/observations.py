@@ -15,7 +15,7 @@ from strainwave.signals.consistency.motors import (
     compute_reference_ratios,
     compute_servo_output_ratios,
     compute_velocity_ratios,
-    estimate_torque_ratio,
+    estimate_torque_ratios,
     regress_torques,
 )
 from strainwave.signals.consistency.regression import pool_estimates
@@ -288,6 +288,5 @@ def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
         channel = f"u{each.joint}"
         yield Observation("inertia", channel, each.inertia, each.inertia_std, each.joint)
         yield Observation("explained-share", f"{channel} torque", each.explained, 0.0, each.joint)
-    ratio = estimate_torque_ratio(estimates)
-    if ratio is not None:
+    for ratio in estimate_torque_ratios(estimates).values():
         yield Observation("torque-ratio", "torque_per_volt", *ratio)
