@@ -14,8 +14,10 @@ from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.numerics import filters
-from strainwave.numerics.filters import differentiate, low_pass, noise_std, signal_band
+from strainwave.numerics.filters import apply_lags, differentiate, low_pass, noise_std, signal_band
 from strainwave.signals import motor as signals
+from strainwave.signals.drive_law import DriveLaw
+from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.standstill import free_friction, responses, sliding_direction
 from strainwave.virtual import scara
 from virtual_arms import CLOCK, DRIVE, motion_log, rigid_drive
@@ -76,7 +78,7 @@ def test_held_voltages_are_delayed_by_half_a_sample_and_the_lag() -> None:
     """The torque is delayed by half a sample and the lag of the current loop."""
     joint = replace(rigid_drive().arm.joints[0], torque_per_volt=2.0, current_loop_hz=200.0)
     w = 2.0 * np.pi * 5.0
-    torque = signals.drive_torque(np.sin(w * TIME), joint, CLOCK)
+    torque = DriveLaw.of(joint).torque(np.sin(w * TIME), CLOCK)
     late = 0.5 * CLOCK + 1.0 / (2.0 * np.pi * 200.0)
     # To second order in frequency, the lag is a delay; its gain error is (w tau)^2 / 2 = 3e-4.
     assert torque[INNER] == pytest.approx(2.0 * np.sin(w * (TIME - late))[INNER], abs=2e-3)
@@ -84,12 +86,34 @@ def test_held_voltages_are_delayed_by_half_a_sample_and_the_lag() -> None:
 
 def test_a_constant_voltage_is_a_constant_torque() -> None:
     joint = replace(rigid_drive().arm.joints[0], torque_per_volt=0.1, current_loop_hz=300.0)
-    assert signals.drive_torque(np.full(50, 3.0), joint, CLOCK) == pytest.approx(0.3)
+    assert DriveLaw.of(joint).torque(np.full(50, 3.0), CLOCK) == pytest.approx(0.3)
 
 
 def test_a_voltage_needs_its_torque_constant() -> None:
+    log = log_of({"theta_m1": np.sin(TIME), "u1": np.sin(TIME)})
     with pytest.raises(InvalidInput, match="torque_per_volt"):
-        signals.drive_torque(np.zeros(5), rigid_drive().arm.joints[0], CLOCK)
+        signals.prepare_motor_signals(log, Arm.of(rigid_drive().arm))
+
+
+@pytest.mark.parametrize("loop_hz", [None, 300.0])
+def test_the_inverse_of_the_drive_gives_the_held_voltages(loop_hz: float | None) -> None:
+    law = DriveLaw(0.1, loop_hz)
+    voltage = np.random.default_rng(0).normal(size=200)
+    held = apply_lags(law.command(voltage), law.current_loop, CLOCK, held=True)
+    # without a current loop, the torque at a time stamp is the mean of the commands around it
+    torque = held if loop_hz else law.command(np.convolve(voltage, [0.5, 0.5])[:-1])
+    estimate = law.voltage(torque, CLOCK)[:-1]
+    expected = voltage if loop_hz else np.convolve(voltage, [0.25, 0.5, 0.25])[1:-1]
+    np.testing.assert_allclose(estimate[1:], expected[1:-1], atol=1e-12)
+
+
+def test_a_record_is_prepared_once_for_each_arm() -> None:
+    log = log_of({"theta_m1": TIME, "u1": np.sin(TIME)})
+    arm = Arm.of(rigid_drive().arm)
+    record = prepare_record(log, arm)
+    assert prepare_record(log, Arm.of(rigid_drive().arm)) is record
+    assert prepare_record(log, arm.with_joint(1, torque_per_volt=2.0)) is not record
+    assert prepare_record(replace(log), arm) is not record
 
 
 # --- motion -----------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from strainwave.dynamics import excitation
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log, read_logs, write_log
 from strainwave.io.study import read_study
-from strainwave.signals.motor import drive_torque
+from strainwave.signals.drive_law import DriveLaw
 from strainwave.study_draft import start_study
 from strainwave.study_draft.names import ParsedName, parse
 from strainwave.study_draft.signal_features import (
@@ -430,7 +430,7 @@ def test_a_completed_draft_identifies_the_arm(tmp_path: Path) -> None:
         # a drive measures the motor torque after its current loop, 0.66 ms later than voltage
         # times torque constant; ignoring the lag changes beta by up to 2 %
         torque = [
-            drive_torque(log.channels[f"u{i}"], joint, log.sample_time)
+            DriveLaw.of(joint).torque(log.channels[f"u{i}"], log.sample_time)
             for i, joint in enumerate(study.arm.joints, start=1)
         ]
         columns = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import BoolArray, FloatArray
@@ -23,6 +23,8 @@ class Log(Displayed):
     warnings: tuple[Diagnostic, ...] = ()
     # by channel name, (n_samples,): True where a value is interpolated, not measured
     masked: Mapping[str, BoolArray] = field(default_factory=dict)
+    # by arm: what stages share; see `strainwave.signals.prepared_record`
+    prepared: dict[Any, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def name(self) -> str:

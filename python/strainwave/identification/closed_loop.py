@@ -28,7 +28,8 @@ from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
-from strainwave.numerics.filters import differentiate, low_pass, noise_std, signal_band
+from strainwave.numerics.filters import differentiate, low_pass, noise_std
+from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
 # minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
@@ -67,8 +68,7 @@ def restrict_to_values(arm: Arm, values: Mapping[Key, float]) -> Arm:
 
 def velocity_band(log: Log, arm: Arm) -> float:
     """Highest frequency [Hz] at which a motor angle exceeds its noise, over all motors."""
-    numbers = range(1, arm.n_joints + 1)
-    return max(signal_band(log.channels[f"theta_m{i}"], log.sample_time) for i in numbers)
+    return max(prepare_record(log, arm).bands_hz)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,13 +130,14 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     numbers = range(1, arm.n_joints + 1)
     compared = (compared_axes(arm.joints[i - 1], i, log.channels) for i in numbers)
     axes = tuple(axis for one in compared for axis in one if axis.sensor.quantities() == _READS)
-    raw = [log.channels[f"theta_m{i}"] for i in numbers]
-    raw += [log.channels[axis.channel] for axis in axes]
+    record = prepare_record(log, arm)
+    readings = [log.channels[axis.channel] for axis in axes]
+    raw = np.column_stack([record.motor_angle, *readings])
     T = log.sample_time
     # gain of white noise below the cut-off; encoders are differentiated
     derivative_gain = 2.0 * np.pi * cutoff / np.sqrt(3.0)
     gains = np.array([derivative_gain] * arm.n_joints + [1.0] * len(axes))
-    noise = np.array([noise_std(channel) for channel in raw])
+    noise = np.r_[record.angle_noise, [noise_std(reading) for reading in readings]]
     return Observation(
         log=log,
         drive=recorded_drive(arm, log),
@@ -144,7 +145,7 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
         channels=tuple([f"omega_m{i}" for i in numbers] + [axis.channel for axis in axes]),
         axes=axes,
         time=log.time[_inside(log, cutoff)],
-        measured=_filter(np.column_stack(raw), arm.n_joints, log, cutoff),
+        measured=_filter(raw, arm.n_joints, log, cutoff),
         noise=noise * gains * np.sqrt(min(1.0, 2.0 * T * cutoff)),
     )
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from strainwave.domain import Activity, FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput
-from strainwave.signals.channels import torque_channel
+from strainwave.signals.channels import MotorInput
+from strainwave.signals.drive_law import DriveLaw
 
 _DIFFERENCE_TIME = (
     0.01  # [s] of each velocity difference; reduces the effect of encoder quantization
@@ -41,17 +41,13 @@ def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:
 def _mean_squares(log: Log, arm: Arm, number: int) -> FloatArray | None:
     """Mean squares of torque, velocity and acceleration of one joint; None without its signals."""
     angle = log.channels.get(f"theta_m{number}")
-    try:
-        name = torque_channel(log, number)
-    except InvalidInput:
-        return None
+    motor = MotorInput.of(log, number, ("torque", "u"))
     step = max(1, round(_DIFFERENCE_TIME / log.sample_time))
-    if angle is None or len(angle) < 4 * step:
+    if motor is None or angle is None or len(angle) < 4 * step:
         return None
-    joint = arm.joints[number - 1]
-    scale = (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
     span = step * log.sample_time
     velocity = (angle[step:] - angle[:-step]) / span
     acceleration = (velocity[step:] - velocity[:-step]) / span
-    torque = scale * log.channels[name]
+    law = DriveLaw.of(arm.joints[number - 1])
+    torque = law.command(motor.values) if motor.is_voltage else motor.values
     return np.array([np.mean(series**2) for series in (torque, velocity, acceleration)])

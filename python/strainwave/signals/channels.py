@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal, Self
 
 import numpy as np
 
@@ -29,19 +31,33 @@ _MAX_SATURATED_SHARE = (
 )
 
 
-def torque_channel(log: Log, joint: int) -> str:
-    """Name of the channel that contains a motor torque: `torque{i}`, otherwise the voltage `u{i}`.
+InputKind = Literal["torque", "u"]
 
-    Joints count from 1. Raises InvalidInput if the log has neither channel.
-    """
-    for name in (f"torque{joint}", f"u{joint}"):
-        if name in log.channels:
-            return name
-    raise InvalidInput(
-        f"the log has neither torque{joint} nor u{joint}",
-        where=log.name,
-        remedy="log the torque or the voltage of the motor",
-    )
+
+@dataclass(frozen=True, slots=True)
+class MotorInput:
+    """Logged input of one motor: its torque, or the voltage command of its drive."""
+
+    kind: InputKind
+    joint: int  # from 1
+    values: FloatArray  # (n_samples,) [N m] or [V]
+
+    @classmethod
+    def of(cls, log: Log, joint: int, kinds: Sequence[InputKind]) -> Self | None:
+        """Input of a joint of the first logged kind; None if the log has none of them."""
+        logged = (kind for kind in kinds if f"{kind}{joint}" in log.channels)
+        kind = next(logged, None)
+        return None if kind is None else cls(kind, joint, log.channels[f"{kind}{joint}"])
+
+    @property
+    def channel(self) -> str:
+        """Channel of the log."""
+        return f"{self.kind}{self.joint}"
+
+    @property
+    def is_voltage(self) -> bool:
+        """Whether the input is the voltage command."""
+        return self.kind == "u"
 
 
 def channel_of(log: Log, name: str) -> FloatArray:
@@ -76,32 +92,35 @@ def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> Floa
     return np.column_stack(columns)
 
 
-def saturation(
-    log: Log, arm: Arm, channels: tuple[str, ...]
-) -> tuple[BoolArray, tuple[Diagnostic, ...]]:
-    """Detect samples at which the drive is at its limit, (n_samples, n_joints).
+@dataclass(frozen=True, slots=True)
+class Saturation:
+    """Samples at which drives are at their limits. Their logged torque can be wrong."""
 
-    The logged torque of these samples can differ from the motor torque. Only servoed joints are
-    examined, because an open-loop voltage can be at its extremes intentionally. `channels` are the
-    torque channels from `torque_channel`. Also returns a warning for each channel with more than 1
-    % of saturated samples.
+    samples: BoolArray  # (n_samples, n_joints)
+    warnings: tuple[Diagnostic, ...]
+
+
+def detect_saturation(log: Log, arm: Arm, inputs: Sequence[MotorInput]) -> Saturation:
+    """Detect samples at which the drive is at its limit.
+
+    Only servoed joints are examined, because an open-loop voltage can be at its extremes
+    intentionally. There is a warning for each input with more than 1 % of saturated samples.
     """
     saturated = np.zeros((len(log), arm.n_joints), dtype=bool)
     warnings: list[Diagnostic] = []
-    for i, channel in enumerate(channels):
+    for i, motor in enumerate(inputs):
         if log.experiment.control[i] != "servo":
             continue
-        magnitude = np.abs(log.channels[channel])
-        limit = arm.servo.limit if arm.servo and channel.startswith("u") else None
+        limit = arm.servo.limit if arm.servo and motor.is_voltage else None
         saturated[:, i] = (
-            magnitude >= 0.999 * limit if limit else _detect_flat_tops(log.channels[channel])
+            np.abs(motor.values) >= 0.999 * limit if limit else _detect_flat_tops(motor.values)
         )
         share = float(saturated[:, i].mean())
         if share > _MAX_SATURATED_SHARE:
-            text = f"{channel} is at its limit for {100.0 * share:.1f} % of the record; these "
-            text += "samples are not used. Record a slower motion"
+            text = f"{motor.channel} is at its limit for {100.0 * share:.1f} % of the record; these"
+            text += " samples are not used. Record a slower motion"
             warnings.append(Diagnostic.at("saturated", Place.in_records(log.name), text))
-    return saturated, tuple(warnings)
+    return Saturation(saturated, tuple(warnings))
 
 
 def unmeasured(log: Log, channels: Iterable[str], longer: int = 0) -> BoolArray:

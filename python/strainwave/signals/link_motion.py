@@ -30,18 +30,10 @@ from strainwave.numerics.filters import (
     apply_lags_without_aliases,
     differentiate,
     low_pass,
-    noise_std,
-    signal_band,
 )
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
-from strainwave.signals.channels import (
-    channel_of,
-    directions,
-    saturation,
-    torque_channel,
-    unmeasured,
-)
+from strainwave.signals.channels import unmeasured
 from strainwave.signals.delays import (
     build_delay_warnings,
     build_misalignment_warnings,
@@ -55,6 +47,7 @@ from strainwave.signals.link_readings import (
     read_accelerometer,
     read_gyro,
 )
+from strainwave.signals.prepared_record import PreparedRecord, prepare_record
 
 __all__ = [
     "LinkOptions",
@@ -140,7 +133,7 @@ def prepare_link_signals(
     record is too short.
     """
     chosen = options or LinkOptions()
-    view = _FilteredLog(_remove_delays(log, arm, delays or ()), arm, chosen)
+    view = _FilteredLog(prepare_record(log, arm), chosen, delays or ())
     torque = np.column_stack([view.torque(i) for i in range(arm.n_joints)])
     motor_velocity = differentiate(view.motor_angle, log.sample_time)
     links = _compute_link_motion(view, motor_velocity)
@@ -185,15 +178,15 @@ def _remove_delays(log: Log, arm: Arm, delays: Sequence[float]) -> Log:
 class _FilteredLog:
     """Channels of a log through the filters that all channels share."""
 
-    def __init__(self, log: Log, arm: Arm, options: LinkOptions) -> None:
-        self.log, self.arm, self.options = log, arm, options
-        numbers = range(1, arm.n_joints + 1)
-        self.raw_angle = np.column_stack([channel_of(log, f"theta_m{i}") for i in numbers])
-        self.channels = tuple(torque_channel(log, i) for i in numbers)
-        self.sources = tuple(_source(log, arm, i) for i in numbers)
+    def __init__(
+        self, record: PreparedRecord, options: LinkOptions, delays: Sequence[float]
+    ) -> None:
+        log, arm = _remove_delays(record.log, record.arm, delays), record.arm
+        self.record, self.log, self.arm, self.options = record, log, arm, options
+        self.sources = tuple(_source(log, arm, i) for i in range(1, arm.n_joints + 1))
         self.shared = _distinct_lags(arm.joints, self.sources)
         # The largest band of all joints: a joint with little motion does not determine a band.
-        self.band = max(signal_band(angle, log.sample_time) for angle in self.raw_angle.T)
+        self.band = max(record.bands_hz)
         differenced = any(s != "accelerometer" for s in self.sources)
         self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
         slowest = min(
@@ -208,7 +201,7 @@ class _FilteredLog:
                 where=log.name,
                 remedy="record a longer motion",
             )
-        self.motor_angle = self.through(self.raw_angle)
+        self.motor_angle = self.through(record.motor_angle)
 
     def through(
         self, signal: FloatArray, sensor_lags: Sequence[Lag] = (), between: Between = "smooth"
@@ -228,27 +221,18 @@ class _FilteredLog:
     def held(self, i: int) -> bool:
         """Whether the torque of joint i (from 0) is constant between samples."""
         loop = self.arm.joints[i].current_loop_hz
-        voltage = self.channels[i].startswith("u")
+        voltage = self.record.inputs[i].is_voltage
         return voltage and loop is None and not self.shared and self.bandwidth_hz is None
 
     def torque(self, i: int) -> FloatArray:
         """Motor torque of joint i (from 0); a voltage passes the hold and the current loop."""
-        joint, channel = self.arm.joints[i], self.channels[i]
-        values = self.log.channels[channel]
-        if channel.startswith("torque"):
-            return self.through(values)
-        if joint.torque_per_volt is None:
-            raise InvalidInput(
-                "a voltage is logged but torque_per_volt is not given",
-                where=f"joint {i + 1}",
-                remedy="add torque_per_volt to the joint, or log the torque",
-            )
-        loop = [Lag(1, joint.current_loop_hz)] if joint.current_loop_hz else []
-        T = self.log.sample_time
-        torque = joint.torque_per_volt * values
-        if loop or self.shared:
-            torque = apply_lags_without_aliases(torque, [*loop, *self.shared], T, "held")
-        return self.smooth(torque)
+        motor = self.record.inputs[i]
+        if not motor.is_voltage:
+            return self.through(motor.values)
+        law, T = self.record.law_of(motor), self.log.sample_time
+        if not law.current_loop and not self.shared:
+            return self.smooth(law.command(motor.values))
+        return self.smooth(law.torque_without_aliases(motor.values, T, self.shared))
 
     def _velocity_noise(self, noise: FloatArray) -> FloatArray:
         """Standard deviation of the noise of the low-pass filtered velocities.
@@ -272,10 +256,8 @@ class _FilteredLog:
         At samples without a certain direction, the latter is the velocity over four standard
         deviations of its noise.
         """
-        T = self.log.sample_time
-        noise = np.array([noise_std(angle) for angle in self.raw_angle.T])
-        certain = directions(self.raw_angle, noise, self.arm, T)
-        velocity = differentiate(low_pass(self.raw_angle, self.band, T), T)
+        T, certain, noise = self.log.sample_time, self.record.sliding, self.record.angle_noise
+        velocity = differentiate(low_pass(self.record.motor_angle, self.band, T), T)
         softened = np.clip(
             velocity / np.maximum(_MIN_VELOCITY_SIGNIFICANCE * self._velocity_noise(noise), 1e-12),
             -1.0,
@@ -395,16 +377,16 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> Flo
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:
     """Samples outside record edges, saturation and interpolation, and warnings about sensors."""
-    saturated, saturation_warnings = saturation(view.log, view.arm, view.channels)
+    saturation, channels = view.record.saturation, view.record.channels
     link_channels = [f"{_CHANNEL[s]}{i}" for i, s in enumerate(view.sources, 1) if s in _CHANNEL]
     motors = [f"theta_m{i}" for i in range(1, view.arm.n_joints + 1)]
     max_samples = max(
         _MIN_INTERPOLATED_SAMPLES, round(_MAX_INTERPOLATED_TIME / view.log.sample_time)
     )
-    interpolated = unmeasured(view.log, (*view.channels, *motors, *link_channels), max_samples)
-    valid = ~(saturated | interpolated[:, None])
+    interpolated = unmeasured(view.log, (*channels, *motors, *link_channels), max_samples)
+    valid = ~(saturation.samples | interpolated[:, None])
     valid[: view.edge] = valid[-view.edge :] = False
-    warnings = list(saturation_warnings)
+    warnings = list(saturation.warnings)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
             text = (
@@ -445,7 +427,7 @@ def _with_delays(
             warnings.extend(
                 build_misalignment_warnings(sensor[i], f"the link sensor of joint {i + 1}", place)
             )
-        description = f"motor {i + 1}'s response to the channel {view.channels[i]}"
+        description = f"motor {i + 1}'s response to the channel {view.record.channels[i]}"
         warnings.extend(build_misalignment_warnings(drive[i], description, place))
     return replace(signals, sensor_delay=sensor, drive_delay=drive, warnings=tuple(warnings))
 

@@ -11,6 +11,8 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, common_step
 from strainwave.errors import InvalidInput
+from strainwave.signals.channels import MotorInput
+from strainwave.signals.prepared_record import prepare_record
 
 
 def recorded_drive(arm: Arm, log: Log) -> Drive:
@@ -22,7 +24,7 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
     experiment = log.experiment
     voltage = np.zeros((len(log), arm.n_joints))
     reference = np.zeros_like(voltage)
-    recorded_voltage = driving_voltages(arm, log)
+    recorded_voltage = prepare_record(log, arm).voltage
     for i in range(arm.n_joints):
         if experiment.control[i] == "open":
             voltage[:, i] = recorded_voltage[:, i]
@@ -48,15 +50,14 @@ def driven_by_voltage(arm: Arm, log: Log) -> tuple[Arm, Drive]:
     The voltages are held between samples.
     """
     joints = tuple(replace(joint, encoder_counts=None) for joint in arm.joints)
-    voltage, recorded = driving_voltages(arm, log), recorded_drive(arm, log)
+    record, recorded = prepare_record(log, arm), recorded_drive(arm, log)
     initial_voltage = list(recorded.initial_voltage)
-    for i, joint in enumerate(arm.joints):
-        if input_channel(log, i + 1) == f"torque{i + 1}":  # the initial current-loop state
-            torque = float(log.channels[f"torque{i + 1}"][0])
-            initial_voltage[i] = torque / (joint.torque_per_volt or 1.0)
+    for i, motor in enumerate(record.driving_inputs):
+        if not motor.is_voltage:  # the initial current-loop state
+            initial_voltage[i] = float(motor.values[0] / arm.torque_per_volt[i])
     open_loop = (False,) * arm.n_joints
     drive = replace(
-        recorded, voltage=voltage, servo=open_loop, initial_voltage=tuple(initial_voltage)
+        recorded, voltage=record.voltage, servo=open_loop, initial_voltage=tuple(initial_voltage)
     )
     return arm.with_joints(joints), drive
 
@@ -79,7 +80,7 @@ def missing_recorded_input(arm: Arm, log: Log) -> str | None:
 def missing_motor_signal(arm: Arm, log: Log) -> str | None:
     """Describe the first motor angle or motor input that a log lacks; None if complete."""
     for i in range(1, arm.n_joints + 1):
-        if input_channel(log, i) is None:
+        if MotorInput.of(log, i, ("u", "torque")) is None:
             return f"the log has neither torque{i} nor u{i}"
         if f"theta_m{i}" not in log.channels:
             return f"the log has no channel theta_m{i}"
@@ -116,47 +117,6 @@ def check_servo_clock(arm: Arm, log: Log) -> None:
             where=log.name,
             remedy="correct the time stamps of the log, or period in [servo]",
         ) from error
-
-
-def input_channel(log: Log, joint: int) -> str | None:
-    """Name of the input channel of a joint (from 1): its voltage, otherwise its torque.
-
-    Returns None if the log has neither.
-    """
-    return next((name for name in (f"u{joint}", f"torque{joint}") if name in log.channels), None)
-
-
-def driving_voltages(arm: Arm, log: Log) -> FloatArray:
-    """Voltages that drove the joints, (n_samples, n_joints) [V].
-
-    A logged torque is the motor torque at the time stamps and is converted to the voltage command
-    that produces it. With a current loop of bandwidth f, and a = exp(-2 pi f T), u_k = (tau_(k+1) -
-    a tau_k) / (1 - a) in torque units. Without one, the held value is the mean of both torques. The
-    unit is N m if the joint has no torque per volt. The log must have an input of every joint.
-    """
-    columns = []
-    for i, joint in enumerate(arm.joints, start=1):
-        name = input_channel(log, i) or f"u{i}"
-        torque_per_volt = joint.torque_per_volt or 1.0
-        values = log.channels[name]
-        if name != f"u{i}":
-            values = (
-                _command_from_torque(values, joint.current_loop_hz, log.sample_time)
-                / torque_per_volt
-            )
-        columns.append(values)
-    return np.column_stack(columns)
-
-
-def _command_from_torque(
-    torque: FloatArray, loop_hz: float | None, sample_time: float
-) -> FloatArray:
-    """Held command between samples that produces the motor torque at the samples."""
-    following = np.append(torque[1:], torque[-1])
-    if loop_hz is None:
-        return np.asarray(0.5 * (torque + following))
-    decay = np.exp(-2.0 * np.pi * loop_hz * sample_time)
-    return np.asarray((following - decay * torque) / (1.0 - decay))
 
 
 def _sample_prbs(prbs: Prbs, sample_time: float, samples: int) -> FloatArray:

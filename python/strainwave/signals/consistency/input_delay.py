@@ -18,15 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, Delay, FloatArray, Lag, Log
+from strainwave.domain import ComplexArray, Delay, FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.numerics.filters import (
-    apply_lags_without_aliases,
-    band_passes,
-    noise_std,
-    signal_band,
-)
-from strainwave.signals.channels import directions, torque_channel
+from strainwave.numerics.filters import band_passes
+from strainwave.signals.drive_law import DriveLaw
+from strainwave.signals.prepared_record import prepare_record
 
 MAX_SENSOR_DELAY = 0.024
 """Largest delay of the search, in either direction [s]."""
@@ -67,12 +63,13 @@ def delay_grid() -> FloatArray:
 
 def compute_delay_profile(log: Log, arm: Arm, i: int) -> DelayProfile | None:
     """Delay profile of joint i, from 0. Returns None if the record does not determine the delay."""
-    T, n = log.sample_time, arm.n_joints
-    angle = np.column_stack([log.channels[f"theta_m{k}"] for k in range(1, n + 1)])
-    top = _BAND_SHARE * signal_band(angle[:, i], T)
-    noise = np.array([noise_std(each) for each in angle.T])
-    direction = directions(angle, noise, arm, T)[:, i]
-    signals = np.column_stack([angle, direction, _command_torque(log, arm, i)])
+    record, T = prepare_record(log, arm), log.sample_time
+    top = _BAND_SHARE * record.bands_hz[i]
+    motor = record.inputs[i]
+    torque = motor.values
+    if motor.is_voltage:  # the scale is arbitrary
+        torque = DriveLaw.of(arm.joints[i]).torque_without_aliases(torque, T)
+    signals = np.column_stack([record.motor_angle, record.sliding[:, i], torque])
     profiles = [_band_profile(log, signals, i, (top / ratio, top)) for ratio in _BAND_RATIOS]
     valid = [each for each in profiles if each is not None]
     return min(valid, key=lambda each: float(each.unexplained.min()), default=None)
@@ -99,16 +96,6 @@ def pool_delays(profiles: Sequence[DelayProfile]) -> Delay | None:
     vertex = 0.5 * (left - right) / (left - 2.0 * middle + right)
     floor = _PHASE_FLOOR / (2.0 * np.pi * max(p.band_hz for p in valid))
     return Delay(float(grid[best]) + vertex * _DELAY_STEP, floor)
-
-
-def _command_torque(log: Log, arm: Arm, i: int) -> FloatArray:
-    """Motor torque of joint i (from 0) up to its scale, from the logged command or torque."""
-    name, joint = torque_channel(log, i + 1), arm.joints[i]
-    values = log.channels[name]
-    if name == f"torque{i + 1}":
-        return values
-    loop = [Lag(1, joint.current_loop_hz)] if joint.current_loop_hz else []
-    return apply_lags_without_aliases(values, loop, log.sample_time, "held")
 
 
 def _band_profile(

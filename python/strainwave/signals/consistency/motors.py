@@ -18,6 +18,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import regress
+from strainwave.signals.drive_law import DriveLaw
 from strainwave.signals.link_readings import JointMotion
 
 # Maximum share of samples at the servo limit; above it, the servo law does not hold.
@@ -203,7 +204,7 @@ def compute_motor_torque(record: SlowRecord, arm: Arm, i: int) -> FloatArray:
     name = f"torque{i + 1}"
     if name in record.channels:
         return record.channels[name]
-    return (arm.joints[i].torque_per_volt or 1.0) * record.channels[f"u{i + 1}"]
+    return DriveLaw.of(arm.joints[i]).command(record.channels[f"u{i + 1}"])
 
 
 @dataclass(frozen=True, slots=True)

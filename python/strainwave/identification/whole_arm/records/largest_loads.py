@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain.keys import Key
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.gear_torques import gear_torques
-from strainwave.signals.recorded_input import driving_voltages
+from strainwave.signals.prepared_record import prepare_record
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,7 +27,7 @@ def loads_of(records: Sequence[Dataset], values: Mapping[Key, float]) -> Loads:
     `values` maps (name, joint) to the parameter values of the gear torque simulation.
     """
     largest_voltages = [
-        np.abs(driving_voltages(record.arm, record.log)).max(axis=0) for record in records
+        np.abs(prepare_record(record.log, record.arm).voltage).max(axis=0) for record in records
     ]
     return Loads(
         gear_torques(records, dict(values)).tolist(), np.max(largest_voltages, axis=0).tolist()

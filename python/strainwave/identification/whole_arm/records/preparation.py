@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Imu, Joint, Log
+from strainwave.domain import BoolArray, Imu, Joint, Log, channel_parts
 from strainwave.domain.link_sensors import compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.dynamics.arm import Arm
@@ -20,8 +20,8 @@ from strainwave.identification.whole_arm.records.dataset import (
     noise_behind,
 )
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
-from strainwave.numerics.filters import noise_std
 from strainwave.signals.channels import unmeasured
+from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import (
     driven_by_voltage,
     missing_motor_signal,
@@ -127,7 +127,7 @@ def _decimate(record: Dataset, every: int) -> Dataset:
     n = len(log) // every
     channels = {
         name: x[: n * every].reshape(n, every).mean(axis=1)
-        if name.startswith(("u", "torque"))
+        if channel_parts(name)[0] in ("u", "torque")
         else x[: n * every : every]
         for name, x in log.channels.items()
     }
@@ -192,9 +192,10 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     span = max(1, round(_ACCELERATION_SPACING / T))
     n_first = min(max(2, round(INITIAL_INTERVAL / T)), len(log) // 4)
     t = T * np.arange(n_first)
+    noise = prepare_record(log, arm).angle_noise
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
-        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise_std(angle))
+        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise[i - 1])
         second_difference = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
         max_acceleration = np.max(np.abs(second_difference)) / (span * T) ** 2
         if np.any(np.abs(angle[:n_first] - angle[0]) > tolerance + 0.5 * max_acceleration * t**2):

@@ -1,0 +1,132 @@
+"""A log with the motion and the inputs of its motors, which every stage filters further."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from strainwave.domain import FloatArray, Log
+from strainwave.dynamics.arm import Arm
+from strainwave.errors import InvalidInput
+from strainwave.numerics.filters import noise_std, signal_band
+from strainwave.signals.channels import (
+    InputKind,
+    MotorInput,
+    Saturation,
+    channel_of,
+    detect_saturation,
+    directions,
+)
+from strainwave.signals.drive_law import DriveLaw
+
+
+@dataclass(frozen=True)
+class PreparedRecord:
+    """Motor motion and motor inputs of a log; arrays are (n_samples, n_joints), unfiltered.
+
+    A quantity is computed when it is first used. Raises InvalidInput if its channels are missing.
+    """
+
+    log: Log
+    arm: Arm
+
+    @cached_property
+    def motor_angle(self) -> FloatArray:
+        """Motor angles [rad]."""
+        numbers = range(1, self.arm.n_joints + 1)
+        return np.column_stack([channel_of(self.log, f"theta_m{i}") for i in numbers])
+
+    @cached_property
+    def angle_noise(self) -> FloatArray:
+        """Standard deviation of the white noise of the motor angles: (n_joints,) [rad]."""
+        return np.array([noise_std(angle) for angle in self.motor_angle.T])
+
+    @cached_property
+    def bands_hz(self) -> tuple[float, ...]:
+        """Frequency of each motor angle above which noise dominates [Hz]."""
+        return tuple(signal_band(angle, self.log.sample_time) for angle in self.motor_angle.T)
+
+    @cached_property
+    def sliding(self) -> FloatArray:
+        """Sliding direction of each motor: +1, -1, or 0 if it is uncertain."""
+        return directions(self.motor_angle, self.angle_noise, self.arm, self.log.sample_time)
+
+    @cached_property
+    def inputs(self) -> tuple[MotorInput, ...]:
+        """Input of each motor: its torque if it is logged, otherwise its voltage."""
+        return self._inputs(("torque", "u"))
+
+    @cached_property
+    def driving_inputs(self) -> tuple[MotorInput, ...]:
+        """Input of each motor: its voltage if it is logged, otherwise its torque."""
+        return self._inputs(("u", "torque"))
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Channel of the input of each motor."""
+        return tuple(each.channel for each in self.inputs)
+
+    @cached_property
+    def torque(self) -> FloatArray:
+        """Motor torque at the time stamps [N m]: as logged, or from the voltage by the law."""
+        T = self.log.sample_time
+        columns = [
+            self.law_of(each).torque(each.values, T) if each.is_voltage else each.values
+            for each in self.inputs
+        ]
+        return np.column_stack(columns)
+
+    @cached_property
+    def voltage(self) -> FloatArray:
+        """Voltages that drove the motors, held between samples [V]: as logged, or from the torque.
+
+        The unit is N m if the joint has no torque per volt.
+        """
+        T = self.log.sample_time
+        columns = [
+            each.values if each.is_voltage else DriveLaw.of(joint).voltage(each.values, T)
+            for each, joint in zip(self.driving_inputs, self.arm.joints, strict=True)
+        ]
+        return np.column_stack(columns)
+
+    @cached_property
+    def saturation(self) -> Saturation:
+        """Samples at which the drives are at their limits, and warnings."""
+        return detect_saturation(self.log, self.arm, self.inputs)
+
+    def law_of(self, motor: MotorInput) -> DriveLaw:
+        """Law of a motor's drive; a voltage requires `torque_per_volt`."""
+        joint = self.arm.joints[motor.joint - 1]
+        if motor.is_voltage and joint.torque_per_volt is None:
+            raise InvalidInput(
+                "a voltage is logged but torque_per_volt is not given",
+                where=f"joint {motor.joint}",
+                remedy="add torque_per_volt to the joint, or log the torque",
+            )
+        return DriveLaw.of(joint)
+
+    def _inputs(self, kinds: Sequence[InputKind]) -> tuple[MotorInput, ...]:
+        """Input of each motor of the first logged kind."""
+        inputs = []
+        for joint in range(1, self.arm.n_joints + 1):
+            motor = MotorInput.of(self.log, joint, kinds)
+            if motor is None:
+                raise InvalidInput(
+                    f"the log has neither torque{joint} nor u{joint}",
+                    where=self.log.name,
+                    remedy="log the torque or the voltage of the motor",
+                )
+            inputs.append(motor)
+        return tuple(inputs)
+
+
+def prepare_record(log: Log, arm: Arm) -> PreparedRecord:
+    """Motion and inputs of the motors of a log; prepared once for each log and arm."""
+    if arm not in log.prepared:
+        log.prepared[arm] = PreparedRecord(log, arm)
+    prepared = log.prepared[arm]
+    assert isinstance(prepared, PreparedRecord)
+    return prepared
