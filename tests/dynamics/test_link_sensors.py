@@ -108,7 +108,7 @@ def test_what_a_fit_compares(joint: Joint, logged: str, compared: str) -> None:
 
 
 def test_bandwidths_reach_the_low_passes_of_the_core() -> None:
-    hz = {("accelerometer_bandwidth", 1): 80.0, ("imu_gyro_bandwidth", 1): 40.0}
+    hz: Values = {("accelerometer_bandwidth", 1): 80.0, ("imu_gyro_bandwidth", 1): 40.0}
     known = low_passes(with_bandwidths(JOINT, 1, hz))
     assert known == {"accelerometer_hz": 80.0, "gyro_hz": None}
     unknown = low_passes(with_bandwidths(ANYWHERE, 1, hz))

@@ -14,9 +14,11 @@ from strainwave.domain import (
     Diagnostic,
     FloatArray,
     Joint,
+    Lag,
     Log,
     Place,
 )
+from strainwave.domain.link_sensors import sensor_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.signals.standstill import runs_of, sliding_direction
@@ -175,3 +177,9 @@ def check_alike(records: Sequence[Decoupled]) -> None:
                 where=record.experiment.name,
                 remedy="log all records at the same sampling rate",
             )
+
+
+def sensor_lags(joint: Joint, kind: str) -> tuple[Lag, ...]:
+    """Low-pass of the sensor of a joint with a channel of this kind, as the study gives it."""
+    sensor = sensor_of(joint, kind)
+    return (Lag(sensor.low_pass_order, sensor.hz),) if sensor and sensor.hz else ()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -14,7 +14,17 @@ from strainwave.domain import (
 )
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import ConstantKind, LinkSensor
+from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.gyro import Gyro
+from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.signals import LinkSource
 
+_SENSORS: Mapping[LinkSource, type[LinkSensor]] = {
+    "accelerometer": Accelerometer,
+    "encoder": LinkEncoder,
+    "gyro": Gyro,
+}
 _MIN_SIGNIFICANCE = 4.0  # standard deviations above which a delay is significant
 
 
@@ -62,13 +72,12 @@ def list_removed_delays(
     records: Sequence[LinkSignals], delays: Sequence[Delay]
 ) -> dict[Key, float]:
     """Delays that were removed, keyed as in the whole-arm fit: (name, joint) -> delay [s]."""
-    names = {"accelerometer": "accelerometer_delay", "encoder": "link_encoder_delay"}
-    names["gyro"] = "gyro_delay"
     return {
-        (names[source], joint): delay.value
+        delay_constant.key(joint): delay.value
         for record in records
         for joint, (source, delay) in enumerate(zip(record.sources, delays, strict=True), start=1)
-        if delay.value and source in names
+        if delay.value and source in _SENSORS
+        if (delay_constant := _SENSORS[source].constant(ConstantKind.DELAY))
     }
 
 

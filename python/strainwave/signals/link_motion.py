@@ -33,7 +33,7 @@ from strainwave.numerics.filters import (
 )
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
-from strainwave.signals.channels import unmeasured
+from strainwave.signals.channels import sensor_lags, unmeasured
 from strainwave.signals.delays import (
     build_delay_warnings,
     build_misalignment_warnings,
@@ -286,18 +286,13 @@ def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
     return "gyro" if f"gyro{joint}" in log.channels else "motor"
 
 
-def _sensor_lag(joint: Joint, source: LinkSource) -> tuple[Lag, ...]:
-    """Low-pass filter of the link sensor of a joint."""
-    if source == "accelerometer" and joint.accelerometer_hz:
-        return (Lag(2, joint.accelerometer_hz),)
-    if source == "gyro" and joint.gyro_hz:
-        return (Lag(1, joint.gyro_hz),)
-    return ()
-
-
 def _distinct_lags(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tuple[Lag, ...]:
     """Low-pass filters of all sensors, without duplicates."""
-    owned = [lag for j, s in zip(joints, sources, strict=True) for lag in _sensor_lag(j, s)]
+    owned = [
+        lag
+        for j, s in zip(joints, sources, strict=True)
+        for lag in sensor_lags(j, _CHANNEL.get(s, ""))
+    ]
     return tuple(dict.fromkeys(owned))
 
 
@@ -326,7 +321,7 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
         if source != "accelerometer":
             if source == "gyro":
                 gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, _sensor_lag(arm.joints[i], source))
+                rate = view.through(gyro, sensor_lags(arm.joints[i], _CHANNEL[source]))
                 motion = JointMotion(links.angle, links.velocity, links.acceleration)
                 slow = rate - read_gyro(arm, motion.without(i), i)
             links.angle[:, i], links.velocity[:, i] = angle, slow
@@ -335,7 +330,9 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
             links.fusion.append(None)
             links.fusion_error.append(0.0)
             continue
-        read = view.through(view.log.channels[f"a{i + 1}"], _sensor_lag(arm.joints[i], source))
+        read = view.through(
+            view.log.channels[f"a{i + 1}"], sensor_lags(arm.joints[i], _CHANNEL[source])
+        )
         acceleration = _acceleration(arm, read, i, links)
         bias = bias_of(acceleration, slow, T, view.edge)
         acceleration = acceleration - bias

@@ -57,9 +57,16 @@ def record_experiment(
         quantities["a"] = "accelerometer"
     if any(joint.gyro_hz for joint in arm.joints):
         quantities["gyro"] = "gyro"
-    record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     imu_axes = [axis for i in range(1, arm.n_joints + 1) for axis in _imu_axes(study.path, arm, i)]
-    record += dict.fromkeys(cast("Quantity", name) for axis in imu_axes for name in axis.quantities)
+    by_channel = [
+        axis
+        for i, joint in enumerate(arm.joints, start=1)
+        for sensor in joint.sensors
+        for axis in sensor.axes(i)
+        if sensor.by_channel and axis.channel in study.channels
+    ]
+    record: list[str] = ["voltage", "link_angle", *quantities.values()]
+    record += [name for axis in (*imu_axes, *by_channel) for name in axis.quantities]
     inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
         arm,
@@ -67,10 +74,11 @@ def record_experiment(
         inputs.shift_start(plan.drive),
         sample_time=plan.sample_time,
         samples=plan.samples,
-        record=record,
+        record=cast("list[Quantity]", list(dict.fromkeys(record))),
     )
     measured = measure(trajectory, noise, rng)
     measured["encoder"] = inputs.read(measured["encoder"])
+    measured["motor_angle"] = measured["encoder"]
     measured["link_angle"] = inputs.read(measured["link_angle"], arm.gear_ratios)
     columns = {"t": trajectory.time}
     for i, joint in enumerate(arm.joints):
@@ -81,12 +89,7 @@ def record_experiment(
             if _has_sensor(joint, quantity):
                 columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
     columns |= _imu_readings(imu_axes, trajectory, noise, rng)
-    for i, joint in enumerate(arm.joints):
-        link = measured["link_angle"][:, i]
-        if f"theta_l{i + 1}" in study.channels:
-            columns[f"theta_l{i + 1}"] = link
-        if f"deflection{i + 1}" in study.channels:
-            columns[f"deflection{i + 1}"] = link - joint.gear_ratio * measured["encoder"][:, i]
+    columns |= {axis.channel: axis.reading(measured, {}) for axis in by_channel}
     if any(plan.drive.servo):
         tick = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
         for i in range(arm.n_joints):
@@ -132,13 +135,7 @@ def _imu_readings(
         kind_axes = [axis for axis in axes if isinstance(axis.sensor, kind)]
         if not kind_axes:
             continue
-        ideal = [
-            sum(
-                weight * trajectory[cast("Quantity", name)][:, axis.joint - 1]
-                for weight, name in zip(axis.weights({}), axis.quantities, strict=True)
-            )
-            for axis in kind_axes
-        ]
+        ideal = [axis.reading(trajectory.quantities, {}) for axis in kind_axes]
         readings = Trajectory(trajectory.time, {quantity: np.column_stack(ideal)})
         for axis, column in zip(kind_axes, measure(readings, noise, rng)[quantity].T, strict=True):
             columns[axis.channel] = column

@@ -54,6 +54,7 @@ __all__ = [
     "optional_constants",
     "register",
     "sensor_constants",
+    "sensor_of",
     "sensors_of",
     "unknowns_of",
     "unregister",
@@ -144,6 +145,11 @@ def sensors_of(joint: Joint) -> tuple[LinkSensor, ...]:
     """Sensors that the link of a joint can have, with the constants of the joint's table."""
     sensors = (sensor.of_joint(joint) for sensor in all_types())
     return tuple(sensor for sensor in sensors if sensor is not None)
+
+
+def sensor_of(joint: Joint, kind: str) -> LinkSensor | None:
+    """The sensor of a joint with a channel of this kind; None if there is none."""
+    return next((sensor for sensor in joint.sensors if kind in sensor.channel_kinds), None)
 
 
 def low_passes(joint: Joint) -> dict[str, float | None]:

@@ -46,7 +46,8 @@ class Accelerometer(LinkSensor):
 
     name = noun = "accelerometer"
     channel_kinds = ("a",)
-    drift_unit = "m/s^3"
+    unit = "m/s^2"
+    measurand = "acceleration"
     keys = ("accelerometer_distance", "accelerometer_hz")
     suggested_as = "an accelerometer"
     bandwidth_key = "accelerometer_hz"

@@ -25,7 +25,9 @@ class Gyro(LinkSensor):
 
     name = noun = "gyro"
     channel_kinds = ("gyro",)
-    drift_unit = "rad/s^2"
+    unit = "rad/s"
+    measurand = "link rate"
+    low_pass_order = 1
     keys = ("gyro_hz",)
     suggested_as = "a gyro"
     bandwidth_key = "gyro_hz"

@@ -173,7 +173,8 @@ class ImuAccelerometers(ImuSensor):
     noun = "IMU's accelerometers"
     axis_name = "accelerometer"
     channel_kinds = ("ax", "ay", "az")
-    drift_unit = "m/s^3"
+    unit = "m/s^2"
+    measurand = "specific force"
 
     @property
     def hz(self) -> float | None:
@@ -209,7 +210,8 @@ class ImuGyros(ImuSensor):
     noun = "IMU's gyros"
     axis_name = "gyro"
     channel_kinds = ("gx", "gy", "gz")
-    drift_unit = "rad/s^2"
+    unit = "rad/s"
+    measurand = "angular rate"
 
     @property
     def hz(self) -> float | None:

@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -67,6 +67,7 @@ _OPTIONAL = frozenset(
 _HIDDEN = frozenset({K.BEARING, K.ROTATION_X, K.ROTATION_Y, K.ROTATION_Z, K.SHARE})
 _MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y}
 _NOMINAL = {K.SCALE: 1.0, K.BANDWIDTH: np.inf, K.MOUNT_FREQUENCY: np.inf}
+_PER_SECOND = {"m/s^2": "m/s^3", "rad/s": "rad/s^2", "N m": "N m/s"}
 # unit, symbol and description of the constants of every sensor
 _COMMON_TEXTS = {
     K.DELAY: ("s", "D", "delay of the {} relative to the motor encoder"),
@@ -141,11 +142,23 @@ class LinkSensor(ABC):
     channel_kinds: ClassVar[tuple[str, ...]]
     """Channels without the joint's number, one per axis."""
 
-    drift_unit: ClassVar[str] = ""
-    """SI unit of a reading per second."""
-
     keys: ClassVar[tuple[str, ...]] = ()
     """Keys of a `[[joint]]` table that describe it."""
+
+    unit: ClassVar[str]
+    """SI unit of a reading."""
+
+    measurand: ClassVar[str]
+    """Noun of what it measures, in reports."""
+
+    prismatic_unit: ClassVar[str | None] = None
+    """SI unit on the link of a prismatic joint, if it differs."""
+
+    low_pass_order: ClassVar[Literal[1, 2]] = 2
+    """Order of its low-pass; 2: Butterworth."""
+
+    by_channel: ClassVar[bool] = False
+    """Whether a study's channels alone state that the link has the sensor."""
 
     suggested_as: ClassVar[str] = ""
     """Noun with its article, in a report that suggests the sensor."""
@@ -268,10 +281,16 @@ class LinkSensor(ABC):
         return (*common, *of_axes, *cls.extra_constants())
 
     @classmethod
+    def constant(cls, kind: ConstantKind, number: int = 0) -> SensorConstant | None:
+        """Constant of a kind of one axis; None if it has none."""
+        owners = (cls.owner(number), cls.name)
+        return next((c for c in cls.constants() if c.kind is kind and c.owner in owners), None)
+
+    @classmethod
     def _constant(cls, owner: str, noun: str, kind: ConstantKind) -> SensorConstant:
         unit, symbol, text = _COMMON_TEXTS[kind]
         has_symbol = cls.symbols or kind in (K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
-        unit = cls.drift_unit if kind is K.DRIFT else unit
+        unit = _PER_SECOND[cls.unit] if kind is K.DRIFT else unit
         return SensorConstant(owner, kind, unit, text.format(noun), symbol if has_symbol else "")
 
 
@@ -311,11 +330,8 @@ class Axis:
 
     def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
         """Key of one of its constants; None if it has none of this kind."""
-        owners = (self.sensor.owner(self.number), self.sensor.name)
-        for constant in self.sensor.constants():
-            if constant.kind is kind and constant.owner in owners:
-                return constant.key(self.joint, record)
-        return None
+        constant = self.sensor.constant(kind, self.number)
+        return constant.key(self.joint, record) if constant else None
 
     def value(
         self, kind: ConstantKind, values: Mapping[Key, float], record: str | None = None
@@ -333,6 +349,14 @@ class Axis:
     def weights(self, values: Mapping[Key, float]) -> FloatArray:
         """Weights (n_quantities,) of the sensor's quantities in the reading."""
         return self.sensor.weights(self, values)
+
+    def reading(self, of: Mapping[Any, FloatArray], values: Mapping[Key, float]) -> FloatArray:
+        """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""
+        parts = [of[name][:, self.joint - 1] for name in self.quantities]
+        if len(parts) == 1 and self.sensor.group is not Group.MOUNTED:
+            return parts[0]
+        pairs = zip(self.weights(values), parts, strict=True)
+        return np.asarray(sum(weight * part for weight, part in pairs))
 
     def slopes(self, values: Mapping[Key, float], keys: Sequence[Key]) -> FloatArray:
         """Derivatives of the weights with respect to mounting unknowns: (n_quantities, n_keys)."""

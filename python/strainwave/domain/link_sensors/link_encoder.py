@@ -22,6 +22,10 @@ class LinkEncoder(LinkSensor):
     name = "link_encoder"
     noun = "link encoder"
     channel_kinds = ("theta_l",)
+    unit = "rad"
+    measurand = "link angle"
+    prismatic_unit = "m"
+    by_channel = True
     keys = ("link_encoder_counts",)
     suggested_as = "an encoder"
     rank = 1

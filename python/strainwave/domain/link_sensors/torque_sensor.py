@@ -18,7 +18,10 @@ class TorqueSensor(LinkSensor):
     name = "torque_sensor"
     noun = "joint torque sensor"
     channel_kinds = ("tau_l",)
-    drift_unit = "N m/s"
+    unit = "N m"
+    measurand = "joint torque"
+    prismatic_unit = "N"
+    by_channel = True
     group = Group.TORQUE
     common = (ConstantKind.DELAY,)
 

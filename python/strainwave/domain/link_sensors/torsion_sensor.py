@@ -25,6 +25,10 @@ class TorsionSensor(LinkSensor):
     name = "torsion_sensor"
     noun = "torsion sensor"
     channel_kinds = ("deflection",)
+    unit = "rad"
+    measurand = "torsion"
+    prismatic_unit = "m"
+    by_channel = True
     is_compared = False  # as the link angle that it gives with the motor encoder
     reads_angle = True
     has_bias = False

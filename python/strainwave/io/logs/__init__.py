@@ -9,7 +9,17 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import Channel, Diagnostic, Experiment, FloatArray, Log, Study, channel_names
+from strainwave.domain import (
+    Channel,
+    Diagnostic,
+    Experiment,
+    FloatArray,
+    Log,
+    Study,
+    channel_names,
+    channel_parts,
+)
+from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
@@ -22,8 +32,6 @@ __all__ = ["read_log", "read_logs", "write_log"]
 write_log = write_table
 
 _COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the ticks of a clock
-# prefixes of sensor channels; a failed sensor is constant
-_SENSOR_PREFIXES = ("omega_m", "a", "theta_l", "deflection", "gyro")
 
 
 def read_logs(
@@ -245,6 +253,7 @@ def _check_constants(
             where=str(path),
             remedy="check the [channels] table: the column may contain another signal",
         )
+    sensors = ("omega_m", *link_channel_kinds())  # a failed sensor is constant
     return [
         Diagnostic(
             "constant-channel",
@@ -252,5 +261,5 @@ def _check_constants(
             f"the channel '{name}' never changes. Check the sensor and the map",
         )
         for name, values in channels.items()
-        if name.startswith(_SENSOR_PREFIXES) and np.ptp(values) == 0.0
+        if channel_parts(name)[0] in sensors and np.ptp(values) == 0.0
     ]

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import Joint, Prediction
+from strainwave.domain import Joint, Prediction, channel_parts
+from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     MAX_POINTS,
     MEASURED_COLOUR,
@@ -22,18 +23,8 @@ from strainwave.presentation.figures import (
 
 _MODEL_DASH: Dash = (6.0, 4.0)  # the measured line shows through
 _RESIDUAL_HEIGHT = 0.45  # of a residual panel relative to the panel above
-_UNITS = {
-    "u": "V",
-    "torque": "N m",
-    "omega_m": "rad/s",
-    "theta_l": "rad",
-    "deflection": "rad",
-    "gyro": "rad/s",
-    "a": "m/s²",
-    **dict.fromkeys(("ax", "ay", "az"), "m/s²"),
-    **dict.fromkeys(("gx", "gy", "gz"), "rad/s"),
-}
-_PRISMATIC_UNITS = _UNITS | {"torque": "N", "omega_m": "m/s", "theta_l": "m", "deflection": "m"}
+_MOTOR_UNITS = {"u": "V", "torque": "N m", "omega_m": "rad/s"}
+_PRISMATIC_MOTOR_UNITS = {"u": "V", "torque": "N", "omega_m": "m/s"}
 
 
 def prediction_figure(
@@ -66,7 +57,10 @@ def prediction_figure(
 
 def unit_of(channel: str, joints: Sequence[Joint] = ()) -> str:
     """The unit of a log channel such as `u1` or `omega_m2`; joints are revolute by default."""
-    kind = channel.rstrip("0123456789")
-    number = int(channel[len(kind) :] or 1)
-    is_prismatic = number <= len(joints) and joints[number - 1].motion == "prismatic"
-    return (_PRISMATIC_UNITS if is_prismatic else _UNITS).get(kind, "")
+    kind, number = channel_parts(channel)
+    is_prismatic = 0 < number <= len(joints) and joints[number - 1].motion == "prismatic"
+    for sensor in all_types():
+        if kind in sensor.channel_kinds:
+            prismatic = sensor.prismatic_unit or sensor.unit
+            return (prismatic if is_prismatic else sensor.unit).replace("^2", "²")
+    return (_PRISMATIC_MOTOR_UNITS if is_prismatic else _MOTOR_UNITS).get(kind, "")

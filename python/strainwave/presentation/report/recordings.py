@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, Identification, Joint, Log
+from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     DASHES,
     PALETTE,
@@ -25,12 +26,7 @@ _TITLES = {
     "u": "voltage",
     "torque": "motor torque",
     "omega_m": "motor velocity",
-    "a": "acceleration",
-    "theta_l": "link angle",
-    "deflection": "torsion",
-    "gyro": "link rate",
-    **dict.fromkeys(("ax", "ay", "az"), "specific force"),
-    **dict.fromkeys(("gx", "gy", "gz"), "angular rate"),
+    **{kind: sensor.measurand for sensor in all_types() for kind in sensor.channel_kinds},
 }
 """Panel of each kind of channel; the position of a title is the position of its panel."""
 

@@ -15,6 +15,7 @@ import numpy as np
 from strainwave.domain import BoolArray, Correction, FloatArray, Lag, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import apply_lags, differentiate
+from strainwave.signals.channels import sensor_lags
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import Fit, regress
 from strainwave.signals.link_readings import (
@@ -223,7 +224,9 @@ def _regress_channel(
     if parts is None:
         return
     T = record.sample_time
-    sensor = [lag for lag in _sensor_lags(arm, kind, i) if _is_relevant(lag, T, len(record.inside))]
+    sensor = [
+        lag for lag in sensor_lags(arm.joints[i], kind) if _is_relevant(lag, T, len(record.inside))
+    ]
     cutoff = evidence.high_passes.get(name)
     if cutoff and not _MIN_TIME_CONSTANT_ROWS < 1.0 / (
         2.0 * np.pi * cutoff * T
@@ -388,13 +391,3 @@ def _is_relevant(lag: Lag, sample_time: float, rows: int) -> bool:
     """
     time_constant = 1.0 / (2.0 * np.pi * lag.cutoff_hz * sample_time)  # [rows]
     return _MIN_TIME_CONSTANT_ROWS < time_constant < 0.1 * rows
-
-
-def _sensor_lags(arm: Arm, kind: str, i: int) -> list[Lag]:
-    """Low-pass of a sensor of joint i (from 0), as given in the study."""
-    joint = arm.joints[i]
-    if kind == "a" and joint.accelerometer_hz:
-        return [Lag(2, joint.accelerometer_hz)]
-    if kind == "gyro" and joint.gyro_hz:
-        return [Lag(1, joint.gyro_hz)]
-    return []

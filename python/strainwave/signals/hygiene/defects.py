@@ -9,16 +9,22 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, Log
+from strainwave.domain.link_sensors import all_types
 from strainwave.dynamics.arm import Arm
 
 Kind = Literal["spikes", "frozen", "encoder-steps", "flat-tops", "mains-hum"]
 """Kinds of defects, which are also warning codes; see docs/troubleshooting.md."""
 
-ENCODERS = ("theta_m", "theta_l", "deflection")
-"""Angle sensors."""
 
-NOISY = ("a", "gyro", "ax", "ay", "az", "gx", "gy", "gz")
-"""Sensors whose reading changes from sample to sample because of noise or motion."""
+def encoder_kinds() -> tuple[str, ...]:
+    """Channels of angle sensors, without the joint's number."""
+    return ("theta_m", *(k for s in all_types() if s.reads_angle for k in s.channel_kinds))
+
+
+def noisy_kinds() -> tuple[str, ...]:
+    """Channels of sensors whose reading changes from sample to sample: by noise or motion."""
+    return tuple(k for s in all_types() if not s.reads_angle for k in s.channel_kinds)
+
 
 INPUTS = ("u", "torque")
 """Motor inputs."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from strainwave.domain import Log
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.hygiene.defects import ENCODERS, Defect, count_of, of_kinds
+from strainwave.signals.hygiene.defects import Defect, count_of, encoder_kinds, of_kinds
 from strainwave.signals.hygiene.frozen import is_end_of_freeze
 from strainwave.signals.hygiene.isolated import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
@@ -17,7 +17,7 @@ _MAX_OVERFLOW_SPREAD = 0.02  # maximum spread of overflow steps, relative to the
 def detect(log: Log, arm: Arm) -> list[Defect]:
     """Detect permanent steps of an angle that are inconsistent with the motion around them."""
     detections = []
-    for name, x in of_kinds(log, ENCODERS).items():
+    for name, x in of_kinds(log, encoder_kinds()).items():
         _, isolated_steps = classify_jumps(x, count_of(name, arm))
         rest_runs = runs_of(np.diff(x) == 0.0)
         steps = [jump for jump in isolated_steps if not is_end_of_freeze(x, jump, rest_runs)]

@@ -7,8 +7,8 @@ import numpy as np
 from strainwave.domain import FloatArray, IntArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import (
-    NOISY,
     Defect,
+    noisy_kinds,
     of_kinds,
     resolution_of,
 )
@@ -40,7 +40,7 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     `strainwave.signals.consistency`.
     """
     detections = []
-    for name, x in of_kinds(log, NOISY).items():
+    for name, x in of_kinds(log, noisy_kinds()).items():
         for end_runs in find_saturated_runs(x, rests=False):
             runs = select_abrupt_runs(x, end_runs)
             samples = int((runs[:, 1] - runs[:, 0]).sum())

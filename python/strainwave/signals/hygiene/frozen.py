@@ -15,11 +15,11 @@ import numpy as np
 from strainwave.domain import FloatArray, IntArray, Log
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import (
-    ENCODERS,
-    NOISY,
     Defect,
     count_of,
+    encoder_kinds,
     joint_of,
+    noisy_kinds,
     of_kinds,
     resolution_of,
     usual_change,
@@ -58,12 +58,12 @@ _MIN_MOTION_COUNTS = (
 def detect(log: Log, arm: Arm) -> list[Defect]:
     """Detect frozen stretches of encoders, noisy sensors and the voltages of servos."""
     detections = []
-    for name, x in of_kinds(log, ENCODERS).items():
+    for name, x in of_kinds(log, encoder_kinds()).items():
         detections += [
             _frozen_defect(log, name, *span)
             for span in _find_frozen_encoder(x, count_of(name, arm))
         ]
-    for name, x in of_kinds(log, (*NOISY, "u")).items():
+    for name, x in of_kinds(log, (*noisy_kinds(), "u")).items():
         joint, drives = joint_of(name), name.startswith("u")
         if joint > arm.n_joints or (drives and log.experiment.control[joint - 1] != "servo"):
             continue

@@ -8,7 +8,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.hygiene.defects import NOISY, Defect, of_kinds
+from strainwave.signals.hygiene.defects import Defect, noisy_kinds, of_kinds
 
 MAINS_FREQUENCIES_HZ = (50.0, 60.0)
 """Mains frequencies [Hz]."""
@@ -35,7 +35,7 @@ def detect(log: Log, _: Arm) -> list[Defect]:
     if not _is_long_enough(log):
         return []
     detections = []
-    for name, x in of_kinds(log, NOISY).items():
+    for name, x in of_kinds(log, noisy_kinds()).items():
         spectrum, duration = _amplitudes(x[:_MAX_SAMPLES]), _duration(log)
         for hz in _LINES_HZ:
             line = _peak_index(spectrum, hz, duration)

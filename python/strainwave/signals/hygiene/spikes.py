@@ -8,7 +8,14 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.hygiene.defects import ENCODERS, NOISY, Defect, count_of, joint_of, of_kinds
+from strainwave.signals.hygiene.defects import (
+    Defect,
+    count_of,
+    encoder_kinds,
+    joint_of,
+    noisy_kinds,
+    of_kinds,
+)
 from strainwave.signals.hygiene.isolated import MAX_SPIKE_SAMPLES, classify_jumps
 from strainwave.signals.standstill import runs_of
 
@@ -24,7 +31,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
     A voltage can step, so a spike must be well outside the range of the other samples.
     """
     detections = []
-    for name, x in of_kinds(log, (*ENCODERS, *NOISY)).items():
+    for name, x in of_kinds(log, (*encoder_kinds(), *noisy_kinds())).items():
         detections += [
             _spike_defect(name, x, *span) for span in classify_jumps(x, count_of(name, arm))[0]
         ]

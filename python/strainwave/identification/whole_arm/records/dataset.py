@@ -89,11 +89,9 @@ class Channel:
 
     def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
         """Reading (n, ...) of an ideal sensor from (n, n_joints, ...) of each quantity."""
-        parts = [of[name][:, self.joint - 1] for name in self.reads]
-        if self.axis is None or (len(parts) == 1 and not self.is_mounted):
-            return parts[0]
-        pairs = zip(self.axis.weights(values), parts, strict=True)
-        return np.asarray(sum(weight * part for weight, part in pairs))
+        if self.axis is None:
+            return of["motor_angle"][:, self.joint - 1]
+        return self.axis.reading(of, values)
 
 
 @dataclass(frozen=True, slots=True)
