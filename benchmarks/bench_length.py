@@ -138,7 +138,7 @@ def _fit(folder: Path) -> None:
     read = time.perf_counter()
     motion = signals.prepare_motor_signals(log, Arm.of(study.arm))
     del log
-    model = rigid.fit([motion], Arm.of(study.arm))
+    model = rigid.fit_rigid([motion], Arm.of(study.arm))
     end = time.perf_counter()
     values = [model.value(name) for name in ("beta", "gamma")]
     errors = [abs((x or np.nan) / t - 1.0) for x, t in zip(values, TRUE_VALUES[2:4], strict=True)]

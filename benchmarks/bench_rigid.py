@@ -51,7 +51,9 @@ def _record() -> tuple[Study, Log, Values]:
 
 
 def _fit_rigid(study: Study, log: Log) -> Values:
-    model = rigid.fit([signals.prepare_motor_signals(log, Arm.of(study.arm))], Arm.of(study.arm))
+    model = rigid.fit_rigid(
+        [signals.prepare_motor_signals(log, Arm.of(study.arm))], Arm.of(study.arm)
+    )
     return {(p.name, p.joint): p.value for p in model.parameters if p.value is not None}
 
 

@@ -29,7 +29,7 @@ def main(study_path: Path) -> None:
     motion = [log for log in all_logs.values() if log.experiment.use == "motion"]
     # a single joint does not need a rigid model
     model = (
-        rigid.fit([signals.prepare_motor_signals(log, arm) for log in motion], arm)
+        rigid.fit_rigid([signals.prepare_motor_signals(log, arm) for log in motion], arm)
         if motion
         else None
     )
@@ -54,7 +54,7 @@ def main(study_path: Path) -> None:
             linear = physical.state_space_of(joint)  # prediction-error minimisation, (11), (12)
             modes = physical.modes_of(linear)
             print(f"  state space of order {linear.order}: {linear.status}, {modes.resonance}")
-            response = frequency.respond([joint])
+            response = frequency.estimate_response([joint])
             print(f"  nonparametric response at {len(response.frequencies_hz)} frequencies")
 
 

@@ -30,13 +30,13 @@ def main(study_path: Path) -> None:
     }
     motion = [record for record in signals_by_name.values() if record.experiment.use == "motion"]
 
-    model = rigid.fit(motion, arm)
+    model = rigid.fit_rigid(motion, arm)
     print(f"{model.status}, bandwidth {model.bandwidth_hz:.1f} Hz, {model.n_rows} equations")
     for p in model.parameters:
         print(f"{p.name:24s} {p.joint or 'arm'!s:4s} {p.value} +- {p.std} {p.unit}")
 
     # Repeat in half the band: do not trust values that change by more than a standard deviation.
-    narrow = rigid.fit(motion, arm, rigid.RigidOptions(bandwidth_hz=model.bandwidth_hz / 2.0))
+    narrow = rigid.fit_rigid(motion, arm, rigid.RigidOptions(bandwidth_hz=model.bandwidth_hz / 2.0))
     for wide, half in zip(model.parameters, narrow.parameters, strict=True):
         if wide.value is not None and half.value is not None:
             print(f"{wide.name:24s} in half the band: {100 * (half.value / wide.value - 1):+.2f} %")

@@ -90,7 +90,7 @@ def motion() -> tuple[Study, Any]:
 
 def rigid_with(options: RigidOptions) -> Any:
     study, motor_record = motion()
-    return rigid.fit([motor_record], Arm.of(study.arm), options).solution
+    return rigid.fit_rigid([motor_record], Arm.of(study.arm), options).solution
 
 
 def links_with(options: LinkOptions) -> Any:
@@ -104,7 +104,7 @@ def _log() -> Any:
 
 
 def responses_with(options: FrequencyOptions) -> Any:
-    return frequency.respond([case(1, 1).decoupled], options).response
+    return frequency.estimate_response([case(1, 1).decoupled], options).response
 
 
 def state_space_with(options: LinearOptions) -> Any:
@@ -296,9 +296,9 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
 
         monkeypatch.setattr(module, name, called)
 
-    spy(rigid, "fit", RigidOptions)
+    spy(rigid, "fit_rigid", RigidOptions)
     spy(links, "prepare_link_signals", LinkOptions)
-    spy(frequency, "respond", FrequencyOptions)
+    spy(frequency, "estimate_response", FrequencyOptions)
     spy(physical, "fit_joint", PhysicalOptions)
     spy(physical, "fit_record", physical.RecordOptions)
     spy(whole_arm, "fit_whole_arm", WholeArmOptions)
@@ -311,9 +311,9 @@ def test_a_run_passes_options_to_every_stage(small: Path, monkeypatch: pytest.Mo
         WholeArmOptions(max_iterations=1),
     )
     identification = pipeline.identify(small, options=run_options)
-    assert received["fit"] == run_options.rigid
+    assert received["fit_rigid"] == run_options.rigid
     assert received["prepare_link_signals"] == run_options.links
-    assert received["respond"] == run_options.responses
+    assert received["estimate_response"] == run_options.responses
     assert received["fit_joint"] == run_options.physical
     assert received["fit_record"].linear == run_options.statespace
     assert received["fit_record"].physical == run_options.physical

@@ -16,7 +16,7 @@ from strainwave.domain import Suspicion
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import simulate
 from strainwave.io.logs import read_logs
-from strainwave.signals.consistency import check
+from strainwave.signals.consistency import check_consistency
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.short_records import plans, with_short_records
 from strainwave.virtual.records import record_experiment
@@ -37,7 +37,7 @@ def suspected(number: int) -> tuple[Suspicion, ...]:
     plan = plans(rig, _FIRST_MOTION_SEED + number)[0]
     channels = record_experiment(rig.study, arm, plan, rig.values, rig.noise, rng, simulate)
     logs = read_logs(rig.study, data={motion.name: channels})
-    return check(logs, rig.study).suspected
+    return check_consistency(logs, rig.study).suspected
 
 
 def main() -> None:

@@ -69,7 +69,9 @@ def record(
 
 
 def test_a_hardening_spring() -> None:
-    (result,) = sweep.sweeps([record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)])
+    (result,) = sweep.compare_amplitudes(
+        [record(a, 10.0 + 0.3 * a, 0.05) for a in (8.0, 2.0, 4.0, 6.0)]
+    )
     assert result.joint == 1
     assert [point.amplitude for point in result.points] == [2.0, 4.0, 6.0, 8.0]
     assert result.verdict == "hardening"
@@ -88,7 +90,9 @@ def test_the_slope_of_a_line_and_its_standard_error() -> None:
     hz = np.sqrt(squared) / (2.0 * np.pi)
     # the standard deviation of the squared anti-resonance is 10 at every amplitude
     std = 10.0 / (2.0 * np.sqrt(squared) * 2.0 * np.pi)
-    (result,) = sweep.sweeps([record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)])
+    (result,) = sweep.compare_amplitudes(
+        [record(a, f, s) for a, f, s in zip(amplitudes, hz, std, strict=True)]
+    )
     assert result.slope == pytest.approx(100.0)
     assert result.slope_std == pytest.approx(10.0 / np.sqrt(np.sum((amplitudes - 5.0) ** 2)))
 
@@ -96,21 +100,21 @@ def test_the_slope_of_a_line_and_its_standard_error() -> None:
 def test_a_linear_spring_has_no_trend() -> None:
     rng = np.random.default_rng(0)
     points = [record(a, 12.0 + 0.05 * rng.normal(), 0.05) for a in (2.0, 3.0, 4.0, 6.0, 8.0)]
-    assert sweep.sweeps(points)[0].verdict == "no-trend"
+    assert sweep.compare_amplitudes(points)[0].verdict == "no-trend"
 
 
 def test_a_softening_spring() -> None:
     points = [record(a, 14.0 - 0.3 * a, 0.05) for a in (2.0, 4.0, 6.0)]
-    assert sweep.sweeps(points)[0].verdict == "softening"
+    assert sweep.compare_amplitudes(points)[0].verdict == "softening"
 
 
 def test_two_amplitudes_are_no_sweep_and_servoed_records_are_left_out() -> None:
     two = [record(2.0, 12.0, 0.1), record(4.0, 13.0, 0.1)]
-    assert sweep.sweeps(two) == ()
+    assert sweep.compare_amplitudes(two) == ()
     servoed = record(10.0, 14.0, 0.1, servoed=True, use="frequency")
-    assert sweep.sweeps([*two, servoed]) == ()
+    assert sweep.compare_amplitudes([*two, servoed]) == ()
     open_loop = record(10.0, 14.0, 0.1, use="frequency")
-    assert len(sweep.sweeps([*two, open_loop])[0].points) == 3
+    assert len(sweep.compare_amplitudes([*two, open_loop])[0].points) == 3
 
 
 def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
@@ -118,7 +122,7 @@ def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
     records = [
         record(a, hz, 0.01) for a, hz in ((2.0, 10.0), (3.0, 11.6), (4.0, 12.0), (10.0, 12.2))
     ]
-    (result,) = sweep.sweeps(records)
+    (result,) = sweep.compare_amplitudes(records)
     x = np.array([point.amplitude for point in result.points])
     y = np.array([point.squared_anti_resonance for point in result.points])
     std = np.array([point.squared_anti_resonance_std for point in result.points])
@@ -131,7 +135,7 @@ def test_curvature_of_a_hardening_spring_is_not_scatter() -> None:
 
 def test_scatter_about_a_parabola_widens_the_standard_error() -> None:
     points = ((2.0, 12.0), (3.0, 12.6), (4.0, 11.8), (6.0, 12.5), (8.0, 12.1))
-    (noisy,) = sweep.sweeps([record(a, hz, 0.01) for a, hz in points])
-    (quiet,) = sweep.sweeps([record(a, 12.0, 0.01) for a, _ in points])
+    (noisy,) = sweep.compare_amplitudes([record(a, hz, 0.01) for a, hz in points])
+    (quiet,) = sweep.compare_amplitudes([record(a, 12.0, 0.01) for a, _ in points])
     assert noisy.slope_std > 10.0 * quiet.slope_std
     assert noisy.verdict == "no-trend"

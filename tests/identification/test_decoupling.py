@@ -268,7 +268,7 @@ def test_an_unknown_parameter_is_refused_by_name() -> None:
 def test_lab_records_pass_their_checks(shared_data: Path) -> None:
     study = read_study(shared_data / "lab" / "scara-linear-5kg" / "study.toml")
     named = {e.name: e for e in study.experiments}
-    model = rigid.fit(
+    model = rigid.fit_rigid(
         [signals.prepare_motor_signals(read_log(study, named["motion"]), Arm.of(study.arm))],
         Arm.of(study.arm),
     )

@@ -173,7 +173,7 @@ def joint_records(joint: int) -> tuple[Decoupled, ...]:
 
 @pytest.mark.parametrize("joint", [1, 2])
 def test_the_decoupled_joint_has_the_resonances_of_a_two_inertia_system(joint: int) -> None:
-    estimate = frequency.respond(joint_records(joint))
+    estimate = frequency.estimate_response(joint_records(joint))
     assert estimate.method == "periods"
     assert estimate.noise_variance is not None
     resonances = frequency.resonance(
@@ -194,15 +194,15 @@ def test_the_decoupled_joint_has_the_resonances_of_a_two_inertia_system(joint: i
 
 def test_options_choose_inputs_and_segments() -> None:
     records = joint_records(1)[:1]
-    alone = frequency.respond(records, frequency.FrequencyOptions(inputs=1))
+    alone = frequency.estimate_response(records, frequency.FrequencyOptions(inputs=1))
     assert alone.response.shape[2] == 1
     assert alone.method == "periods"
     assert alone.n_averages == 2
-    everything = frequency.respond(
+    everything = frequency.estimate_response(
         records, frequency.FrequencyOptions(inputs=1, transient_periods=0)
     )
     assert everything.n_averages == 3
-    short = frequency.respond(records, frequency.FrequencyOptions(segment=0.5))
+    short = frequency.estimate_response(records, frequency.FrequencyOptions(segment=0.5))
     assert short.method == "welch"
     assert short.frequencies_hz[0] == pytest.approx(2.0)
 
@@ -210,11 +210,11 @@ def test_options_choose_inputs_and_segments() -> None:
 def test_responses_of_incompatible_records_are_refused() -> None:
     first = joint_records(1)[0]
     with pytest.raises(InvalidInput, match="no record"):
-        frequency.respond([])
+        frequency.estimate_response([])
     with pytest.raises(InvalidInput, match="different joints"):
-        frequency.respond([first, replace(first, joint=2)])
+        frequency.estimate_response([first, replace(first, joint=2)])
     with pytest.raises(InvalidInput, match="sampling periods differ"):
-        frequency.respond([first, replace(first, sample_time=1e-3)])
+        frequency.estimate_response([first, replace(first, sample_time=1e-3)])
     with pytest.raises(NotIdentifiable, match="records"):
         frequency.by_periods([(first.inputs, first.outputs)], first.sample_time, 4092, 1)
     with pytest.raises(NotIdentifiable, match="segments"):
@@ -234,7 +234,7 @@ def test_lab_resonances_are_those_of_the_arm(shared_data: Path) -> None:
             records.append(decoupling.decouple(link_signals, model, Arm.of(study.arm)))
     # sqrt(k / m_L) and sqrt(k (1 / m_L + n^2 / m_M)) from truth.json, divided by 2 pi
     for i, (anti, res) in enumerate([(12.860, 24.242), (15.487, 23.428)]):
-        estimate = frequency.respond([r[i] for r in records])
+        estimate = frequency.estimate_response([r[i] for r in records])
         assert estimate.noise_variance is not None
         resonances = frequency.resonance(
             estimate.frequencies_hz,

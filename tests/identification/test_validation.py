@@ -26,7 +26,7 @@ def fitted() -> tuple[Study, RigidModel, Signals]:
     study = rigid_drive()
     motion = exact_motion(1, 0)
     exact = exact_signals(motion, torque_of(motion, np.sign(motion[2])))
-    return study, rigid.fit([exact], Arm.of(study.arm)), exact
+    return study, rigid.fit_rigid([exact], Arm.of(study.arm)), exact
 
 
 def test_fit_percent_is_the_contracts() -> None:

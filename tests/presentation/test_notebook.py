@@ -80,7 +80,7 @@ def examples() -> dict[str, tuple[Displayed, list[str]]]:
             ["gear_damping"],
         ),
         "response": (
-            frequency.respond([record_case.decoupled]),
+            frequency.estimate_response([record_case.decoupled]),
             ["frequency response by", "averages"],
         ),
         "sweep": (sweep(), ["hardening", "24002 ± 80"]),
@@ -108,7 +108,9 @@ def test_a_figure_has_lines_and_titled_axes(name: str) -> None:
 def test_a_joint_is_drawn_with_the_measured_response() -> None:
     record_case = case(1)
     alone = joint_model().plot(gear_ratio=0.01)
-    both = joint_model().plot(gear_ratio=0.01, measured=frequency.respond([record_case.decoupled]))
+    both = joint_model().plot(
+        gear_ratio=0.01, measured=frequency.estimate_response([record_case.decoupled])
+    )
     assert [ax.get_ylabel() for ax in both.axes][2:] == ["coherence"]
     for one, other in zip(alone.axes, both.axes, strict=False):
         names = [set(ax.get_legend_handles_labels()[1]) for ax in (one, other)]
@@ -124,7 +126,7 @@ def test_a_prediction_shows_the_channel_with_the_lowest_fit_by_default() -> None
 
 
 def test_a_response_shows_the_reliable_points_of_the_selection() -> None:
-    response = frequency.respond([case(1).decoupled])
+    response = frequency.estimate_response([case(1).decoupled])
     first, second = response.plot(band_hz=(5.0, 60.0)), response.plot(output=1)
     assert "input 0 to output 1" in title(second)
     figure = np.asarray(first.axes[0].lines[0].get_xdata(), dtype=float)

@@ -14,7 +14,7 @@ MIN_TREND_STD_ERRORS = 3.0
 """Minimum slope over its standard error of a significant trend: 0.3 % false alarms."""
 
 
-def sweeps(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
+def compare_amplitudes(records: Sequence[RecordModel]) -> tuple[Sweep, ...]:
     """One sweep for each joint excited at three or more amplitudes with the other joints free.
 
     The squared anti-resonance k/m_L is proportional to the stiffness. The trend is the slope of a

@@ -18,7 +18,7 @@ from strainwave.errors import NotIdentifiable
 from strainwave.numerics.spectra import window_spectra
 from strainwave.signals.channels import check_alike
 
-__all__ = ["FrequencyOptions", "by_periods", "by_welch", "resonance", "respond"]
+__all__ = ["FrequencyOptions", "by_periods", "by_welch", "estimate_response", "resonance"]
 
 _MIN_PERIODS = 2  # minimum number of periods, so that their scatter can be computed
 _OVERLAP = 0.5  # of Welch segments
@@ -31,7 +31,7 @@ _MIN_LINES = 12  # minimum number of lines, twice the number of coefficients
 _MEDIAN_LINES = 5  # lines of the running median in which dip and peak are located
 
 
-def respond(
+def estimate_response(
     records: Sequence[Decoupled], options: FrequencyOptions | None = None
 ) -> FrequencyResponse:
     """Nonparametric frequency response of one joint from one or several records.

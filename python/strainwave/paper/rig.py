@@ -149,7 +149,7 @@ class Rig:
         )
         experiment = Experiment("motion", "motion.csv", "motion", both)
         log = _log(experiment, trajectory, SensorNoise(), rng)
-        return rigid.fit([signals.prepare_motor_signals(log, self.arm)], self.arm)
+        return rigid.fit_rigid([signals.prepare_motor_signals(log, self.arm)], self.arm)
 
     def _prbs(
         self,

@@ -125,7 +125,7 @@ def _identify(
         joints=elastic.joints,
         responses=elastic.responses,
         links=elastic.links,
-        sweeps=sweep.sweeps(elastic.records),
+        sweeps=sweep.compare_amplitudes(elastic.records),
         whole_arm=elastic.whole_arm,
         suspected=check.consistency.suspected,
         motor_responses=elastic.motor_responses,
@@ -153,7 +153,7 @@ def _check_inputs(
         usable, warnings = hygiene.repair_records(raw_logs, arm)
         warnings = (*(warning for log in raw_logs for warning in log.warnings), *warnings)
         inputs = Inputs(study, arm, usable, stages)
-        return _InputCheck(inputs, consistency.check(usable, study), warnings)
+        return _InputCheck(inputs, consistency.check_consistency(usable, study), warnings)
 
 
 def _compare_torque_constants(check: _InputCheck, model: RigidModel | None) -> _InputCheck:

@@ -216,7 +216,7 @@ def _record_models(
 def _response(records: Sequence[Decoupled], options: FrequencyOptions) -> FrequencyResponse | None:
     """The nonparametric frequency response; None if the inputs cannot be separated."""
     try:
-        return frequency.respond(records, options)
+        return frequency.estimate_response(records, options)
     except (NotIdentifiable, InvalidInput):  # records of several sample times do not combine
         return None
 

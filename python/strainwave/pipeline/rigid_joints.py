@@ -38,7 +38,7 @@ def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
         )
         warnings = tuple(warning for each in (*motion, *checks) for warning in each.warnings)
         try:
-            model = rigid.fit(motion, arm, inputs.study.options.rigid)
+            model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid)
         except NotIdentifiable as failure:
             if _is_optional(inputs):
                 warning = inputs.warning("no-rigid-model", failure)

@@ -25,7 +25,7 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
     """Compute motor torque, angle, velocity and acceleration of one record.
 
     The default bandwidth is the smallest signal band of all joints, above which encoder noise
-    dominates. It exceeds the range of a rigid model, and `rigid.fit` reduces it.
+    dominates. It exceeds the range of a rigid model, and `rigid.fit_rigid` reduces it.
 
     Raises InvalidInput if a motor angle or torque is missing, or if the record is too short for the
     filter.

@@ -27,7 +27,7 @@ def records_of(folder: Path) -> dict[str, RecordModel]:
     """Models of all frequency records of a lab arm."""
     study = read_study(folder / "study.toml")
     named = {e.name: e for e in study.experiments}
-    model = rigid.fit(
+    model = rigid.fit_rigid(
         [signals.prepare_motor_signals(read_log(study, named["motion"]), Arm.of(study.arm))],
         Arm.of(study.arm),
     )

@@ -76,7 +76,7 @@ def warned(model: RigidModel, code: str) -> list[str]:
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_inverse_dynamics_come_back_exactly(seed: int, gravity: float | None) -> None:
     study, truth, exact = two_link(seed, gravity)
-    model = rigid.fit([exact], Arm.of(study.arm))
+    model = rigid.fit_rigid([exact], Arm.of(study.arm))
     assert model.status == "determined"
     for p in model.parameters:
         scale = truth["motor_coulomb_friction", p.joint] if "offset" in p.name else None
@@ -90,7 +90,7 @@ def test_a_single_joint_under_gravity_comes_back_exactly() -> None:
     study = rigid_drive(gravity=9.81)
     motion = exact_motion(1, 0, amplitude=3.0)
     torque = drive_torque(motion) + 0.5 * 7.0 * np.cos(0.5 * motion[1])
-    model = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm))
+    model = rigid.fit_rigid([exact_signals(motion, torque)], Arm.of(study.arm))
     assert model.value("gravity_torque_1") == pytest.approx(7.0, rel=1e-9)
     assert model.value("inertia", 1) == pytest.approx(0.02, rel=1e-9)
 
@@ -102,13 +102,13 @@ def test_units_follow_the_motion() -> None:
     )
     motion = exact_motion(1, 0)
     exact = exact_signals(motion, drive_torque(motion))
-    assert [p.unit for p in rigid.fit([exact], Arm.of(prismatic.arm)).parameters] == [
+    assert [p.unit for p in rigid.fit_rigid([exact], Arm.of(prismatic.arm)).parameters] == [
         "kg",
         "N s/m",
         "N",
         "N",
     ]
-    assert rigid.fit([exact], Arm.of(study.arm)).parameters[0].unit == "kg m^2"
+    assert rigid.fit_rigid([exact], Arm.of(study.arm)).parameters[0].unit == "kg m^2"
 
 
 def test_records_combine() -> None:
@@ -119,8 +119,8 @@ def test_records_combine() -> None:
     one_way = (time, angle + 1.2 * np.abs(velocity).max() * time[:, None], fast, acceleration)
     back = (time, -one_way[1], -fast, -acceleration)
     records = [exact_signals(m, drive_torque(m)) for m in (one_way, back)]
-    assert rigid.fit(records[:1], Arm.of(study.arm)).status == "partly-determined"
-    model = rigid.fit(records, Arm.of(study.arm))
+    assert rigid.fit_rigid(records[:1], Arm.of(study.arm)).status == "partly-determined"
+    model = rigid.fit_rigid(records, Arm.of(study.arm))
     assert model.status == "determined"
     assert model.value("friction_offset", 1) == pytest.approx(-0.04, rel=1e-8)
 
@@ -143,7 +143,7 @@ def test_deviations_are_calibrated_under_coloured_noise() -> None:
         white = rng.normal(0.0, 1.0, motion[0].shape)
         noise = 0.05 * lfilter([0.14], [1.0, -0.99], white)  # correlated over 0.1 s
         noisy = exact_signals(motion, drive_torque(motion) + noise[:, None])
-        model = rigid.fit([noisy], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=5.0))
+        model = rigid.fit_rigid([noisy], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=5.0))
         for p in model.parameters:
             assert p.value is not None
             assert p.std is not None
@@ -169,7 +169,7 @@ def test_elastic_arms_that_stick_come_back(gravity: float | None, tolerance: flo
         values = values_of(study, seed)
         truth = rigid_truth(study, values)
         log = motion_log(study, values, seed, duration=20.0)
-        model = rigid.fit(
+        model = rigid.fit_rigid(
             [signals.prepare_motor_signals(log, Arm.of(study.arm))], Arm.of(study.arm)
         )
         assert model.status == "determined"
@@ -195,8 +195,8 @@ def test_the_compliance_is_corrected() -> None:
     )
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     gamma = values["gamma", None]
-    rigid_gamma = rigid.fit([motor_signals], Arm.of(stiff.arm), options).value("gamma")
-    elastic_gamma = rigid.fit([motor_signals], Arm.of(study.arm), options).value("gamma")
+    rigid_gamma = rigid.fit_rigid([motor_signals], Arm.of(stiff.arm), options).value("gamma")
+    elastic_gamma = rigid.fit_rigid([motor_signals], Arm.of(study.arm), options).value("gamma")
     assert rigid_gamma is not None
     assert elastic_gamma is not None
     assert abs(rigid_gamma / gamma - 1.0) > 0.01
@@ -214,7 +214,7 @@ def test_where_a_record_is_cut_does_not_matter(cut: slice) -> None:
     channels = {name: values[cut] for name, values in log.channels.items()}
     options = rigid.RigidOptions(bandwidth_hz=3.0)
     complete, shorter = (
-        rigid.fit(
+        rigid.fit_rigid(
             [signals.prepare_motor_signals(log_part, Arm.of(study.arm))], Arm.of(study.arm), options
         )
         for log_part in (log, replace(log, time=log.time[cut], channels=channels))
@@ -231,8 +231,8 @@ def test_gross_errors_hardly_matter() -> None:
     disturbed = torque.copy()
     disturbed[4000:4080] += 5.0
     options = rigid.RigidOptions(bandwidth_hz=5.0)
-    clean_fit = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm), options)
-    outlier_fit = rigid.fit([exact_signals(motion, disturbed)], Arm.of(study.arm), options)
+    clean_fit = rigid.fit_rigid([exact_signals(motion, torque)], Arm.of(study.arm), options)
+    outlier_fit = rigid.fit_rigid([exact_signals(motion, disturbed)], Arm.of(study.arm), options)
     for a, b in zip(clean_fit.parameters, outlier_fit.parameters, strict=True):
         assert a.value is not None
         assert b.value is not None
@@ -246,7 +246,7 @@ def test_invalid_samples_are_left_out() -> None:
     torque[5000:6000] = 1.0  # a saturated drive
     exact = exact_signals(motion, torque)
     exact.valid[5000:6000] = False
-    model = rigid.fit([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=10.0))
+    model = rigid.fit_rigid([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=10.0))
     assert model.value("inertia", 1) == pytest.approx(0.02, rel=1e-6)
 
 
@@ -256,7 +256,7 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
     noise = np.random.default_rng(0).normal(0.0, 0.05, motion[1].shape)
     exact = exact_signals(motion, drive_torque(motion) + noise)
     models = [
-        rigid.fit([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=f))
+        rigid.fit_rigid([exact], Arm.of(study.arm), rigid.RigidOptions(bandwidth_hz=f))
         for f in (4.0, 16.0)
     ]
     assert [m.bandwidth_hz for m in models] == [4.0, 16.0]
@@ -270,7 +270,7 @@ def test_the_bandwidth_option_changes_the_outcome() -> None:
 
 def test_no_record_is_refused() -> None:
     with pytest.raises(NotIdentifiable, match="motion"):
-        rigid.fit([], Arm.of(rigid_drive().arm))
+        rigid.fit_rigid([], Arm.of(rigid_drive().arm))
 
 
 def test_one_direction_confounds_coulomb_friction_and_offset() -> None:
@@ -278,7 +278,7 @@ def test_one_direction_confounds_coulomb_friction_and_offset() -> None:
     time, angle, velocity, acceleration = exact_motion(1, 1)
     shift = 1.2 * np.abs(velocity).max()
     motion = (time, angle + shift * time[:, None], velocity + shift, acceleration)
-    model = rigid.fit([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
+    model = rigid.fit_rigid([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
     assert model.status == "partly-determined"
     assert model.value("motor_coulomb_friction", 1) is None
     assert model.value("friction_offset", 1) is None
@@ -301,7 +301,9 @@ def test_a_joint_that_stands_is_reported() -> None:
         signal[:, 1] = 0.0
     motion = (time, angle, velocity, acceleration)
     values = values_of(study, 0)
-    model = rigid.fit([exact_signals(motion, torque_of(study, values, motion))], Arm.of(study.arm))
+    model = rigid.fit_rigid(
+        [exact_signals(motion, torque_of(study, values, motion))], Arm.of(study.arm)
+    )
     assert model.status == "partly-determined"
     for name in ("total_viscous_friction", "motor_coulomb_friction"):
         assert model.value(name, 2) is None
@@ -321,7 +323,7 @@ def test_one_posture_confounds_the_inertias() -> None:
     rng = np.random.default_rng(0)
     torque = torque_of(study, values, motion)
     torque = torque + rng.normal(0.0, 0.02 * torque.std(axis=0), torque.shape)
-    model = rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm))
+    model = rigid.fit_rigid([exact_signals(motion, torque)], Arm.of(study.arm))
     assert model.value("gamma") is None
     texts = [t for t in warned(model, "not-identifiable") if t.startswith("gamma")]
     assert "rigid_inertia of joint 1" in texts[0]
@@ -334,7 +336,7 @@ def test_constant_velocity_shows_no_inertia() -> None:
     velocity = np.where(time < time[n // 2], 4.0, -4.0)[:, None]
     angle = np.cumsum(velocity, axis=0) * 1e-3
     motion = (time, angle, velocity, np.zeros((n, 1)))
-    model = rigid.fit([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
+    model = rigid.fit_rigid([exact_signals(motion, drive_torque(motion))], Arm.of(study.arm))
     assert model.value("inertia", 1) is None
     assert model.value("friction_offset", 1) == pytest.approx(-0.04, rel=1e-6)
 
@@ -345,14 +347,16 @@ def test_a_motor_that_often_stands_is_reported() -> None:
     direction = np.sign(motion[2])
     direction[:5000] = 0.0
     exact = exact_signals(motion, drive_torque(motion), direction)
-    assert warned(rigid.fit([exact], Arm.of(study.arm)), "standing")
+    assert warned(rigid.fit_rigid([exact], Arm.of(study.arm)), "standing")
 
 
 def test_negative_friction_is_called_implausible() -> None:
     study = rigid_drive()
     motion = exact_motion(1, 0)
     torque = drive_torque(motion) - 2.0 * DRIVE_TRUTH["motor_viscous_friction"] * motion[2]
-    texts = warned(rigid.fit([exact_signals(motion, torque)], Arm.of(study.arm)), "implausible")
+    texts = warned(
+        rigid.fit_rigid([exact_signals(motion, torque)], Arm.of(study.arm)), "implausible"
+    )
     assert texts
     assert texts[0].startswith("motor_viscous_friction")
 
@@ -388,7 +392,7 @@ def test_rounds_that_go_to_and_fro_settle(seed: int, tmp_path: Path) -> None:
     noise = simulation.SensorNoise()
     simulate_study(study, values, tmp_path, seed=seed, noise=noise, as_recorded=False)
     written = read_study(tmp_path / "study.toml")
-    model = rigid.fit(
+    model = rigid.fit_rigid(
         [signals.prepare_motor_signals(log, Arm.of(written.arm)) for log in read_logs(written)],
         Arm.of(written.arm),
     )
@@ -403,7 +407,7 @@ def test_too_few_rows_do_not_end_the_search(tmp_path: Path) -> None:
         replace(study, experiments=motion), values, tmp_path, seed=12, noise=None, as_recorded=False
     )
     written = read_study(tmp_path / "study.toml")
-    model = rigid.fit(
+    model = rigid.fit_rigid(
         [signals.prepare_motor_signals(log, Arm.of(written.arm)) for log in read_logs(written)],
         Arm.of(written.arm),
     )

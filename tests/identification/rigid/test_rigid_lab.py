@@ -57,7 +57,7 @@ def errors(model: RigidModel, truth: dict[tuple[str, int | None], float]) -> dic
 def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) -> None:
     study, motion = load(shared_data / "lab" / arm, "motion")
     truth = truth_of(shared_data / "lab" / arm)
-    model = rigid.fit(motion, Arm.of(study.arm))
+    model = rigid.fit_rigid(motion, Arm.of(study.arm))
     assert model.status == "determined"
     # required: 3 % for inertias, 4 % for Coulomb friction; the sensors allow less
     assert max(abs(e) for e in errors(model, truth).values()) < 1.0
@@ -72,7 +72,7 @@ def test_lab_arms_come_back_inside_their_intervals(shared_data: Path, arm: str) 
 def test_emps_agrees_with_the_published_values(shared_data: Path) -> None:
     """EMPS by IDIM-LS: A. Janot, M. Gautier, M. Brunot, nonlinearbenchmark.org, 2019."""
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    model = rigid.fit(motion, Arm.of(study.arm))
+    model = rigid.fit_rigid(motion, Arm.of(study.arm))
     assert model.value("inertia", 1) == pytest.approx(95.1089, rel=0.005)
     assert model.value("motor_viscous_friction", 1) == pytest.approx(203.5034, rel=0.01)
     assert model.value("motor_coulomb_friction", 1) == pytest.approx(20.3935, rel=0.01)
@@ -85,7 +85,7 @@ def test_dfki_beats_the_published_model(shared_data: Path) -> None:
     """DFKI's double pendulum A.0, model 2.0: same filter, bandwidth and signs for both models."""
     folder = shared_data / "real" / "dfki-double-pendulum"
     study, (long,) = load(folder, "long")
-    model = rigid.fit([long], Arm.of(study.arm))
+    model = rigid.fit_rigid([long], Arm.of(study.arm))
     fit = validation.predict_rigid(model, long, Arm.of(study.arm)).fit_percent
     assert fit["torque1"] >= 90.0
     assert fit["torque2"] >= 84.0
@@ -107,7 +107,7 @@ def test_dfki_beats_the_published_model(shared_data: Path) -> None:
 
 def test_emps_has_no_friction_by_load(shared_data: Path) -> None:
     study, motion = load(shared_data / "real" / "emps", "estimation")
-    assert rigid.fit(motion, Arm.of(study.arm)).load_friction == ()
+    assert rigid.fit_rigid(motion, Arm.of(study.arm)).load_friction == ()
 
 
 def published_dfki(folder: Path, like: RigidModel) -> RigidModel:

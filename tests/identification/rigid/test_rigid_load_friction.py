@@ -35,7 +35,7 @@ def loaded(shares: FloatArray, seed: int = 1, arm: int = 1) -> tuple[Study, Floa
 
 def test_the_load_friction_is_recovered() -> None:
     study, values, signals = loaded(SHARES)
-    model = rigid.fit([signals], Arm.of(study.arm))
+    model = rigid.fit_rigid([signals], Arm.of(study.arm))
     (share,) = model.load_friction
     assert (share.name, share.joint, share.unit) == ("load_friction", 1, "1")
     assert share.value == pytest.approx(SHARES[0], rel=0.02)
@@ -49,7 +49,7 @@ def test_the_load_friction_improves_the_prediction() -> None:
     study, _, signals = loaded(SHARES)
     _, _, other_signals = loaded(SHARES, seed=2)
     models = [
-        rigid.fit([signals], Arm.of(study.arm), RigidOptions(load_friction=o))
+        rigid.fit_rigid([signals], Arm.of(study.arm), RigidOptions(load_friction=o))
         for o in (None, False)
     ]
     fits = [
@@ -65,8 +65,10 @@ def test_the_load_friction_improves_the_prediction() -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_an_arm_without_it_has_none(seed: int) -> None:
     study, _, signals = loaded(np.zeros(2), seed)
-    assert rigid.fit([signals], Arm.of(study.arm)).load_friction == ()
-    forced = rigid.fit([signals], Arm.of(study.arm), RigidOptions(load_friction=True)).load_friction
+    assert rigid.fit_rigid([signals], Arm.of(study.arm)).load_friction == ()
+    forced = rigid.fit_rigid(
+        [signals], Arm.of(study.arm), RigidOptions(load_friction=True)
+    ).load_friction
     assert [p.joint for p in forced] == [1, 2]
     for p in forced:
         assert p.value is not None
@@ -79,4 +81,4 @@ def test_behind_elastic_gears_friction_is_the_whole_arm_fits() -> None:
     joints = tuple(replace(joint, spring="linear") for joint in study.arm.joints)
     elastic = replace(study, arm=replace(study.arm, joints=joints))
     options = RigidOptions(bandwidth_hz=4.0, load_friction=True)
-    assert rigid.fit([signals], Arm.of(elastic.arm), options).load_friction == ()
+    assert rigid.fit_rigid([signals], Arm.of(elastic.arm), options).load_friction == ()

@@ -81,7 +81,7 @@ def test_sixteen_periods_give_the_estimate_of_one_period(seed: int) -> None:
     study = virtual_arms.rigid_two_link()
     values = virtual_arms.values_of(study, seed)
     truth = virtual_arms.rigid_truth(study, values)
-    model = rigid.fit(
+    model = rigid.fit_rigid(
         [signals.prepare_motor_signals(repeated_log(study, values, seed, 16), Arm.of(study.arm))],
         Arm.of(study.arm),
     )

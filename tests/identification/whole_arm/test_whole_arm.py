@@ -524,7 +524,7 @@ def lab_model(folder: Path) -> tuple[Study, list[Log], ArmModel]:
         for r in records
         if r.experiment.use == "motion"
     ]
-    model = rigid.fit(motion, Arm.of(study.arm))
+    model = rigid.fit_rigid(motion, Arm.of(study.arm))
     joints: list[JointModel] = []
     for joint in (1, 2):
         log = next(r for r in records if r.name == f"prbs-j{joint}")

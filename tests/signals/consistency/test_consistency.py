@@ -18,14 +18,14 @@ from strainwave.dynamics.arm import Arm
 from strainwave.identification import rigid
 from strainwave.io.logs import read_logs, write_log
 from strainwave.io.study import read_study, write_study
-from strainwave.signals.consistency import check
+from strainwave.signals.consistency import check_consistency
 from strainwave.signals.motor import prepare_motor_signals
 
 DEGREE = np.pi / 180.0
 
 
 def the_one(given: Input) -> Suspicion:
-    suspicions = check(*given).suspected
+    suspicions = check_consistency(*given).suspected
     assert len(suspicions) == 1, [each.message for each in suspicions]
     return suspicions[0]
 
@@ -46,7 +46,7 @@ def swapped(given: Input, kind: str) -> Input:
 
 
 def test_fault_free_input_gives_no_suspicion(arm: Input) -> None:
-    assert check(*arm).suspected == ()
+    assert check_consistency(*arm).suspected == ()
 
 
 @pytest.mark.parametrize("number", [23, 38, 71, 88, 98, 107, 133, 144])
@@ -60,13 +60,13 @@ def test_short_fault_free_records_give_no_suspicion(number: int) -> None:
 )
 def test_lab_arms_give_no_suspicion(name: str, shared_data: Path) -> None:
     study = read_study(shared_data / "lab" / name / "study.toml")
-    assert check(read_logs(study), study).suspected == ()
+    assert check_consistency(read_logs(study), study).suspected == ()
 
 
 @pytest.mark.parametrize("name", ["dfki-double-pendulum", "emps", "ist-flexible-arm"])
 def test_real_arms_give_no_suspicion(name: str, shared_data: Path) -> None:
     study = read_study(shared_data / "real" / name / "study.toml")
-    assert check(read_logs(study), study).suspected == ()
+    assert check_consistency(read_logs(study), study).suspected == ()
 
 
 @pytest.mark.parametrize(
@@ -131,7 +131,7 @@ def test_an_encoder_zero_error_is_not_a_wrong_gear_ratio(arm: Input, degrees: fl
         replace(log, channels={**log.channels, "theta_m2": log.channels["theta_m2"] + motor})
         for log in logs
     )
-    assert check(turned, study).suspected == ()
+    assert check_consistency(turned, study).suspected == ()
 
 
 @pytest.mark.parametrize("degrees", [-5.0, 5.0])
@@ -145,7 +145,7 @@ def test_a_tilted_table_is_not_a_wrong_gear_ratio(arm: Input, degrees: float) ->
         down = 9.81 * np.sin(np.radians(degrees)) * np.cos(angle - where)
         more = {f"a{i}": log.channels[f"a{i}"] + down[i - 1] for i in (1, 2)}
         tilted.append(replace(log, channels={**log.channels, **more}))
-    assert check(tuple(tilted), study).suspected == ()
+    assert check_consistency(tuple(tilted), study).suspected == ()
 
 
 @pytest.mark.parametrize("joint", [1, 2])
@@ -180,7 +180,7 @@ def test_the_rigid_fit_reports_a_wrong_torque_constant(
 def test_correct_torque_constants_give_a_ratio_of_one(small_arm: Input) -> None:
     logs, study = small_arm
     motion = [log for log in logs if log.experiment.use == "motion"]
-    estimate = rigid.fit(
+    estimate = rigid.fit_rigid(
         [prepare_motor_signals(log, Arm.of(study.arm)) for log in motion], Arm.of(study.arm)
     )
     value, std = estimate.torque_ratios[2]
@@ -219,7 +219,7 @@ def test_geometry_and_scale_errors_are_not_a_wrong_gear_ratio(
 
 def test_a_delay_of_a_millisecond_gives_no_suspicion(arm: Input) -> None:
     delayed_input = delayed(arm, ("a1", "a2", "gyro1", "gyro2"), 1e-3, 0.0)
-    assert check(*delayed_input).suspected == ()
+    assert check_consistency(*delayed_input).suspected == ()
 
 
 def test_a_large_delay_is_reported(arm: Input) -> None:
@@ -242,7 +242,7 @@ def test_a_clipped_sensor_is_reported(arm: Input) -> None:
         replace(log, channels={**log.channels, "a2": np.minimum(log.channels["a2"], 0.6 * top)})
         for log in logs
     )
-    suspicions = check(clipped_logs, study).suspected
+    suspicions = check_consistency(clipped_logs, study).suspected
     assert [(each.code, each.where) for each in suspicions] == [("clipped", "a2")]
 
 

@@ -14,7 +14,7 @@ from strainwave.domain import Correction, Lag, Log
 from strainwave.domain.corrections import apply_corrections, correction_text
 from strainwave.io.logs import read_logs
 from strainwave.numerics.filters import apply_lags
-from strainwave.signals.consistency import check
+from strainwave.signals.consistency import check_consistency
 
 Columns = dict[str, Any]
 Fault = Callable[[Input], Input]
@@ -169,14 +169,14 @@ def apply_remedy(given: Input, corrections: Sequence[Correction]) -> Input:
 
 
 def assert_remedied(given: Input, codes: tuple[str, ...]) -> None:
-    suspected = check(*given).suspected
+    suspected = check_consistency(*given).suspected
     assert tuple(dict.fromkeys(each.code for each in suspected)) == codes, suspected
     assert all(each.corrections for each in suspected)
     for each in suspected:
         text = correction_text(given[1], each.corrections)
         assert text[1:] in each.remedy or each.code == "clipped"
     corrections = [one for each in suspected for one in each.corrections]
-    assert check(*apply_remedy(given, corrections)).suspected == ()
+    assert check_consistency(*apply_remedy(given, corrections)).suspected == ()
 
 
 @pytest.mark.parametrize("fault", EVERYWHERE)
@@ -203,13 +203,13 @@ def test_applying_the_remedy_of_gravity_makes_the_input_consistent(
 
 def test_the_delay_of_a_command_is_estimated_within_0_1_ms(horizontal_arm: Input) -> None:
     for delay in (1.5e-3, 3e-3, 1e-2):
-        (suspicion,) = check(*delayed(delay, "u1")(horizontal_arm)).suspected
+        (suspicion,) = check_consistency(*delayed(delay, "u1")(horizontal_arm)).suspected
         assert suspicion.delay_s == pytest.approx(delay, abs=1e-4)
         assert suspicion.where == "u1"
 
 
 def test_a_delay_below_one_sample_gives_no_suspicion(horizontal_arm: Input) -> None:
-    assert check(*delayed(1e-3, "u1", "u2")(horizontal_arm)).suspected == ()
+    assert check_consistency(*delayed(1e-3, "u1", "u2")(horizontal_arm)).suspected == ()
 
 
 def test_several_faults_give_experiments_that_isolate_the_likely_causes(arm: Input) -> None:
@@ -220,7 +220,7 @@ def test_several_faults_give_experiments_that_isolate_the_likely_causes(arm: Inp
             slow = apply_lags(noise.standard_normal(len(columns[name])), [Lag(1, 1.0)] * 3, 2.5e-4)
             columns[name] = slow * (np.std(columns[name]) / np.std(slow))
 
-    suspected = check(*altered(arm, change)).suspected
+    suspected = check_consistency(*altered(arm, change)).suspected
     assert suspected
     assert all(not each.corrections or each.code != "wrong-gear-ratio" for each in suspected)
     assert any("(1)" in each.remedy and "(2)" in each.remedy for each in suspected)

@@ -39,12 +39,14 @@ from strainwave.identification.rigid.trial import Trial, fit_trial
 from strainwave.identification.rigid.trial_warnings import warnings_of
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
 
-__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "fit"]
+__all__ = ["ALTERNATIVE_MOTOR_SHARE", "RigidOptions", "fit_rigid"]
 
 ALTERNATIVE_MOTOR_SHARE = 0.3  # alternative to MOTOR_SHARE, about one standard deviation away
 
 
-def fit(signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None) -> RigidModel:
+def fit_rigid(
+    signals: Sequence[Signals], arm: Arm, options: RigidOptions | None = None
+) -> RigidModel:
     """Identify the rigid-joint arm from motion records.
 
     `signals` has one item per record, from `signals.prepare_motor_signals`. A parameter that the

@@ -25,7 +25,7 @@ from strainwave.signals.consistency.torque_constants import (
     suspect_torque_constants,
 )
 
-__all__ = ["check", "find_doubtful_torque_constant", "suspect_torque_constants"]
+__all__ = ["check_consistency", "find_doubtful_torque_constant", "suspect_torque_constants"]
 
 # Maximum number of combined causes. More simultaneous faults require separate experiments.
 _MAX_CAUSES = 3
@@ -39,7 +39,7 @@ _ESTIMATED_FACTOR_PENALTY = 0.5
 _MAX_LIKELY_CAUSES = 3
 
 
-def check(logs: Sequence[Log], study: Study) -> Consistency:
+def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
     """Compare all channels of all logs with each other and with the study.
 
     Returns one suspicion per cause that explains contradictions. If the causes do not explain all
