@@ -30,6 +30,7 @@ from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
 from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.registry import Registry
+from strainwave.errors import InvalidInput
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import ArmDescription, Joint
@@ -94,8 +95,12 @@ def link_keys() -> tuple[str, ...]:
 
 
 def register(sensor: type[LinkSensor]) -> None:
-    """Register a type of sensor. Raises InvalidInput if the name is taken."""
+    """Register a type of sensor. Raises InvalidInput if its name or a channel is taken."""
     _TYPES.check_new(sensor.name)
+    for kind in set(sensor.channel_kinds).intersection(link_channel_kinds()):
+        raise InvalidInput(
+            f"the channel {kind!r} belongs to another link sensor", remedy="choose another channel"
+        )
     _TYPES.add(sensor)
     sensor_constants.cache_clear()
 
