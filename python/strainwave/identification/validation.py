@@ -17,6 +17,7 @@ from strainwave.domain import (
     Prediction,
     RigidModel,
     Signals,
+    channel_parts,
 )
 from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import COULOMB, family_of
@@ -124,12 +125,8 @@ def predict_rigid(
         arm, model.solution, signals, model.bandwidth_hz, model.load_friction
     )
     names = signals.torque_channel
-    per_channel = np.array(
-        [
-            (joint.torque_per_volt or 1.0) if name.startswith("u") else 1.0
-            for name, joint in zip(names, arm.joints, strict=True)
-        ]
-    )
+    is_voltage = [channel_parts(name)[0] == "u" for name in names]
+    per_channel = np.where(is_voltage, arm.torque_per_volt, 1.0)
     prediction = Prediction(
         experiment=signals.experiment.name,
         time=band.time,

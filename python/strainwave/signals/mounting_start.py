@@ -16,7 +16,7 @@ from strainwave.domain import FloatArray, Log
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.link_sensors.imu import ImuGyros
+from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
@@ -210,7 +210,7 @@ def _with_equivalent_sensor(
             counts = sum(
                 w * f for w, f in zip(weights, [linear[k] for k in accelerometers], strict=True)
             )
-            if name.startswith("a") and not isinstance(axes[0].sensor, Accelerometer):
+            if isinstance(selected[0].sensor, ImuAccelerometers):
                 channels[name] = channels[name] - _other_contributions(
                     log, arm, joint, counts, distance
                 )

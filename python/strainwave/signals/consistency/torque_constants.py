@@ -9,6 +9,7 @@ from strainwave.domain import (
     Place,
     Study,
     Suspicion,
+    channel_parts,
 )
 from strainwave.signals.consistency.message_text import format_number
 
@@ -57,7 +58,7 @@ def build_torque_constant_suspicion(value: float, std: float, study: Study) -> S
         if std < _MIN_APPROXIMATE_STD * value
         else f"about {format_number(value, 2)}"
     )
-    logged = any(name.startswith("torque") for name in study.channels)
+    logged = any(channel_parts(name)[0] == "torque" for name in study.channels)
     if logged:
         remedy = (
             f"Divide the scale of channels.torque1 by {factor}, or multiply the scale of "

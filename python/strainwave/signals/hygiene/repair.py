@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray, Log
+from strainwave.domain import BoolArray, FloatArray, Log, channel_parts
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.hygiene.defects import INPUTS, Defect, count_of, kind_of
+from strainwave.signals.hygiene.defects import INPUTS, Defect, count_of
 from strainwave.signals.standstill import runs_of
 
 MAX_MASKED_SHARE = 0.2
@@ -47,9 +47,9 @@ def repair_record(
             del channels[name]
             continue
         x = _subtract_steps(channels[name], channel_defects, count_of(name, arm))
-        channels[name] = interpolate_masked(x, mask, hold=name.startswith("u"))
+        channels[name] = interpolate_masked(x, mask, hold=channel_parts(name)[0] == "u")
         masked[name] = mask
-    if any(kind_of(name) in _REQUIRED_KINDS for name in excluded):
+    if any(channel_parts(name)[0] in _REQUIRED_KINDS for name in excluded):
         return None, tuple(excluded)
     return replace(log, channels=channels, masked=masked), tuple(excluded)
 
@@ -83,7 +83,7 @@ def _is_unusable(
         return True
     runs = runs_of(mask)
     longest = float(np.max(runs[:, 1] - runs[:, 0], initial=0)) * sample_time
-    return kind_of(name) in INPUTS and longest > _MAX_INPUT_GAP
+    return channel_parts(name)[0] in INPUTS and longest > _MAX_INPUT_GAP
 
 
 def _subtract_steps(x: FloatArray, channel_defects: Sequence[Defect], count: float) -> FloatArray:
