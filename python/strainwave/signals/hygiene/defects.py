@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log
+from strainwave.domain import FloatArray, Log, channel_parts
 from strainwave.domain.link_sensors import all_types
 from strainwave.dynamics.arm import Arm
 
@@ -57,26 +57,16 @@ def of_kinds(log: Log, kinds: tuple[str, ...]) -> Mapping[str, FloatArray]:
 
     `kinds` are channel names without the joint number.
     """
-    return {
-        name: x for name, x in log.channels.items() if kind_of(name) in kinds and x.min() < x.max()
-    }
-
-
-def kind_of(channel: str) -> str:
-    """Name of a channel without the joint number: "theta_m" for "theta_m2"."""
-    return channel.rstrip("0123456789")
-
-
-def joint_of(channel: str) -> int:
-    """Joint number at the end of a channel name, from 1."""
-    return int(channel[len(kind_of(channel)) :])
+    chosen = {name: x for name, x in log.channels.items() if channel_parts(name)[0] in kinds}
+    return {name: x for name, x in chosen.items() if x.min() < x.max()}
 
 
 def count_of(channel: str, arm: Arm) -> float:
     """One count of a motor encoder [rad]; zero if unknown or for another channel."""
-    if kind_of(channel) != "theta_m" or joint_of(channel) > arm.n_joints:
+    kind, joint = channel_parts(channel)
+    if kind != "theta_m" or joint > arm.n_joints:
         return 0.0
-    per_turn = arm.joints[joint_of(channel) - 1].encoder_counts
+    per_turn = arm.joints[joint - 1].encoder_counts
     return 2.0 * np.pi / per_turn if per_turn else 0.0
 
 

@@ -12,13 +12,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from strainwave.domain import FloatArray, IntArray, Log
+from strainwave.domain import FloatArray, IntArray, Log, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import (
     Defect,
     count_of,
     encoder_kinds,
-    joint_of,
     noisy_kinds,
     of_kinds,
     resolution_of,
@@ -64,7 +63,8 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
             for span in _find_frozen_encoder(x, count_of(name, arm))
         ]
     for name, x in of_kinds(log, (*noisy_kinds(), "u")).items():
-        joint, drives = joint_of(name), name.startswith("u")
+        kind, joint = channel_parts(name)
+        drives = kind == "u"
         if joint > arm.n_joints or (drives and log.experiment.control[joint - 1] != "servo"):
             continue
         # A link sensor also measures the motion of all preceding joints.

@@ -6,13 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log
+from strainwave.domain import FloatArray, Log, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import (
     Defect,
     count_of,
     encoder_kinds,
-    joint_of,
     noisy_kinds,
     of_kinds,
 )
@@ -36,7 +35,7 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
             _spike_defect(name, x, *span) for span in classify_jumps(x, count_of(name, arm))[0]
         ]
     for name, x in of_kinds(log, ("u",)).items():
-        margin = _MIN_RANGE_MARGIN[log.experiment.control[joint_of(name) - 1]]
+        margin = _MIN_RANGE_MARGIN[log.experiment.control[channel_parts(name)[1] - 1]]
         detections += [_spike_defect(name, x, *span) for span in _find_outside_range(x, margin)]
     return detections
 
