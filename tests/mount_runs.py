@@ -10,8 +10,9 @@ from scipy.signal import lsim
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
+from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 
 _OVERSAMPLING = 10  # of the motion, which lsim interpolates linearly
 

@@ -12,8 +12,9 @@ from effect_runs import FACTORS, rig
 from strainwave.domain import ArmModel, EffectName, Log, Study
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import change_arm_keys
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, simulate
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, simulate
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
 from strainwave.virtual import scara
 from tuning_runs import joint_models, rigid_model, shaken_study, simulated_logs, truth

@@ -25,8 +25,9 @@ from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis
 from strainwave.domain.link_sensors.accelerometer import Accelerometer
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, simulate
+from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.dataset import Channel, Dataset

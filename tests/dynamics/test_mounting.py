@@ -19,8 +19,9 @@ from strainwave.domain.link_sensors.link_signals import (
     spatial_weights,
 )
 from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, simulate
+from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.signals.imu_attitude import estimate_imu_starts
 from strainwave.signals.link_readings import JointMotion
 from strainwave.signals.mounting_start import accelerometer_quantities, estimate_mounting_starts

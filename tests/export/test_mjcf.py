@@ -12,9 +12,10 @@ import pytest
 import exports
 from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, simulate
+from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.export.mjcf import to_mjcf
 
 TICK = 1e-3

@@ -11,8 +11,9 @@ import pytest
 
 from elastic_runs import SAMPLE, log_of, prbs_run, rig
 from strainwave.domain import FloatArray, Fusion, Lag, Log, Study
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Quantity, Trajectory
+from strainwave.dynamics.simulation import Trajectory
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study

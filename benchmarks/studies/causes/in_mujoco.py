@@ -19,8 +19,9 @@ import numpy as np
 from benchmarks.studies.engine import STEP, Plant, in_mujoco
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, Trajectory
+from strainwave.dynamics.simulation import Drive, Trajectory
 from strainwave.virtual.families.causes import (
     NO_CAUSE,
     Cause,

@@ -4,37 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DENSITY
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import MAX_TIME_STEP, Arm, core_errors
 from strainwave.errors import InvalidInput
 from strainwave.numerics.parallel import raise_if_stopped
-
-Quantity = Literal[
-    "voltage",
-    "motor_torque",
-    "motor_angle",
-    "motor_velocity",
-    "link_angle",
-    "link_velocity",
-    "link_acceleration",
-    "gear_torque",
-    "encoder",
-    "accelerometer",
-    "gyro",
-    "specific_force_x",
-    "specific_force_y",
-    "angular_acceleration",
-    "squared_rate",
-    "angular_rate",
-    "sliding",
-]
-"""Quantities that a simulation can record."""
 
 _CLOCK_TOLERANCE = 2e-4  # relative difference of two crystal oscillators of one nominal frequency
 _STRICT_CLOCK_TOLERANCE = 1e-6  # many short candidate steps would satisfy the loose tolerance

@@ -8,8 +8,9 @@ import numpy as np
 
 from strainwave.domain import Log, Parameter, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Quantity, SensorNoise, measure, simulate
+from strainwave.dynamics.simulation import SensorNoise, measure, simulate
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.experiment_design.plan import Planned, clock_of
 from strainwave.identification.whole_arm import predicted_parameters

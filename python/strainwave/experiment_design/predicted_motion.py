@@ -6,8 +6,9 @@ import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
+from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 from strainwave.experiment_design.plan import PredictedMotion
 
 _QUANTITIES: tuple[Quantity, ...] = (

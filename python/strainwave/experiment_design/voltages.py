@@ -9,9 +9,10 @@ import numpy as np
 
 from strainwave.domain import Control, Experiment, FloatArray, Prbs
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.band import Band
 from strainwave.experiment_design.plan import (

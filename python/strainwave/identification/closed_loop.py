@@ -23,11 +23,12 @@ from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import Axis, compared_axes
 from strainwave.domain.parameter_table import base_name
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model
 from strainwave.dynamics.record_effects import record_inputs
 from strainwave.dynamics.rigid_prediction import fit_percent
-from strainwave.dynamics.simulation import Drive, Quantity, simulate_arms
+from strainwave.dynamics.simulation import Drive, simulate_arms
 from strainwave.numerics.filters import differentiate, low_pass, noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive

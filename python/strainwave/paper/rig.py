@@ -23,16 +23,10 @@ from strainwave.domain import (
 )
 from strainwave.domain.keys import Values
 from strainwave.domain.options import Channels, EstimationMethod
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import (
-    Drive,
-    Quantity,
-    SensorNoise,
-    Trajectory,
-    measure,
-    simulate,
-)
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure, simulate
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import NotIdentifiable
 from strainwave.identification import rigid

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Protocol, cast
+from typing import Protocol
 
 import numpy as np
 
@@ -12,9 +12,10 @@ from strainwave.domain import FloatArray, Joint, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import Axis
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.record_effects import record_inputs
-from strainwave.dynamics.simulation import Drive, Quantity, SensorNoise, Trajectory, measure
+from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory, measure
 from strainwave.errors import InvalidInput
 from strainwave.virtual.plans import Plan
 
@@ -65,7 +66,7 @@ def record_experiment(
         for axis in sensor.axes(i)
         if sensor.by_channel and axis.channel in study.channels
     ]
-    record: list[str] = ["voltage", "link_angle", *quantities.values()]
+    record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     record += [name for axis in (*imu_axes, *by_channel) for name in axis.quantities]
     inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
@@ -74,7 +75,7 @@ def record_experiment(
         inputs.shift_start(plan.drive),
         sample_time=plan.sample_time,
         samples=plan.samples,
-        record=cast("list[Quantity]", list(dict.fromkeys(record))),
+        record=list(dict.fromkeys(record)),
     )
     measured = measure(trajectory, noise, rng)
     measured["encoder"] = inputs.read(measured["encoder"])

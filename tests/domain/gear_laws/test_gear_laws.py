@@ -18,9 +18,10 @@ from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.kinds import single_joint
 from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.domain.parameters import whole_arm_parameter_names
+from strainwave.domain.quantities import Quantity
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, simulate
+from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study

@@ -13,6 +13,7 @@ from strainwave.domain import ArmModel, Channel, Joint, Log, link_sensors
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import LinkSensor, optional_constants
 from strainwave.domain.parameter_words import parameter_descriptions
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise
 from strainwave.errors import InvalidInput
@@ -40,7 +41,7 @@ class FastGyro(LinkSensor):
     def of_joint(cls, joint: Joint) -> Self:
         return cls()
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("angular_rate",)
 
     def low_passes(self) -> Mapping[str, float | None]:

@@ -22,6 +22,7 @@ from strainwave.domain.link_sensors.link_signals import (
     ACCELEROMETER_QUANTITIES,
     accelerometer_weights,
 )
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -65,7 +66,7 @@ class Accelerometer(LinkSensor):
     def rank(self) -> int:
         return 0 if self.is_at_known_place else 1  # in addition to an IMU it adds little
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("accelerometer",) if self.is_at_known_place else ACCELEROMETER_QUANTITIES
 
     def low_passes(self) -> Mapping[str, float | None]:

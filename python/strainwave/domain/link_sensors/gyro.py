@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Self
 
 from strainwave.domain.link_sensors.interface import LinkSensor, TypicalSensor
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -37,7 +38,7 @@ class Gyro(LinkSensor):
     def of_joint(cls, joint: Joint) -> Self:
         return cls(joint.gyro_hz)
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("gyro",)
 
     def low_passes(self) -> Mapping[str, float | None]:

@@ -30,6 +30,7 @@ from strainwave.domain.link_sensors.link_signals import (
     accelerometer_weights,
 )
 from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Imu, Joint
@@ -186,7 +187,7 @@ class ImuAccelerometers(ImuSensor):
     def low_passes(self) -> Mapping[str, float | None]:
         return {} if self.case is None else {"imu_accelerometer_hz": self.hz}
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ACCELEROMETER_QUANTITIES
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
@@ -223,7 +224,7 @@ class ImuGyros(ImuSensor):
     def low_passes(self) -> Mapping[str, float | None]:
         return {} if self.case is None else {"imu_gyro_hz": self.hz}
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return GYRO_QUANTITIES
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:

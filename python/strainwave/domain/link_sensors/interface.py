@@ -22,6 +22,7 @@ import numpy as np
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import of_record
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -195,7 +196,7 @@ class LinkSensor(ABC):
         """The sensor on the link of a joint; None if the joint cannot have it."""
 
     @abstractmethod
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that each axis reads."""
 
     def axes(self, joint: int) -> tuple[Axis, ...]:
@@ -324,7 +325,7 @@ class Axis:
         return f"{self.sensor.channel_kinds[self.number]}{self.joint}"
 
     @property
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that it reads."""
         return self.sensor.quantities()
 
@@ -350,7 +351,7 @@ class Axis:
         """Weights (n_quantities,) of the sensor's quantities in the reading."""
         return self.sensor.weights(self, values)
 
-    def reading(self, of: Mapping[Any, FloatArray], values: Mapping[Key, float]) -> FloatArray:
+    def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
         """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""
         parts = [of[name][:, self.joint - 1] for name in self.quantities]
         if len(parts) == 1 and self.sensor.group is not Group.MOUNTED:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from strainwave.domain.link_sensors.interface import ConstantKind, LinkSensor, TypicalSensor
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -38,7 +39,7 @@ class LinkEncoder(LinkSensor):
     def of_joint(cls, joint: Joint) -> Self:
         return cls()
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("link_angle",)
 
     @classmethod

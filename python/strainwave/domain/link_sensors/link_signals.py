@@ -16,8 +16,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain.arrays import FloatArray
+from strainwave.domain.quantities import Quantity
 
-ACCELEROMETER_QUANTITIES = (
+ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
     "specific_force_x",
     "specific_force_y",
     "angular_acceleration",
@@ -25,7 +26,7 @@ ACCELEROMETER_QUANTITIES = (
 )
 """Signals of a link that moves in the plane of its x and y axes: f_x, f_y, dw_z, w_z^2."""
 
-GYRO_QUANTITIES = ("angular_rate",)
+GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate",)
 """The same for gyros: w_z."""
 
 _IN_PLANE = [0, 1, 5, 8]  # places of these signals among all of a link

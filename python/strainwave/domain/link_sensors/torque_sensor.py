@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Self
 
 from strainwave.domain.link_sensors.interface import ConstantKind, Group, LinkSensor
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -29,5 +30,5 @@ class TorqueSensor(LinkSensor):
     def of_joint(cls, joint: Joint) -> Self | None:
         return cls() if joint.elastic else None  # the core computes no torque of a rigid gear
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("gear_torque",)

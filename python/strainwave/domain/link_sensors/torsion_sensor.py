@@ -11,6 +11,7 @@ import numpy as np
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors.interface import Axis, LinkSensor
+from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Joint
@@ -38,7 +39,7 @@ class TorsionSensor(LinkSensor):
     def of_joint(cls, joint: Joint) -> Self:
         return cls(joint.gear_ratio)
 
-    def quantities(self) -> tuple[str, ...]:
+    def quantities(self) -> tuple[Quantity, ...]:
         return ("link_angle", "motor_angle")
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:

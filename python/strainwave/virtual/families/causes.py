@@ -13,8 +13,9 @@ import numpy as np
 from strainwave.domain import ArmDescription, FloatArray, Study
 from strainwave.domain.effects import KnownJoint, all_effects, effect_named, names
 from strainwave.domain.keys import Values
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import Drive, Quantity, Trajectory, simulate
+from strainwave.dynamics.simulation import Drive, Trajectory, simulate
 from strainwave.virtual.families.rigs import Rig, between
 from strainwave.virtual.families.short_records import plans
 

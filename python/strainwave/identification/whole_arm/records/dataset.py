@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import cast
 
 import numpy as np
 
@@ -23,11 +22,12 @@ from strainwave.domain.link_sensors import (
     is_kind,
     with_bandwidths,
 )
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.dynamics.record_effects import RecordInputs, record_inputs
-from strainwave.dynamics.simulation import Drive, LowPass, Quantity, sensitivities, simulate_arms
+from strainwave.dynamics.simulation import Drive, LowPass, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_std
 
@@ -69,8 +69,7 @@ class Channel:
     @property
     def reads(self) -> tuple[Quantity, ...]:
         """Simulated quantities that the channel requires."""
-        quantities = ("motor_angle",) if self.axis is None else self.axis.sensor.quantities()
-        return cast("tuple[Quantity, ...]", quantities)
+        return ("motor_angle",) if self.axis is None else self.axis.quantities
 
     def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
         """Key of a constant of its sensor; None if there is none."""
@@ -348,9 +347,8 @@ class Dataset:
         at = {channel.axis: k for k, channel in enumerate(self.channels)}
         tables = []
         for axis in axes:
-            quantities = cast("tuple[Quantity, ...]", axis.sensor.quantities())
-            parts = [rows[name][:, axis.joint - 1] for name in quantities if name in rows]
-            table = np.zeros((0, len(quantities) + 1))
+            parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
+            table = np.zeros((0, len(axis.quantities) + 1))
             if axis in at:
                 table = np.column_stack([*parts, self.measured[:, at[axis]]])
                 table = table - table.mean(axis=0)
