@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.monitoring.estimates import Estimates, estimates_of
+from strainwave.monitoring.result_estimates import ResultEstimates, estimates_of
 
 NAMES = ("beta", "gear_stiffness 1", "motor_inertia 1", "motor_viscous_friction 1", "sum 1")
 TRUE = np.array([0.64, 25000.0, 1.5e-4, 2e-4])
@@ -63,7 +63,7 @@ def document(values: list[float], S: FloatArray) -> dict[str, Any]:
     }
 
 
-def estimates(document: Mapping[str, Any], label: str) -> Estimates:
+def estimates(document: Mapping[str, Any], label: str) -> ResultEstimates:
     return estimates_of(document, Path(label) / "result.json")
 
 

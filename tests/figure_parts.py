@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TypeVar
 
-from strainwave.presentation.figures import Band, Bars, Figure, HeatMap, Line, Mark, Markers
+from strainwave.presentation.figures import Area, Bars, Figure, HeatMap, Line, Mark, Markers
 
-T = TypeVar("T", Line, Markers, Band, Bars, HeatMap)
+T = TypeVar("T", Line, Markers, Area, Bars, HeatMap)
 
 
 def marks(figure: Figure, kind: type[T], panel: int = 0) -> list[T]:

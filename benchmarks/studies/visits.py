@@ -23,7 +23,7 @@ from strainwave.dynamics.simulation import simulate
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.io.results import to_document
 from strainwave.monitoring.comparison import DIFFERS, compare
-from strainwave.monitoring.estimates import Estimates, estimates_of
+from strainwave.monitoring.result_estimates import ResultEstimates, estimates_of
 from strainwave.pipeline import identify
 from strainwave.virtual.families import catalogue
 from strainwave.virtual.families.rigs import Rig
@@ -60,7 +60,7 @@ def compare_visits(number: int, *, changes: Changes) -> dict[str, Any]:
     }
 
 
-def _visit(rig: Rig, values: Values, seed: list[int]) -> Estimates:
+def _visit(rig: Rig, values: Values, seed: list[int]) -> ResultEstimates:
     """Simulate one visit and identify it."""
     arm = Arm.of(rig.study.arm)
     logs = {}

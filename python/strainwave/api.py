@@ -35,7 +35,7 @@ from strainwave.io.joint_covariance import JointCovariance, covariance_of
 from strainwave.io.logs.in_memory import Data
 from strainwave.io.study import check_study
 from strainwave.io.study import read_study as _read_study
-from strainwave.monitoring import comparison, estimates
+from strainwave.monitoring import comparison, result_estimates
 from strainwave.numerics.parallel import Stopped, limited
 
 if TYPE_CHECKING:
@@ -145,7 +145,9 @@ def compare(
     two results and `NotIdentifiable` if they have no parameter in common.
     """
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
-    all_estimates = [estimates.estimates_of(result.document, result.source) for result in loaded]
+    all_estimates = [
+        result_estimates.estimates_of(result.document, result.source) for result in loaded
+    ]
     labels = [estimate.label for estimate in all_estimates]
     unique = [
         estimate

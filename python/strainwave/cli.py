@@ -281,7 +281,7 @@ def compare(
     """Compare results of one arm. The exit code is 0 if they agree and 4 if they differ."""
     from strainwave.monitoring import comparison_output
     from strainwave.monitoring.comparison import compare as compare_results
-    from strainwave.monitoring.estimates import read_estimates
+    from strainwave.monitoring.result_estimates import read_estimates
 
     comparison = compare_results(read_estimates(results), level)
     if out is not None:

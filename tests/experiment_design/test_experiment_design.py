@@ -23,7 +23,7 @@ from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design import command_table, motions, rigid_motion, voltages
-from strainwave.experiment_design.band import MIN_RESONANCE_LINES, band_of
+from strainwave.experiment_design.excitation_band import MIN_RESONANCE_LINES, band_of
 from strainwave.experiment_design.plan import LimitBroken, Limits, limits_of
 from strainwave.experiment_design.steps import step_records
 from strainwave.experiment_design.summary import print_design

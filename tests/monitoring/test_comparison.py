@@ -17,8 +17,8 @@ from compared_results import NAMES, covariance, drawn, estimates, write
 from strainwave.domain import Parameter
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.monitoring.comparison import AGREES, DIFFERS, ResultComparison, compare
-from strainwave.monitoring.estimates import (
-    Estimates,
+from strainwave.monitoring.result_estimates import (
+    ResultEstimates,
     degrees_of_freedom,
     estimates_of,
     read_estimates,
@@ -195,7 +195,7 @@ def test_degrees_follow_from_the_interval(nu: float) -> None:
     assert degrees_of_freedom(replace(p, ci95=(1.0 - 4.9, 1.0 + 4.9))) == float("inf")
 
 
-def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> Estimates:
+def repeat(seed: int, rng: np.random.Generator, friction: float = 1.0) -> ResultEstimates:
     """Rigid step on a new motion record of the built-in arm with rigid gears."""
     study = rigid_two_link()
     values = values_of(study, 5)

@@ -23,8 +23,8 @@ from strainwave.paper import (
     steps,
     to_json,
 )
-from strainwave.paper.estimates import LINES_HZ, distance_db, response_of
-from strainwave.paper.rig import Rig, Tuned
+from strainwave.paper.joint_estimates import LINES_HZ, distance_db, response_of
+from strainwave.paper.rig import Rig, WholeArmEstimate
 from strainwave.paper.settings import CLASSICAL_METHOD
 from strainwave.paper.truth import joint_with
 from strainwave.virtual import scara
@@ -128,23 +128,27 @@ def sound(name: str = "given") -> tuple[Evidence, ...]:
 
 def test_claims_of_tuning_can_fail() -> None:
     rig = Rig(1)
-    truth = Tuned(scara.parameters(), sound())
+    truth = WholeArmEstimate(scara.parameters(), sound())
     result = refinement.responses(rig, 1, truth)
     assert result.outcome == "shown"
     assert result.values["tuned_db"] == pytest.approx(0.0, abs=1e-9)
-    stiff = Tuned(scara.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound())
+    stiff = WholeArmEstimate(
+        scara.parameters(spring="linear") | {("gear_stiffness", 1): 60000.0}, sound()
+    )
     missed = refinement.responses(rig, 1, stiff)
     assert missed.outcome == "does-not-hold"
     assert "stiffness" in missed.reasons[0]
     assert steps.tuning(rig, truth, stiff).outcome == "does-not-hold"
-    heavy = Tuned(scara.parameters() | {("motor_inertia", 1): 3e-4}, sound())
+    heavy = WholeArmEstimate(scara.parameters() | {("motor_inertia", 1): 3e-4}, sound())
     assert steps.validation(rig, truth).outcome == "shown"
     assert steps.validation(rig, heavy).outcome == "does-not-hold"
 
 
 @pytest.mark.parametrize("status", ["iteration-limit", "stalled", "at-bounds", "failed"])
 def test_models_that_did_not_converge_show_nothing(status: str) -> None:
-    doubtful = Tuned(scara.parameters(), (Evidence("whole arm", "whole-arm fit", status),))
+    doubtful = WholeArmEstimate(
+        scara.parameters(), (Evidence("whole arm", "whole-arm fit", status),)
+    )
     result = steps.validation(Rig(1), doubtful)
     assert result.outcome == "not-shown"
     assert result.reasons == (f"whole arm: {status}",)

@@ -14,8 +14,8 @@ from strainwave.presentation.figures import (
     MEASURED_COLOUR,
     MODEL_COLOUR,
     SOLID,
+    Area,
     Axis,
-    Band,
     Bars,
     Figure,
     HeatMap,
@@ -62,7 +62,7 @@ def test_each_name_is_one_legend_entry_together_with_its_band() -> None:
     chart = Figure(
         Axis("x"),
         (
-            Panel(Axis("y"), (Band(X, X, X, MODEL_COLOUR, "a"), LINE, other)),
+            Panel(Axis("y"), (Area(X, X, X, MODEL_COLOUR, "a"), LINE, other)),
             Panel(Axis("y"), (LINE, Markers(X, X, "c", MEASURED_COLOUR))),
         ),
     )
@@ -95,7 +95,7 @@ def test_frequency_ticks_have_complete_labels_with_prefixes() -> None:
 
 
 def test_a_band_is_a_closed_outline() -> None:
-    (trace,) = plotly(figure(Band(X, X - 1.0, X + 1.0, "#102030", "a")))["data"]
+    (trace,) = plotly(figure(Area(X, X - 1.0, X + 1.0, "#102030", "a")))["data"]
     assert trace["x"] == [1.0, 2.0, 3.0, 3.0, 2.0, 1.0]
     assert trace["y"] == [0.0, 1.0, 2.0, 4.0, 3.0, 2.0]
     assert trace["fillcolor"] == "rgba(16,32,48,0.18)"

@@ -17,7 +17,7 @@ _MAX_STICTION_SHARE = 0.5  # of the samples; a fit of a motor that sticks longer
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class FilteredTorques:
     """Measured and predicted motor torques after one filter, without its transients."""
 
     time: FloatArray  # (n_rows,)
@@ -70,7 +70,7 @@ def band_predictions(
     signals: Signals,
     model_hz: float,
     load_friction: Sequence[Parameter] = (),
-) -> tuple[Band, Band]:
+) -> tuple[FilteredTorques, FilteredTorques]:
     """Predict a record's torques from its motion, within a model's bandwidth and as logged.
 
     `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
@@ -95,12 +95,12 @@ def _bridge(model_hz: float, T: float) -> int:
 
 def _comparison(
     measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float
-) -> Band:
+) -> FilteredTorques:
     """Measured and predicted torque without the filter's transients, and their fit."""
     T = signals.sample_time
     inside = _inside(measured, model_hz, T)
     fit = _fit(measured, torque, signals.direction, model_hz, T)
-    return Band(signals.time[inside], measured[inside], torque[inside], fit)
+    return FilteredTorques(signals.time[inside], measured[inside], torque[inside], fit)
 
 
 def _fit(

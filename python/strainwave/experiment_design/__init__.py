@@ -20,7 +20,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.band import Band, band_of
+from strainwave.experiment_design.excitation_band import ExcitationBand, band_of
 from strainwave.experiment_design.motions import motion_records
 from strainwave.experiment_design.plan import (
     ADD_SERVO,
@@ -160,7 +160,7 @@ def _omission(where: str, reason: str) -> Diagnostic:
 
 
 def _warn_slow_clocks(
-    bands: Mapping[int, Band | None], records: Sequence[Planned]
+    bands: Mapping[int, ExcitationBand | None], records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
     """Warnings of joints whose excitation the clock limits to less than the required band."""
     warnings = []
@@ -191,7 +191,9 @@ def _warn_unlimited_torques(
     return tuple(warnings)
 
 
-def _check_servo(study: Study, bands: Mapping[int, Band | None]) -> tuple[Diagnostic, ...]:
+def _check_servo(
+    study: Study, bands: Mapping[int, ExcitationBand | None]
+) -> tuple[Diagnostic, ...]:
     """Warning that an arm without servo gets open-loop voltages only.
 
     Raises InvalidInput under gravity or if all gears are rigid.

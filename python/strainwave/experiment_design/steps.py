@@ -9,7 +9,7 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
-from strainwave.experiment_design.band import Band
+from strainwave.experiment_design.excitation_band import ExcitationBand
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
 from strainwave.experiment_design.predicted_motion import predicted_motion, run
 
@@ -27,7 +27,7 @@ _PLANS: tuple[tuple[str, Use, tuple[float, ...], float], ...] = (
 
 
 def step_records(
-    arm: Arm, values: Values, limits: Limits, band: Band, joint: int
+    arm: Arm, values: Values, limits: Limits, band: ExcitationBand, joint: int
 ) -> tuple[Planned, ...]:
     """Records of steps of one joint's velocity reference: one to fit, one for validation.
 

@@ -14,7 +14,7 @@ from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, Trajectory
 from strainwave.errors import InvalidInput
-from strainwave.experiment_design.band import Band
+from strainwave.experiment_design.excitation_band import ExcitationBand
 from strainwave.experiment_design.plan import (
     FREE_CONTROL,
     HELD_CONTROL,
@@ -88,7 +88,7 @@ def voltage_record(
     arm: Arm,
     values: Values,
     limits: Limits,
-    band: Band,
+    band: ExcitationBand,
     joint: int,
     *,
     kind: Kind,
@@ -145,7 +145,7 @@ def sweep_records(
     arm: Arm,
     values: Values,
     limits: Limits,
-    band: Band,
+    band: ExcitationBand,
     full: Planned,
     *,
     seed: int,
@@ -209,7 +209,7 @@ def _limit_error(
 
 
 def _design_signal(
-    arm: Arm, values: Values, band: Band, joint: int, kind: Kind, seed: int
+    arm: Arm, values: Values, band: ExcitationBand, joint: int, kind: Kind, seed: int
 ) -> Signal:
     """PRBS with clock and order, or multisine with lines, for a band."""
     tick = clock_of(arm)
@@ -287,7 +287,7 @@ def _is_moving(motion: PredictedMotion, joint: int) -> bool:
     return float(motion.rest_share[joint - 1]) < _MAX_STICTION_SHARE
 
 
-def _required_periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, str]:
+def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tuple[int, str]:
     """Number of periods after settling that the sensor noise requires, and its reason.
 
     The amplitude of a line has the standard deviation sqrt(2 S/T) for a period T and noise of
@@ -328,7 +328,7 @@ def _required_periods(signal: Signal, drive: Drive, band: Band) -> tuple[int, st
 
 
 def _spectral_lines(
-    signal: Signal, trajectory: Trajectory, name: Quantity, tick: float, band: Band
+    signal: Signal, trajectory: Trajectory, name: Quantity, tick: float, band: ExcitationBand
 ) -> tuple[FloatArray, FloatArray]:
     """Frequencies [Hz] around the resonances and the smoothed magnitudes of a signal there."""
     samples = round(signal.period / tick)
@@ -344,7 +344,7 @@ def _spectral_lines(
 
 
 def _describe_excitation(
-    signal: Signal, band: Band, amplitude: float, control: tuple[Control, ...]
+    signal: Signal, band: ExcitationBand, amplitude: float, control: tuple[Control, ...]
 ) -> str:
     """Text of the excitation and its reason."""
     low, high = _excited_band(signal)

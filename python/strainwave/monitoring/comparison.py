@@ -11,8 +11,8 @@ import numpy as np
 from strainwave.domain import FloatArray, Parameter
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
-from strainwave.monitoring.estimates import Estimates, degrees_of_freedom
 from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test
+from strainwave.monitoring.result_estimates import ResultEstimates, degrees_of_freedom
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -75,7 +75,7 @@ class ResultComparison:
     """Two or more results: the first with each of the others, and all together."""
 
     level: float  # probability of a false alarm between results of an unchanged arm
-    results: tuple[Estimates, ...]
+    results: tuple[ResultEstimates, ...]
     pairs: tuple[Pair, ...]
     homogeneity: JointTest | None  # over all results, if there are more than two
     notes: tuple[str, ...]
@@ -149,7 +149,7 @@ class ResultComparison:
         return text.getvalue()
 
 
-def compare(results: Sequence[Estimates], level: float = 0.05) -> ResultComparison:
+def compare(results: Sequence[ResultEstimates], level: float = 0.05) -> ResultComparison:
     """Compare results of one arm from independent data: the first with each of the others.
 
     Each change is tested against sqrt(s_a^2 + s_b^2), all changes together by d' S^+ d with
@@ -199,7 +199,7 @@ def _adjust_tests(comparison: ResultComparison) -> ResultComparison:
     return replace(comparison, pairs=pairs, homogeneity=homogeneity)
 
 
-def _compare_pair(first: Estimates, second: Estimates) -> Pair:
+def _compare_pair(first: ResultEstimates, second: ResultEstimates) -> Pair:
     first_by_label = {p.label: p for p in first.parameters}
     second_by_label = {p.label: p for p in second.parameters}
     omitted, differences = [], []
@@ -232,7 +232,7 @@ def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second
     return ""
 
 
-def _test_homogeneity(results: Sequence[Estimates]) -> JointTest | None:
+def _test_homogeneity(results: Sequence[ResultEstimates]) -> JointTest | None:
     common = set.intersection(
         *(
             {p.label for p in result.parameters if p.value is not None and p.std}
@@ -242,7 +242,7 @@ def _test_homogeneity(results: Sequence[Estimates]) -> JointTest | None:
     return _joint_test(results, common)
 
 
-def _joint_test(results: Sequence[Estimates], compared: set[str]) -> JointTest | None:
+def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> JointTest | None:
     """Test the differences from the first result over the parameters in every covariance.
 
     With d = (x_2 - x_1, x_3 - x_1, ...), every block contains the covariance of the first result.
@@ -274,7 +274,7 @@ def _unit(n: int, k: int) -> FloatArray:
     return matrix
 
 
-def _notes(results: Sequence[Estimates], pairs: Sequence[Pair]) -> Iterator[str]:
+def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterator[str]:
     """Limits of the comparison."""
     for result in results:
         if result.covariance is None:

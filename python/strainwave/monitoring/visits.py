@@ -18,7 +18,7 @@ from strainwave.domain import FloatArray
 from strainwave.domain.keys import Key
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.monitoring.estimates import is_record_parameter
+from strainwave.monitoring.result_estimates import is_record_parameter
 from strainwave.monitoring.shapes import Series
 
 _USABLE_STATUS = ("determined", "partly-determined", "not-determined")

@@ -12,9 +12,9 @@ from strainwave.numerics.parallel import one_blas_thread, run_parallel
 from strainwave.paper import amplitude, decoupled, feedback, inputs, refinement, steps
 from strainwave.paper.claims import failed_comparison
 from strainwave.paper.document import document_of, to_json
-from strainwave.paper.estimates import evidence_of
+from strainwave.paper.joint_estimates import evidence_of
 from strainwave.paper.page import to_markdown
-from strainwave.paper.rig import Rig, Tuned
+from strainwave.paper.rig import Rig, WholeArmEstimate
 from strainwave.paper.settings import OWN_SETTINGS, PUBLISHED_SETTINGS, Settings
 
 __all__ = [
@@ -109,10 +109,10 @@ def _jobs(
     levels: amplitude.LevelsByJoint = {}
     records = options.records or rig.settings.records
 
-    def tuned_arm() -> Tuned:
+    def tuned_arm() -> WholeArmEstimate:
         if whole_arm is None:
             return rig.whole_arm()
-        return Tuned(dict(whole_arm.values), (evidence_of(whole_arm, "whole arm"),))
+        return WholeArmEstimate(dict(whole_arm.values), (evidence_of(whole_arm, "whole arm"),))
 
     def over_amplitudes(step: Callable[[amplitude.LevelsByJoint], Comparison]) -> Comparison:
         if not levels:

@@ -15,7 +15,13 @@ import numpy as np
 from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.estimates import Estimate, curve, estimated_curve, evidence_of, response_of
+from strainwave.paper.joint_estimates import (
+    JointEstimate,
+    curve,
+    estimated_curve,
+    evidence_of,
+    response_of,
+)
 from strainwave.paper.rig import Rig, Run
 from strainwave.paper.truth import slopes
 from strainwave.presentation.figures import Figure
@@ -34,7 +40,7 @@ class Level:
     """Estimates of one joint at one amplitude, from one or several records of one period each."""
 
     amplitude: float
-    state_space: Estimate  # from all records
+    state_space: JointEstimate  # from all records
     joint: TwoInertia | None  # from the equations of motion; None: published settings
     evidence: tuple[Evidence, ...]  # the claims rely on the decisive models
     square: float  # [rad^2/s^2] squared anti-resonance of the decisive model

@@ -9,8 +9,8 @@ import numpy as np
 from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.domain.options import Channels
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.estimates import (
-    Estimate,
+from strainwave.paper.joint_estimates import (
+    JointEstimate,
     curve,
     errors_of,
     estimated_curve,
@@ -117,7 +117,7 @@ def outputs(rig: Rig, payloads: Sequence[int]) -> Comparison:
     )
 
 
-def _anti_resonance_hz(model: Estimate) -> float:
+def _anti_resonance_hz(model: JointEstimate) -> float:
     return float("nan") if model.anti_resonance is None else model.anti_resonance.frequency_hz
 
 

@@ -16,8 +16,8 @@ from strainwave.domain import Comparison, Control, Criterion, Decoupled, Evidenc
 from strainwave.domain.options import EstimationMethod
 from strainwave.dynamics.two_inertia import state_space
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.estimates import (
-    Errors,
+from strainwave.paper.joint_estimates import (
+    JointErrors,
     curve,
     errors_of,
     estimate,
@@ -46,7 +46,7 @@ _METHODS: tuple[tuple[EstimationMethod, str], ...] = (
 def methods(rig: Rig) -> Comparison:
     """Fig. 13: PEM and subspace method with the other joint free and servoed."""
     evidence: list[Evidence] = []
-    errors: dict[tuple[str, str], Errors] = {}
+    errors: dict[tuple[str, str], JointErrors] = {}
     plots = []
     for method, method_text in _METHODS:
         truth = rig.prbs(1, other="servo").truth
@@ -109,7 +109,7 @@ def _order(rig: Rig) -> int:
     return rig.settings.linear.order or _DEFAULT_ORDER
 
 
-def _pair(errors: dict[tuple[str, str], Errors], method: str) -> str:
+def _pair(errors: dict[tuple[str, str], JointErrors], method: str) -> str:
     return ", ".join(f"{errors[method, loop].anti_resonance_percent:+.1f}" for loop, _ in _LOOPS)
 
 

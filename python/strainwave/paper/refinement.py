@@ -11,8 +11,14 @@ from strainwave.domain.keys import Values
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import NotIdentifiable
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.estimates import Estimate, curve, distance_db, response_evidence, response_of
-from strainwave.paper.rig import Rig, Tuned
+from strainwave.paper.joint_estimates import (
+    JointEstimate,
+    curve,
+    distance_db,
+    response_evidence,
+    response_of,
+)
+from strainwave.paper.rig import Rig, WholeArmEstimate
 from strainwave.paper.truth import equivalent
 from strainwave.presentation.figures.curves import bode
 from strainwave.statespace import frequency_response
@@ -27,7 +33,7 @@ _IMPROVEMENT_REASON = "the source claims an improvement without a size"
 class Stages:
     """Models of one joint."""
 
-    initial: Estimate  # state space
+    initial: JointEstimate  # state space
     modified: TwoInertia  # zeros and pole pair of `initial`, lag of the rigid model, (18)
     evidence: Evidence  # of `modified`
 
@@ -44,7 +50,7 @@ def stages(rig: Rig, joint: int) -> Stages:
     return Stages(rig.estimate(run), modified, evidence)
 
 
-def modified_values(rig: Rig) -> Tuned:
+def modified_values(rig: Rig) -> WholeArmEstimate:
     """Parameters of the arm by (18) with linear springs, before tuning.
 
     Raises NotIdentifiable as `stages` does.
@@ -52,10 +58,10 @@ def modified_values(rig: Rig) -> Tuned:
     models = {joint: stages(rig, joint) for joint in (1, 2)}
     modified = {joint: model.modified for joint, model in models.items()}
     evidence = [e for m in models.values() for e in (m.initial.evidence, m.evidence)]
-    return Tuned(_values(rig, modified), tuple(evidence))
+    return WholeArmEstimate(_values(rig, modified), tuple(evidence))
 
 
-def responses(rig: Rig, joint: int, whole_arm: Tuned) -> Comparison:
+def responses(rig: Rig, joint: int, whole_arm: WholeArmEstimate) -> Comparison:
     """Figs. 6 and 9: initial, modified and tuned response of one joint."""
     run = rig.prbs(joint)
     models = stages(rig, joint)

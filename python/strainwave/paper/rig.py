@@ -33,7 +33,7 @@ from strainwave.identification import rigid
 from strainwave.identification.decoupling import decouple
 from strainwave.identification.joint_model import from_state_space, identify_joint, rigid_knowledge
 from strainwave.identification.whole_arm import fit_whole_arm
-from strainwave.paper.estimates import Estimate, estimate, evidence_of, growth_of
+from strainwave.paper.joint_estimates import JointEstimate, estimate, evidence_of, growth_of
 from strainwave.paper.settings import OWN_SETTINGS, Settings
 from strainwave.paper.truth import equivalent, joint_with
 from strainwave.signals import motor as signals
@@ -73,7 +73,7 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Tuned:
+class WholeArmEstimate:
     """Parameters of the arm with its full payload, fitted at once."""
 
     values: Values
@@ -202,7 +202,7 @@ class Rig:
         inputs: Channels = "both",
         outputs: Channels = "both",
         order: int | None = None,
-    ) -> Estimate:
+    ) -> JointEstimate:
         """State-space model of one joint with the given changes of the settings."""
         linear = self.settings.linear
         linear = replace(
@@ -235,7 +235,7 @@ class Rig:
         known = rigid_knowledge(self.rigid(DEFAULT_PAYLOAD), self.arm, joint)
         return from_state_space(estimate.model, run.decoupled, self.arm, known)
 
-    def _whole_arm(self) -> Tuned:
+    def _whole_arm(self) -> WholeArmEstimate:
         """All parameters from a PRBS and a step of each joint, or as published."""
         self.progress("fine tuning")
         logs = [self.steps(TUNING_STEPS, joint, 0) for joint in (1, 2)]
@@ -256,7 +256,7 @@ class Rig:
                 for number, ratio in enumerate((j.gear_ratio for j in arm.joints), start=1)
             )
             evidence = replace(evidence, growth=growth)
-        return Tuned(values, (evidence,))
+        return WholeArmEstimate(values, (evidence,))
 
     def _rng(self, *names: int) -> np.random.Generator:
         return np.random.default_rng([self.seed, *names])

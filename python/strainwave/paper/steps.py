@@ -9,7 +9,7 @@ from strainwave.domain.keys import Values
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
 from strainwave.paper.claims import comparison_of
-from strainwave.paper.rig import TUNING_STEPS, Rig, Tuned, ideal_log, run_steps
+from strainwave.paper.rig import TUNING_STEPS, Rig, WholeArmEstimate, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair
 from strainwave.signals.link_motion import prepare_link_signals
@@ -21,7 +21,7 @@ _MIN_FIT = 97.0  # [%]
 _MIN_FIT_REASON = "a smaller difference is not visible in a printed plot"
 
 
-def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
+def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Comparison:
     """Fig. 7: step of joint 1 and the response of the model before and after tuning."""
     fits, vibration_fits, plots = [], [], []
     for name, model_of in (("before", before), ("after", after)):
@@ -53,7 +53,7 @@ def tuning(rig: Rig, before: Tuned, after: Tuned) -> Comparison:
     )
 
 
-def validation(rig: Rig, whole_arm: Tuned) -> Comparison:
+def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
     """Fig. 8: steps for validation."""
     fits, plots = [], []
     for number, levels in enumerate(_VALIDATION_STEPS, start=1):

@@ -10,8 +10,8 @@ from strainwave.presentation.figures import (
     FREQUENCY_TICKS,
     RESIDUAL_COLOUR,
     SOLID,
+    Area,
     Axis,
-    Band,
     Bars,
     Dash,
     HeatMap,
@@ -107,7 +107,7 @@ def _has_categories(figure: Record) -> bool:
 def _mark(canvas: Figure, axes: Axes, mark: Mark) -> None:
     if isinstance(mark, Line | Markers):
         _points(axes, mark)
-    elif isinstance(mark, Band):
+    elif isinstance(mark, Area):
         axes.fill_between(
             mark.x, mark.low, mark.high, color=mark.colour, alpha=_BAND_OPACITY, linewidth=0.0
         )

@@ -13,8 +13,8 @@ from strainwave.presentation.figures import (
     FREQUENCY_TICKS,
     RESIDUAL_COLOUR,
     SOLID,
+    Area,
     Axis,
-    Band,
     Bars,
     Dash,
     Figure,
@@ -53,7 +53,7 @@ def plotly(figure: Figure) -> dict[str, Any]:
             trace = _trace(mark, numbers) | {"yaxis": f"y{_number(k)}"}
             name = trace.get("name")
             if name is not None:
-                first = name in legend and name not in legend_names and not isinstance(mark, Band)
+                first = name in legend and name not in legend_names and not isinstance(mark, Area)
                 trace |= {"legendgroup": name, "showlegend": first}
                 legend_names |= {name} if first else set()
             data.append(trace)
@@ -109,7 +109,7 @@ def rounded(values: FloatArray) -> list[float | None]:
 def _trace(mark: Mark, numbers: _Numbers) -> dict[str, Any]:
     if isinstance(mark, Line | Markers):
         return _points(mark, numbers)
-    if isinstance(mark, Band):
+    if isinstance(mark, Area):
         return _band(mark, numbers)
     if isinstance(mark, Bars):
         return {
@@ -159,7 +159,7 @@ def _points(mark: Line | Markers, numbers: _Numbers) -> dict[str, Any]:
     return trace
 
 
-def _band(mark: Band, numbers: _Numbers) -> dict[str, Any]:
+def _band(mark: Area, numbers: _Numbers) -> dict[str, Any]:
     """A closed outline: along the lower edge and back along the upper edge."""
     red, green, blue = (int(mark.colour[k : k + 2], 16) for k in (1, 3, 5))
     x = numbers(mark.x)
@@ -189,7 +189,7 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 def _decades(panel: Panel) -> float:
     """Range of the positive values in a panel, in powers of ten."""
-    lines = [mark.y for mark in panel.marks if not isinstance(mark, Band | HeatMap)]
+    lines = [mark.y for mark in panel.marks if not isinstance(mark, Area | HeatMap)]
     y = np.concatenate(lines) if lines else np.zeros(0)
     y = y[np.isfinite(y) & (y > 0.0)]
     return float(np.ptp(np.log10(y))) if len(y) else 0.0

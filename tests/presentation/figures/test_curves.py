@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from figure_parts import line, marks, names
-from strainwave.presentation.figures import RESIDUAL_COLOUR, Band, Line, curves
+from strainwave.presentation.figures import RESIDUAL_COLOUR, Area, Line, curves
 
 
 def test_a_bode_plot_has_95_percent_bands_and_a_continuous_phase() -> None:
@@ -20,7 +20,7 @@ def test_a_bode_plot_has_95_percent_bands_and_a_continuous_phase() -> None:
         ],
         "caption",
     )
-    (above,), (below,) = marks(figure, Band), marks(figure, Band, 1)
+    (above,), (below,) = marks(figure, Area), marks(figure, Area, 1)
     assert above.high == pytest.approx(20.0 * np.log10(1.196 * size))
     assert below.high - below.low == pytest.approx(np.full(50, np.rad2deg(2.0 * 1.96 * 0.1)))
     assert figure.legend == ["truth", "model"]

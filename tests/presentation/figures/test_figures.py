@@ -12,8 +12,8 @@ from results import prediction
 from strainwave.presentation.figures import (
     MAX_POINTS,
     MODEL_COLOUR,
+    Area,
     Axis,
-    Band,
     Figure,
     HeatMap,
     Line,
@@ -79,7 +79,7 @@ def test_a_prismatic_joint_has_forces() -> None:
 def test_a_legend_lists_names_that_differ() -> None:
     x = np.arange(3.0)
     a, b = Line(x, x, "a", MODEL_COLOUR), Line(x, x, "b", MODEL_COLOUR)
-    band = Band(x, x, x, MODEL_COLOUR, "c")
+    band = Area(x, x, x, MODEL_COLOUR, "c")
     panel = Panel(Axis("y"), (a, band))
     assert Figure(Axis("x"), (panel, panel)).legend == []
     both = Figure(Axis("x"), (panel, Panel(Axis("y"), (b, replace(b, name="d", legend=False)))))

@@ -15,7 +15,7 @@ from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.presentation.figures import (
     MEASURED_COLOUR,
     RESIDUAL_COLOUR,
-    Band,
+    Area,
     Figure,
     Line,
     Mark,
@@ -56,7 +56,7 @@ def test_measured_response_and_models_agree() -> None:
 def test_the_band_follows_from_the_covariance_of_the_parameters() -> None:
     """The response of random parameters scatters as the delta method predicts."""
     figure = bode.bode(joint_model(), RATIO, None)
-    (band,) = marks(figure, Band)
+    (band,) = marks(figure, Area)
     f, low, high = band.x, band.low, band.high
     rng = np.random.default_rng(3)
     A = [
@@ -81,7 +81,7 @@ def _modes() -> list:  # type: ignore[type-arg]
 def test_without_a_covariance_there_is_no_band() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
     figure = bode.bode(unknown, RATIO, None)
-    assert not any(marks(figure, Band, panel) for panel in (0, 1))
+    assert not any(marks(figure, Area, panel) for panel in (0, 1))
 
 
 def test_points_of_low_coherence_are_grey() -> None:
@@ -132,7 +132,7 @@ def test_a_prismatic_joint_has_its_own_units() -> None:
 
 def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
     covariance = np.diag((0.01 * JOINT.vector) ** 2)
-    whole_arm = bode.TunedJoint(1.1 * JOINT.vector, covariance)
+    whole_arm = bode.WholeArmJoint(1.1 * JOINT.vector, covariance)
     figure = bode.bode(joint_model(), RATIO, measured(), whole_arm=whole_arm)
     f, size = line_of(figure, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)
@@ -140,16 +140,16 @@ def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> N
     order = names(figure)
     assert order.index("measured") < order.index("joint model")  # the line is on top
     assert marks(figure, Markers)[0].opacity < 0.5
-    assert {band.name for band in marks(figure, Band)} >= {"joint model", "whole-arm fit"}
+    assert {band.name for band in marks(figure, Area)} >= {"joint model", "whole-arm fit"}
     without = bode.bode(joint_model(), RATIO, None, whole_arm=replace(whole_arm, covariance=None))
-    assert [band.name for band in marks(without, Band)] == ["joint model"]
+    assert [band.name for band in marks(without, Area)] == ["joint model"]
 
 
 def test_measured_points_have_the_band_of_their_scatter_or_coherence() -> None:
     """The relative standard deviation is that of simulated noise of uncertain variance."""
     noisy = replace(measured(), noise_variance=0.02**2 * np.abs(measured().response) ** 2)
     assert bode.relative_std(noisy) == pytest.approx(np.full(499, 0.02 / np.sqrt(2.0)))
-    (band, _) = marks(bode.bode(joint_model(), RATIO, noisy), Band)
+    (band, _) = marks(bode.bode(joint_model(), RATIO, noisy), Area)
     assert band.name == "measured"
     width = np.log(10.0) / 40.0 * (band.high - band.low)  # half-width relative to the modulus
     assert width == pytest.approx(np.full(len(width), 1.96 * 0.02 / np.sqrt(2.0)), rel=1e-3)
@@ -165,9 +165,9 @@ def test_a_state_space_model_has_the_band_of_its_covariance() -> None:
     entries = sum(m.size for m in (model.A, model.B, model.C, model.D, model.K))
     uncertain = replace(model, covariance=1e-8 * np.eye(entries))
     figure = bode.bode(joint_model(), RATIO, None, {"prbs": uncertain})
-    assert "state space, prbs" in {band.name for band in marks(figure, Band)}
+    assert "state space, prbs" in {band.name for band in marks(figure, Area)}
     figure = bode.bode(joint_model(), RATIO, None, {"prbs": model})
-    assert "state space, prbs" not in {band.name for band in marks(figure, Band)}
+    assert "state space, prbs" not in {band.name for band in marks(figure, Area)}
 
 
 def test_the_caption_repeats_the_warning_that_model_and_response_differ() -> None:

@@ -11,7 +11,7 @@ from elastic_results import SAMPLE, elastic_identification, log, record_model
 from figure_parts import line, marks
 from results import criticism
 from strainwave.domain import Identification, ModelCheck, Prediction, ScoreTest
-from strainwave.presentation.figures import Band
+from strainwave.presentation.figures import Area
 from strainwave.presentation.report import residuals
 from strainwave.presentation.report.blocks import Fold, Plot, Table
 
@@ -71,18 +71,18 @@ def test_check_records_have_their_correlations_at_the_lags_of_the_fit() -> None:
     assert auto.y[len(auto.y) // 2] == pytest.approx(1.0)
     cross = line(plot.figure, "input of joint 1", 1)
     assert cross.x[np.argmax(cross.y)] == pytest.approx(1e3 * 10 * SAMPLE)
-    band = next(b for b in marks(plot.figure, Band, 1) if b.name == "input of joint 1")
+    band = next(b for b in marks(plot.figure, Area, 1) if b.name == "input of joint 1")
     assert cross.y.max() > 5.0 * band.high[0]  # far outside the limits
 
 
 def test_limits_of_the_autocorrelation_need_the_same_sample_time() -> None:
     one = checked(0)
     (plot,) = (p for p in residuals.residual_correlations(one) if isinstance(p, Plot))
-    assert len(marks(plot.figure, Band)) == 1
+    assert len(marks(plot.figure, Area)) == 1
     fitted = replace(one.logs[0], sample_time=2.0 * SAMPLE)
     other = replace(one, logs=(fitted, one.logs[1]))
     (plot,) = (p for p in residuals.residual_correlations(other) if isinstance(p, Plot))
-    assert marks(plot.figure, Band) == []
+    assert marks(plot.figure, Area) == []
 
 
 def test_fitted_records_and_state_space_models_are_folded() -> None:
@@ -102,6 +102,6 @@ def test_fitted_records_and_state_space_models_are_folded() -> None:
     (plot,) = models.blocks
     assert isinstance(plot, Plot)
     assert len(plot.figure.panels) == 4  # two outputs, each with auto- and cross-correlation
-    (band,) = marks(plot.figure, Band)
+    (band,) = marks(plot.figure, Area)
     assert band.high[0] == pytest.approx(0.1)
     assert line(plot.figure, "autocorrelation").y[25] == 1.0

@@ -15,8 +15,8 @@ from strainwave.domain import ComplexArray, FloatArray
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.presentation.figures.records import (
     SOLID,
+    Area,
     Axis,
-    Band,
     Dash,
     Figure,
     Line,
@@ -84,10 +84,10 @@ def bode(curves: Sequence[Curve], caption: str) -> Figure:
         if curve.magnitude_std is not None:
             half = CI95_STDS * curve.magnitude_std
             low = np.maximum(modulus - half, MIN_BAND_SHARE * modulus)
-            magnitudes.append(Band(f, decibel(low), decibel(modulus + half), colour, name))
+            magnitudes.append(Area(f, decibel(low), decibel(modulus + half), colour, name))
         if curve.phase_std is not None:
             half = np.minimum(np.rad2deg(CI95_STDS * curve.phase_std), 180.0)
-            phases.append(Band(f, phase - half, phase + half, colour, name))
+            phases.append(Area(f, phase - half, phase + half, colour, name))
         magnitudes.append(Line(f, decibel(modulus), name, colour, dash, width))
         phases.append(Line(f, phase, name, colour, dash, width))
     panels = (

@@ -53,7 +53,7 @@ class Markers:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Band:
+class Area:
     """The area between two curves, for example a 95 % confidence band."""
 
     x: FloatArray
@@ -85,7 +85,7 @@ class HeatMap:
     colours: tuple[str, str, str]  # at the low, middle and high value
 
 
-Mark = Line | Markers | Band | Bars | HeatMap
+Mark = Line | Markers | Area | Bars | HeatMap
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,8 +33,8 @@ from strainwave.presentation.figures import (
     RESIDUAL_COLOUR,
     SOLID,
     TUNED_COLOUR,
+    Area,
     Axis,
-    Band,
     Dash,
     Figure,
     Line,
@@ -57,7 +57,7 @@ _POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top sta
 
 
 @dataclass(frozen=True, slots=True)
-class TunedJoint:
+class WholeArmJoint:
     """The parameters of one joint in the whole-arm fit."""
 
     vector: FloatArray  # (6,) in the order of `TwoInertia`
@@ -79,7 +79,7 @@ def bode(
     measured: FrequencyResponse | None,
     state_space: Mapping[str, StateSpace] | None = None,
     *,
-    whole_arm: TunedJoint | None = None,
+    whole_arm: WholeArmJoint | None = None,
     is_prismatic: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence if it is known.
@@ -153,7 +153,7 @@ def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high
             panels.phase.append(Markers(f[is_shown], phase, *style))
     if measured.coherence is not None:
         coherence, name = measured.coherence[rows, 0], "coherence"
-        panels.coherence.append(Band(f, np.zeros(len(f)), coherence, MEASURED_COLOUR, name))
+        panels.coherence.append(Area(f, np.zeros(len(f)), coherence, MEASURED_COLOUR, name))
         panels.coherence.append(Line(f, coherence, name, MEASURED_COLOUR, width=1.0, legend=False))
 
 
@@ -231,8 +231,8 @@ def _add_band(
     low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
     turn = half if phase_std is None else CI95_STDS * phase_std
     phase, turn = np.rad2deg(np.angle(G)), np.minimum(np.rad2deg(turn), 180.0)
-    panels.magnitude.append(Band(f, decibel(low), decibel(high), colour, name))
-    panels.phase.append(Band(f, phase - turn, phase + turn, colour, name))
+    panels.magnitude.append(Area(f, decibel(low), decibel(high), colour, name))
+    panels.phase.append(Area(f, phase - turn, phase + turn, colour, name))
 
 
 def _modes(joint: JointModel) -> list[tuple[str, Mode]]:

@@ -16,8 +16,8 @@ from strainwave.presentation.figures import (
     MODEL_COLOUR,
     RESIDUAL_COLOUR,
     SHORT_DASH,
+    Area,
     Axis,
-    Band,
     Bars,
     Figure,
     Line,
@@ -103,7 +103,7 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
         Panel(
             Axis(f"stiffness [{curve.stiffness_unit}]", range=(0.0, top)),
             (
-                Band(torque, stiffness - half, stiffness + half, MODEL_COLOUR, "stiffness"),
+                Area(torque, stiffness - half, stiffness + half, MODEL_COLOUR, "stiffness"),
                 Line(torque, stiffness, "stiffness", MODEL_COLOUR, width=2.0),
             ),
             height=1.1,
@@ -127,7 +127,7 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     initial = law.stiffness(values, torsion[:1]) * torsion
     knees = scale * law.torsion(values, curve.knees)
     marks = (
-        Band(x, torque - half, torque + half, MODEL_COLOUR, "identified curve"),
+        Area(x, torque - half, torque + half, MODEL_COLOUR, "identified curve"),
         Line(x, initial, "initial stiffness", RESIDUAL_COLOUR, SHORT_DASH, width=1.0),
         Line(x, torque, "identified curve", MODEL_COLOUR, width=2.0),
         *([Markers(knees, curve.knees, "knees", MODEL_COLOUR, _KNEE_SIZE)] if len(knees) else ()),

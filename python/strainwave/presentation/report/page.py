@@ -174,7 +174,7 @@ def _bode_plot(result: Identification, joint: JointModel) -> Plot:
             for record in _full_amplitude(result, joint)
             if record.state_space is not None
         },
-        whole_arm=_tuned_joint(result, joint),
+        whole_arm=_whole_arm_joint(result, joint),
         is_prismatic=description.motion == "prismatic",
     )
     label = f"Joint {joint.joint}: motor torque to motor velocity"
@@ -189,7 +189,7 @@ def _pole_blocks(result: Identification) -> Iterator[Block]:
             for record in _full_amplitude(result, joint)
             if record.modes is not None
         }
-        figure = pole_zero_map(joint, ratio, modes, whole_arm=_tuned_joint(result, joint))
+        figure = pole_zero_map(joint, ratio, modes, whole_arm=_whole_arm_joint(result, joint))
         label = f"Joint {joint.joint}: poles and zeros of motor torque to motor velocity"
         caption = (
             "Crosses are poles, circles are zeros, in continuous time; ellipses are 95 % regions."
@@ -206,7 +206,7 @@ def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordMod
     ]
 
 
-def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint | None:
+def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.WholeArmJoint | None:
     """One joint's parameters in the whole-arm fit; None if the fit lacks one of them.
 
     A gear curve is represented by the joint model's equivalent stiffness, without a band.
@@ -229,9 +229,9 @@ def _tuned_joint(result: Identification, joint: JointModel) -> bode.TunedJoint |
     rows = {p.name: k for k, p in enumerate(whole_arm.parameters) if p.joint == joint.joint}
     vector = np.array([values_of_joint[name] for name in names])
     if not set(names) <= set(rows):
-        return bode.TunedJoint(vector, None)
+        return bode.WholeArmJoint(vector, None)
     order = [rows[name] for name in names]
-    return bode.TunedJoint(vector, whole_arm.covariance[np.ix_(order, order)])
+    return bode.WholeArmJoint(vector, whole_arm.covariance[np.ix_(order, order)])
 
 
 def _prediction_blocks(result: Identification) -> Iterator[Block]:

@@ -23,7 +23,7 @@ from strainwave.presentation.figures import (
     Panel,
     Symbol,
 )
-from strainwave.presentation.report.bode import TunedJoint
+from strainwave.presentation.report.bode import WholeArmJoint
 from strainwave.statespace import nearest
 
 _ELLIPSE_POINTS = 40
@@ -40,7 +40,7 @@ def pole_zero_map(
     gear_ratio: float,
     state_space: Mapping[str, Modes] | None = None,
     *,
-    whole_arm: TunedJoint | None = None,
+    whole_arm: WholeArmJoint | None = None,
 ) -> Figure:
     """Poles (crosses) and zeros (circles) in continuous time.
 

@@ -35,8 +35,8 @@ from strainwave.presentation.figures import (
     PALETTE,
     RESIDUAL_COLOUR,
     SHORT_DASH,
+    Area,
     Axis,
-    Band,
     Figure,
     Line,
     Mark,
@@ -352,12 +352,12 @@ def _correlation_panels(
     name = "autocorrelation"
     above: list[Mark] = [Line(lag, both(auto), name, MODEL_COLOUR, size=3.0, width=1.0)]
     if limits is not None:
-        above.insert(0, Band(lag, both(limits[0]), both(limits[1]), RESIDUAL_COLOUR, name))
+        above.insert(0, Area(lag, both(limits[0]), both(limits[1]), RESIDUAL_COLOUR, name))
     below: list[Mark] = []
     for k, (label, (values, limit)) in enumerate(cross.items()):
         colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
         below.append(
-            Band(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL_COLOUR, label)
+            Area(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL_COLOUR, label)
         )
         below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
     range_ = (-1.05, 1.05)

@@ -18,7 +18,7 @@ MIN_RESONANCE_LINES = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Band:
+class ExcitationBand:
     """Band in which one joint must be excited."""
 
     anti_resonance_hz: float  # of the lowest slope
@@ -41,7 +41,7 @@ class Band:
         return max(MIN_RESONANCE_LINES / self.width_hz, 1.0 / self.low_hz)
 
 
-def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
+def band_of(arm: Arm, values: Values, joint: int) -> ExcitationBand | None:
     """Band of one joint, from 1, with the others at rest; None if the gear is rigid.
 
     The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L with the inertia of the
@@ -65,7 +65,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> Band | None:
         for stiffness in drive.law.stiffness_range(drive.law.of_joint(known, joint))
     )
     damping = softest.link_viscous_friction + softest.gear_damping
-    return Band(
+    return ExcitationBand(
         anti_resonance_hz=anti_resonance(softest).frequency_hz,
         resonance_hz=resonance(stiffest).frequency_hz,
         width_hz=damping / softest.link_inertia / (2.0 * np.pi),

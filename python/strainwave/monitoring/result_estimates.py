@@ -21,7 +21,7 @@ _QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then bel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimates:
+class ResultEstimates:
     """Parameters and joint covariance of one result."""
 
     label: str
@@ -37,7 +37,7 @@ class Estimates:
         return next(p for p in self.parameters if p.label == label)
 
 
-def read_estimates(paths: Sequence[Path]) -> tuple[Estimates, ...]:
+def read_estimates(paths: Sequence[Path]) -> tuple[ResultEstimates, ...]:
     """Read results from result.json files or directories that contain one.
 
     Labels are unique. Raises `InvalidInput` for fewer than two paths, or a file that is missing or
@@ -54,13 +54,13 @@ def read_estimates(paths: Sequence[Path]) -> tuple[Estimates, ...]:
     )
 
 
-def estimates_of(document: Mapping[str, Any], path: Path) -> Estimates:
+def estimates_of(document: Mapping[str, Any], path: Path) -> ResultEstimates:
     """Estimates of a result document that was read from `path`.
 
     Parameters of one record, such as the drift of a sensor bias, are omitted.
     """
     study = document.get("study") or {}
-    return Estimates(
+    return ResultEstimates(
         label=path.parent.name if path.name in _USUAL_NAMES and path.parent.name else path.name,
         path=str(path),
         created=str(document.get("created", "")),
@@ -103,7 +103,7 @@ def _degrees(quantile: float) -> float:
     return float(brentq(lambda nu: t.ppf(0.975, nu) - quantile, 1.0, 1e5))
 
 
-def _read(path: Path) -> Estimates:
+def _read(path: Path) -> ResultEstimates:
     try:
         return estimates_of(results.read_document(path), path)
     except InvalidInput as error:

@@ -39,7 +39,7 @@ _SMALL_ERROR_REASON = "5 % in a frequency are 10 % in a stiffness, which counts 
 
 
 @dataclass(frozen=True, slots=True)
-class Estimate:
+class JointEstimate:
     """A model of motor torque to motor velocity with its modes."""
 
     evidence: Evidence
@@ -51,7 +51,7 @@ class Estimate:
 
 
 @dataclass(frozen=True, slots=True)
-class Errors:
+class JointErrors:
     """Errors of an estimate; infinite if the estimate lacks the quantity."""
 
     anti_resonance_percent: float
@@ -64,7 +64,7 @@ class Errors:
         return max(abs(self.anti_resonance_percent), abs(self.resonance_percent))
 
 
-def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) -> Estimate:
+def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) -> JointEstimate:
     """State-space model of one joint as `identify` estimates it, with status and warnings.
 
     `name` identifies the model. If the estimation fails, the evidence holds the reason.
@@ -73,7 +73,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
         model = state_space_of(records, options)
     except (StrainwaveError, np.linalg.LinAlgError) as error:
         warning = Diagnostic("state-space-failed", name, str(error))
-        return Estimate(Evidence(name, options.method, "failed", warnings=(warning,)), None)
+        return JointEstimate(Evidence(name, options.method, "failed", warnings=(warning,)), None)
     evidence = Evidence(
         name,
         options.method,
@@ -88,8 +88,10 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
         response = frequency_response(continuous, LINES_HZ)
     except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as error:
         warning = Diagnostic("modes-failed", name, str(error))
-        return Estimate(replace(evidence, warnings=(*model.warnings, warning)), model)
-    return Estimate(evidence, model, continuous, response, modes.anti_resonance, modes.resonance)
+        return JointEstimate(replace(evidence, warnings=(*model.warnings, warning)), model)
+    return JointEstimate(
+        evidence, model, continuous, response, modes.anti_resonance, modes.resonance
+    )
 
 
 def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
@@ -129,12 +131,12 @@ def response_of(joint: TwoInertia, frequencies_hz: FloatArray = LINES_HZ) -> Fre
     return frequency_response(state_space(joint), frequencies_hz)
 
 
-def errors_of(model: Estimate, truth: TwoInertia) -> Errors:
+def errors_of(model: JointEstimate, truth: TwoInertia) -> JointErrors:
     """Errors of an estimate relative to the true joint."""
     db = float("inf")
     if model.response is not None:
         db = distance_db(model.response.response[:, 0, 0], response_of(truth).response[:, 0, 0])
-    return Errors(
+    return JointErrors(
         _error_percent(model.anti_resonance, true_anti_resonance(truth)),
         _error_percent(model.resonance, true_resonance(truth)),
         db,
@@ -177,7 +179,7 @@ def curve(
     ]
 
 
-def estimated_curve(name: str, model: Estimate, *, band: bool = False) -> list[Curve]:
+def estimated_curve(name: str, model: JointEstimate, *, band: bool = False) -> list[Curve]:
     """Curve of an estimate; empty if it has no response. The name states whether it is sound."""
     if model.response is None:
         return []
