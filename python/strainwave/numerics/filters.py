@@ -7,6 +7,7 @@ zero-phase filter also keeps the time axis. All functions act along the first ax
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
@@ -354,14 +355,13 @@ def band_passes(
 
     Returns (n_samples, n_requests).
     """
-    f, spectrum, inner = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
+    padded = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
+    f = padded.frequency
     gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
     filtered = np.empty((len(signals), len(requests)))
     for column, (k, integrals) in enumerate(requests):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
-        filtered[:, column] = _inverse_spectrum(
-            (response * spectrum[:, k])[:, None], inner, len(signals)
-        )[:, 0]
+        filtered[:, column] = padded.inverse(response * padded.spectrum[:, k])
     return filtered
 
 
@@ -386,30 +386,36 @@ def by_spectrum(
 
     Returns (n_samples, ...).
     """
-    f, spectrum, inner = _padded_spectrum(signal, sample_time, reach)
-    gain = response(f)
+    padded = _padded_spectrum(signal, sample_time, reach)
+    gain = response(padded.frequency)
     if gain.ndim == 3:
-        spectrum = np.einsum("foi,fi->fo", gain, spectrum)
-    else:
-        spectrum = spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1))
-    return _inverse_spectrum(spectrum, inner, len(signal))
+        return padded.inverse(np.einsum("foi,fi->fo", gain, padded.spectrum))
+    return padded.inverse(padded.spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1)))
 
 
-def _padded_spectrum(
-    signal: FloatArray, sample_time: float, reach: float
-) -> tuple[FloatArray, ComplexArray, tuple[int, int]]:
-    """Frequencies [Hz] and spectrum without the mean, and (left padding, transform length)."""
+@dataclass(frozen=True, slots=True)
+class _PaddedSpectrum:
+    """Spectrum of an extended signal without its mean."""
+
+    frequency: FloatArray  # (n_frequencies,) [Hz]
+    spectrum: ComplexArray  # (n_frequencies, ...)
+    n: int  # samples of the signal
+    pad: int  # samples of the extension before it
+    size: int  # samples of the transform
+
+    def inverse(self, spectrum: ComplexArray) -> FloatArray:
+        """Signal of n samples from a spectrum of the same extended signal."""
+        full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
+        inside = slice(self.pad, self.pad + self.n)
+        passed: FloatArray = np.fft.irfft(full_spectrum, self.size, axis=0)[inside]
+        return passed
+
+
+def _padded_spectrum(signal: FloatArray, sample_time: float, reach: float) -> _PaddedSpectrum:
     n = len(signal)
     pad = min(n - 1, int(reach / sample_time))
     extended = _point_reflected(signal, pad)
     size = fast_length(len(extended) + pad)
     f: FloatArray = np.asarray(np.fft.rfftfreq(size, sample_time)[1:], dtype=np.float64)
-    return f, np.asarray(np.fft.rfft(extended, size, axis=0)[1:]), (pad, size)
-
-
-def _inverse_spectrum(spectrum: ComplexArray, inner: tuple[int, int], n: int) -> FloatArray:
-    """Signal of n samples from its spectrum without the mean."""
-    pad, size = inner
-    full_spectrum = np.concatenate([np.zeros_like(spectrum[:1]), spectrum])
-    passed: FloatArray = np.fft.irfft(full_spectrum, size, axis=0)[pad : pad + n]
-    return passed
+    spectrum = np.asarray(np.fft.rfft(extended, size, axis=0)[1:])
+    return _PaddedSpectrum(f, spectrum, n, pad, size)

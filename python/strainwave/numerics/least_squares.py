@@ -175,12 +175,11 @@ def _reduce(
     local_leverage = np.zeros(len(root))
     local_coefficients: list[FloatArray] = [np.zeros((0, columns.shape[1]))]
     for part, Z in _weighted_parts(equations, root):
-        coefficients, columns[part.rows], part_leverage = _eliminate(
-            Z, columns[part.rows], leverage=leverage
-        )
-        local_coefficients.append(coefficients)
+        eliminated = _eliminate(Z, columns[part.rows], leverage=leverage)
+        columns[part.rows] = eliminated.remainder
+        local_coefficients.append(eliminated.coefficients)
         if leverage:
-            local_leverage[part.rows] = part_leverage
+            local_leverage[part.rows] = eliminated.leverage
     below = np.concatenate(local_coefficients)
     priors = np.eye(n_common, columns.shape[1])
     Q, R = np.linalg.qr(np.vstack([columns, -below, priors]))
@@ -193,14 +192,21 @@ def _reduce(
     )
 
 
-def _eliminate(
-    Z: Banded, right: FloatArray, *, leverage: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(Z'Z + I)^-1 Z' right, the remainder of right, and the diagonal of Z (Z'Z + I)^-1 Z'."""
+@dataclass(frozen=True, slots=True)
+class _Elimination:
+    """Ridge regression of columns on banded regressors Z."""
+
+    coefficients: FloatArray  # (Z'Z + I)^-1 Z' right
+    remainder: FloatArray  # of the columns
+    leverage: FloatArray  # (n_rows,) diagonal of Z (Z'Z + I)^-1 Z'
+
+
+def _eliminate(Z: Banded, right: FloatArray, *, leverage: bool) -> _Elimination:
     if not Z.entries.size:
-        return np.zeros((Z.n_columns, right.shape[1])), right, np.zeros(len(right))
+        none = np.zeros((Z.n_columns, right.shape[1]))
+        return _Elimination(none, right, np.zeros(len(right)))
     right = np.ascontiguousarray(right)
-    return _core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage)
+    return _Elimination(*_core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage))
 
 
 def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
@@ -304,7 +310,7 @@ class _NormalEquations:
         for part, Z in _weighted_parts(equations, root):
             if not Z.entries.size:
                 continue
-            coefficients, _, _ = _eliminate(Z, rows[part.rows], leverage=False)
+            coefficients = _eliminate(Z, rows[part.rows], leverage=False).coefficients
             part_gram, without = _without_blocks(Z, rows[part.rows], equations.block[part.rows])
             gram += part_gram
             priors += coefficients.T @ coefficients

@@ -70,8 +70,8 @@ def _convert(model: StateSpace) -> ContinuousStateSpace:
     )
 
 
-def _continuous_matrices(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Continuous-time A, and the integrals P1 and P2 of `to_continuous`.
+def _continuous_matrices(A: FloatArray, T: float) -> FloatArray:
+    """Continuous-time A, and the integrals P1 and P2 of `to_continuous`: (3, ..., n, n).
 
     A is the real logarithm with the smallest imaginary parts of the eigenvalues.
     """
@@ -84,12 +84,11 @@ def _continuous_matrices(A: FloatArray, T: float) -> tuple[FloatArray, FloatArra
         )
     if np.linalg.cond(vectors).max() >= MAX_EIGENVECTOR_CONDITION:
         if A.ndim > 2:
-            stacked = np.stack([np.stack(_continuous_matrices(matrix, T)) for matrix in A], axis=1)
-            return stacked[0], stacked[1], stacked[2]
+            return np.stack([_continuous_matrices(matrix, T) for matrix in A], axis=1)
         from scipy.linalg import logm
 
         logarithm = np.ascontiguousarray(np.real(logm(A)), dtype=np.float64) / T
-        return logarithm, *_hold_integrals(logarithm, T)
+        return np.stack([logarithm, *_hold_integrals(logarithm, T)])
     x = np.log(values.astype(complex))
     # the closed form loses digits for small x, so the series is used there
     small = np.abs(x) < _MAX_SERIES_ARGUMENT
@@ -98,8 +97,7 @@ def _continuous_matrices(A: FloatArray, T: float) -> tuple[FloatArray, FloatArra
     second = np.where(small, series, (np.exp(nonzero) - 1.0 - nonzero) / nonzero**2)
     inverse = np.linalg.inv(vectors)
     functions = np.stack([x / T, T * (1.0 + x * second), T * second])
-    matrices = np.real((vectors * functions[..., None, :]) @ inverse)
-    return matrices[0], matrices[1], matrices[2]
+    return np.real((vectors * functions[..., None, :]) @ inverse)
 
 
 def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -36,13 +37,13 @@ def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> M
     evaluator, matrices = on_data(model, stacked)
     residuals = evaluator.residuals(matrices)
     lags = max(1, min(lags, max(stacked.lengths) // 4))
-    past_test, feedback_test, cross_correlation = _cross_tests(residuals, stacked, lags)
+    cross = _cross_tests(residuals, stacked, lags)
     return ModelCheck(
         fit_percent=fit_percent(stacked.outputs, evaluator.simulated(matrices)),
         prediction_fit_percent=fit_percent(stacked.outputs, stacked.outputs - residuals),
-        tests=(whiteness(residuals, stacked, lags=lags), past_test, feedback_test),
+        tests=(whiteness(residuals, stacked, lags=lags), cross.past, cross.future),
         autocorrelation=_normalised(_correlations(residuals, residuals, stacked, lags), residuals),
-        cross_correlation=cross_correlation,
+        cross_correlation=cross.correlations,
         confidence_99=CI99_STDS / float(np.sqrt(stacked.n_samples)),
     )
 
@@ -91,14 +92,20 @@ def whiteness(
     )
 
 
-def _cross_tests(
-    residuals: FloatArray, data: Stack, lags: int
-) -> tuple[HypothesisTest, HypothesisTest, FloatArray]:
+@dataclass(frozen=True, slots=True)
+class _CrossTests:
+    """Tests of residuals against inputs, and their correlations."""
+
+    past: HypothesisTest  # against past inputs
+    future: HypothesisTest  # against future inputs: feedback
+    correlations: FloatArray  # (2 lags + 1, n_outputs, n_inputs), normalised
+
+
+def _cross_tests(residuals: FloatArray, data: Stack, lags: int) -> _CrossTests:
     """Tests of e[k] against u[k - l], l = 0..lags, and against u[k + l], l = 1..lags.
 
     r_l = sum e[k] u[k - l] / N has the covariance sum_j R_e(j) (x) R_u(j + l - l') / N (Ljung,
     System Identification, 2nd ed., 16.6). The tests are valid for coloured inputs and residuals.
-    Also returns the normalised cross-correlations of both signs of the lag.
     """
     samples, p = residuals.shape
     m = data.n_inputs
@@ -129,7 +136,7 @@ def _cross_tests(
     )
     cross = np.concatenate([backward[:0:-1], forward])
     scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
-    return past, future, cross / np.maximum(scale, np.finfo(float).tiny)
+    return _CrossTests(past, future, cross / np.maximum(scale, np.finfo(float).tiny))
 
 
 def _correlation_covariance(
