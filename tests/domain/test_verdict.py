@@ -184,6 +184,22 @@ def test_a_run_that_identifies_every_parameter_is_determined() -> None:
         assert verdict.reasons == ()
 
 
+def test_the_link_inertia_of_a_bent_arm_is_reported_at_zero_angles() -> None:
+    result = run(stages=("rigid", "decoupled"))
+    first, second = result.joints
+    bend, gamma = 0.9, TRUTH["gamma", None]
+    change = 2.0 * gamma * (1.0 - np.cos(bend))
+    parameters = tuple(
+        replace(p, value=(p.value or 0.0) - change) if p.name == "link_inertia" else p
+        for p in first.parameters
+    )
+    bent = replace(first, parameters=parameters, posture=(0.2, bend))
+    at_zero = replace(result, joints=(bent, second))
+    for name, joint in (("link_inertia", 1), ("alpha", None), ("rigid_inertia", 1)):
+        assert row(at_zero, name, joint).value == pytest.approx(true(name, joint)), name
+    assert at_zero.verdict.status == "determined"
+
+
 SIZES = st.one_of(st.none(), st.sampled_from((1.0, 0.9, -0.005, -3.0)), st.floats(-2.0, 2.0))
 
 

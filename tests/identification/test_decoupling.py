@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from elastic_runs import log_of, prbs_run, rig, rig_values, true_model
-from strainwave.domain import Decoupled, FloatArray, Joint, RigidModel, Study
+from strainwave.domain import Decoupled, Joint, LinkSignals, Study
 from strainwave.domain.kinds import single_joint
+from strainwave.domain.study import Use
 from strainwave.dynamics import interaction_torque as interaction
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Trajectory
@@ -29,20 +30,18 @@ def run_of(gravity: float | None, both: bool = False) -> tuple[Study, Trajectory
     return study, prbs_run(study, both=both)
 
 
-def torques(study: Study, model: RigidModel, run: Trajectory) -> FloatArray:
-    base = interaction.base_parameters(model, Arm.of(study.arm))
-    motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
-    return interaction.interaction_torques(Arm.of(study.arm), base, *motion)
-
-
 @pytest.mark.parametrize("gravity", [None, 9.81])
-def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None) -> None:
-    """m_L ddq = T + D_G ddelta - d_L dq + tau holds to rounding for the true quantities."""
+@pytest.mark.parametrize("bend", [0.0, 0.8, np.pi])
+def test_every_joint_alone_obeys_its_two_inertias(gravity: float | None, bend: float) -> None:
+    """m_L ddq = T + D_G ddelta - d_L dq + tau holds to rounding, with m_L of any posture."""
     study, run = run_of(gravity)
     values = rig_values(study)
-    tau = torques(study, true_model(study, values), run)
+    base = interaction.base_parameters(true_model(study, values), Arm.of(study.arm))
+    motion = (run["link_angle"], run["link_velocity"], run["link_acceleration"])
+    postures = np.array([[0.3, bend], [0.3, bend]])
+    tau = interaction.interaction_torques(Arm.of(study.arm), base, *motion, postures)
     alpha, beta, gamma = (values[name, None] for name in ("alpha", "beta", "gamma"))
-    for i, inertia in enumerate((alpha + beta + 2.0 * gamma, beta)):
+    for i, inertia in enumerate((alpha + beta + 2.0 * gamma * np.cos(bend), beta)):
         viscous = values["link_viscous_friction", i + 1]
         applied_torque = run["gear_torque"][:, i] - viscous * run["link_velocity"][:, i] + tau[:, i]
         inertia_torque = inertia * run["link_acceleration"][:, i]
@@ -280,3 +279,33 @@ def test_lab_records_pass_their_checks(shared_data: Path) -> None:
     assert all(check.passed for check in joints[0].checks)
     # 1.5e-4 + 1e-4 * 3.82895 from truth.json
     assert joints[0].total_inertia == pytest.approx(5.32895e-4, rel=2e-3)
+
+
+def test_the_posture_is_that_of_the_records_that_excite_a_joint() -> None:
+    study, run = run_of(None)
+    side = links.prepare_link_signals(log_of(run, seed=2), Arm.of(study.arm))
+
+    def record(joint: int, use: Use, bend: float) -> LinkSignals:
+        experiment = replace(side.experiment, joint=joint, use=use)
+        return replace(side, experiment=experiment, link_angle=np.full_like(side.link_angle, bend))
+
+    records = [record(1, "frequency", 0.2), record(1, "frequency", 0.4), record(1, "sweep", 2.0)]
+    postures = interaction.mean_postures([*records, record(2, "sweep", 1.0)])
+    np.testing.assert_allclose(postures, [[0.3, 0.3], [1.0, 1.0]])
+    model = true_model(study, rig_values(study))
+    first = decoupling.decouple(records[0], model, Arm.of(study.arm))[0]
+    bent, stretched = (
+        decoupling.decouple(records[0], model, Arm.of(study.arm), postures=np.full((2, 2), q))[0]
+        for q in (0.2, 0.0)
+    )
+    np.testing.assert_allclose(first.inputs, bent.inputs, atol=1e-12)
+    np.testing.assert_allclose(first.posture, (0.2, 0.2))
+    gamma, ratio = rig_values(study)["gamma", None], study.arm.joints[0].gear_ratio
+    change = 2.0 * gamma * (1.0 - np.cos(0.2))
+    assert stretched.total_inertia is not None
+    assert bent.total_inertia == pytest.approx(stretched.total_inertia - ratio**2 * change)
+    np.testing.assert_allclose(
+        stretched.inputs[:, 1] - bent.inputs[:, 1],
+        change * records[0].link_acceleration[:, 0],
+        atol=1e-9,
+    )

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 
 from strainwave.domain.arm import ArmDescription
+from strainwave.domain.arrays import FloatArray
 from strainwave.domain.base_parameters import MOTOR_INERTIA, base_parameters, link_inertia
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import RigidColumn
@@ -78,10 +81,13 @@ def lumped_inertias(arm: ArmDescription) -> dict[Key, Row]:
     return {column.key: column.parts for column in columns if len(column.parts) > 1}
 
 
-def total_inertia(arm: ArmDescription, joint: int) -> Row:
-    """c_1 = m_M + n^2 m_L of a joint, from 1, (18), over the unknowns of `rigid_columns`."""
+def total_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = None) -> Row:
+    """c_1 = m_M + n^2 m_L of a joint, from 1, (18), over the unknowns of `rigid_columns`.
+
+    `posture` (n_joints,) are link angles; None: all are zero.
+    """
     n2 = arm.joints[joint - 1].gear_ratio ** 2
-    row = {key: n2 * weight for key, weight in link_inertia(arm, joint).items()}
+    row = {key: n2 * weight for key, weight in link_inertia(arm, joint, posture).items()}
     return base_parameters(arm).weights({(MOTOR_INERTIA, joint): 1.0, **row})
 
 
@@ -100,6 +106,14 @@ def inertias_of_links(arm: ArmDescription) -> tuple[tuple[Key, Row], ...]:
             rest = {part: -w / weight for part, w in row.items()}
             derived[key] = {(LINK_INERTIA, joint): 1.0 / weight, **rest}
     return tuple(derived.items())
+
+
+def change_from(arm: ArmDescription, joint: int, posture: Sequence[float]) -> Row:
+    """`link_inertia` of a joint, from 1, at zero angles minus that in a posture, as a row."""
+    row = dict(link_inertia(arm, joint))
+    for key, weight in link_inertia(arm, joint, np.array(posture)).items():
+        row[key] = row.get(key, 0.0) - weight
+    return {key: weight for key, weight in row.items() if weight}
 
 
 def value_of(row: Row, values: Mapping[Key, float]) -> float:

@@ -14,7 +14,13 @@ from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
-from strainwave.domain.combinations import inertias_of_links, lumped_inertias
+from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.combinations import (
+    LINK_INERTIA,
+    change_from,
+    inertias_of_links,
+    lumped_inertias,
+)
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
@@ -99,6 +105,7 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
         for joint_model in results.joints
         if not _enter_if_rejected(table, joint_model, first_affected)
     ]
+    accepted = [_at_zero_angles(joint, table, study.arm) for joint in accepted]
     for joint in accepted:
         table.update({_key(p): _Entry(p) for p in joint.parameters})
     if whole_arm is not None:
@@ -239,6 +246,23 @@ def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, str]:
             if is_large and abs(shift.deviations) > CI95_STDS:
                 reasons.setdefault((shift.name, shift.joint), reason)
     return reasons
+
+
+def _at_zero_angles(model: JointModel, table: _Table, arm: ArmDescription) -> JointModel:
+    """The joint model with its `link_inertia` at zero angles, by the base parameters of the table.
+
+    None if one of them is unknown.
+    """
+    row = change_from(arm, model.joint, model.posture) if model.posture else {}
+    if not row:
+        return model
+    weights = base_parameters(arm).weights(row)
+    change = [(weight, _accepted_estimate(table, key)) for key, weight in weights.items()]
+    parameters = {p.name: p for p in model.parameters}
+    own = parameters[LINK_INERTIA]
+    at_zero = _weighted_sum(own.name, own.joint, [(1.0, own), *change])
+    parameters[LINK_INERTIA] = at_zero or replace(own, value=None, std=None, ci95=None)
+    return replace(model, parameters=tuple(parameters.values()))
 
 
 def _make_consistent(

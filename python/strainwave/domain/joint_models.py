@@ -51,6 +51,7 @@ class Decoupled(Displayed):
     richness: FloatArray  # (n_frequencies,) smallest over largest eigenvalue of the input spectrum
     checks: tuple[Check, ...]
     warnings: tuple[Diagnostic, ...] = ()
+    posture: tuple[float, ...] = ()  # link angles [rad] of m_L; empty: all are zero
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +80,7 @@ class JointModel(Displayed):
     fit_percent: Mapping[str, float]  # of each equation, or of each output
     status: Literal["determined", "partly-determined", "implausible"]
     warnings: tuple[Diagnostic, ...] = ()
+    posture: tuple[float, ...] = ()  # link angles [rad] of `link_inertia`; empty: all are zero
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from strainwave.domain import FloatArray, RigidModel
+from strainwave.domain import FloatArray, LinkSignals, RigidModel
 from strainwave.domain.combinations import total_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -30,19 +32,37 @@ def interaction_torques(
     angle: FloatArray,
     velocity: FloatArray,
     acceleration: FloatArray,
+    postures: FloatArray | None = None,
 ) -> FloatArray:
     """Torque of the other links, of velocities and of gravity on each link, (13), (14).
 
-        tau_i = mbar_i ddq_i - [M(q) ddq + c(q, dq) + g(q)]_i
-        mbar_1 = alpha + beta + 2 gamma,   mbar_2 = beta
+        tau_i = mbar_i ddq_i - [M(q) ddq + c(q, dq) + g(q)]_i,   mbar_i = M(postures_i)_ii
 
-    mbar_i is the inertia of link i with the arm stretched. For joint 1 this is 2 gamma (1 - cos q2)
-    ddq1 - (beta + gamma cos q2) ddq2 - c_1 - g_1. It does not depend on alpha, which is part of
-    both mbar_1 and M_11, so alpha + m_M1/n1^2 can replace alpha. Motions are those of the links,
-    relative: (n_samples, n_joints). `base` is from `base_parameters`.
+    For two links mbar_1 = alpha + beta + 2 gamma cos q2 and mbar_2 = beta, so that tau_1 does not
+    depend on alpha, which is part of both mbar_1 and M_11: alpha + m_M1/n1^2 can replace it.
+    Motions are those of the links, relative: (n_samples, n_joints). Row i of `postures` (n_joints,
+    n_joints) has the link angles at which mbar_i is taken; None: all are zero. `base` is from
+    `base_parameters`.
     """
-    total = arm.link_torques(base, angle, velocity, acceleration)
-    return np.asarray(arm.link_inertias(base) * acceleration - total)
+    at = np.zeros((arm.n_joints, arm.n_joints)) if postures is None else postures
+    own = [arm.inertia_matrix(base, posture)[i, i] for i, posture in enumerate(at)]
+    return np.asarray(own * acceleration - arm.link_torques(base, angle, velocity, acceleration))
+
+
+def mean_postures(records: Sequence[LinkSignals]) -> FloatArray:
+    """Posture of each joint in the records that excite it, (n_joints, n_joints) [rad].
+
+    Row i is the mean of the link angles over the full-amplitude records that excite joint i, over
+    its other records if there are none, or over all records.
+    """
+    postures = []
+    for number in range(1, records[0].link_angle.shape[1] + 1):
+        own = [r for r in records if r.experiment.joint in (None, number)]
+        full = [r for r in own if r.experiment.use == "frequency"]
+        postures.append(
+            np.mean([r.link_angle.mean(axis=0) for r in full or own or records], axis=0)
+        )
+    return np.array(postures)
 
 
 def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
@@ -56,12 +76,15 @@ def base_variations(model: RigidModel, arm: Arm) -> FloatArray:
     return derivatives
 
 
-def total_inertias(model: RigidModel, arm: Arm) -> FloatArray:
+def total_inertias(model: RigidModel, arm: Arm, postures: FloatArray | None = None) -> FloatArray:
     """c_1 = m_M + n^2 m_L of (18), motor side: (n_joints,) [kg m^2].
 
-    Raises NotIdentifiable if a parameter is unknown.
+    m_L is that of each joint in its posture; None: all angles are zero. Raises NotIdentifiable if
+    a parameter is unknown.
     """
-    rows = [total_inertia(arm, joint) for joint in range(1, arm.n_joints + 1)]
+    zero = np.zeros((arm.n_joints, arm.n_joints))
+    at = zero if postures is None else postures
+    rows = [total_inertia(arm, joint, posture) for joint, posture in enumerate(at, start=1)]
     return np.array(
         [sum(weight * known(model, *key) for key, weight in row.items()) for row in rows]
     )

@@ -24,6 +24,7 @@ from strainwave.dynamics.interaction_torque import (
     base_parameters,
     interaction_torques,
     known,
+    mean_postures,
     total_inertias,
 )
 from strainwave.errors import NotIdentifiable
@@ -53,6 +54,7 @@ def decouple(
     model: RigidModel | None,
     arm: Arm,
     options: DecouplingOptions | None = None,
+    postures: FloatArray | None = None,
 ) -> tuple[Decoupled, ...]:
     """Decouple each joint into a two-inertia system with the inputs u and tau.
 
@@ -60,11 +62,15 @@ def decouple(
 
     Returns one record per joint, from the base. `model` may be None for a single joint without
     gravity; its friction then remains in u. A single joint without gravity has only the input u.
+    Row i of `postures` (n_joints, n_joints) [rad] has the link angles at which m_L of joint i is
+    taken, the same for all records that are fitted together; None: the mean angles of the record.
 
     Raises `NotIdentifiable` if the rigid model is missing or lacks a parameter of the torques.
     """
     options = options or DecouplingOptions()
-    base, tau = _interaction(signals, model, arm)
+    if postures is None:
+        postures = mean_postures([signals])
+    base, tau = _interaction(signals, model, arm, postures)
     records = []
     for i in range(arm.n_joints):
         u = signals.motor_torque[:, i]
@@ -88,7 +94,7 @@ def decouple(
                 valid=np.asarray(signals.valid.all(axis=1)),
                 held=signals.held[i],
                 gear_ratio=arm.joints[i].gear_ratio,
-                total_inertia=float(total_inertias(model, arm)[i]) if model else None,
+                total_inertia=float(total_inertias(model, arm, postures)[i]) if model else None,
                 total_viscous_friction=_total_viscous_friction(model, arm, i + 1)
                 if model
                 else None,
@@ -99,13 +105,14 @@ def decouple(
                 richness=richness,
                 checks=checks,
                 warnings=tuple(_warnings(signals, arm, i, checks)),
+                posture=tuple(postures[i].tolist()),
             )
         )
     return tuple(records)
 
 
 def _interaction(
-    signals: LinkSignals, model: RigidModel | None, arm: Arm
+    signals: LinkSignals, model: RigidModel | None, arm: Arm, postures: FloatArray
 ) -> tuple[FloatArray, FloatArray | None]:
     """Base parameters and interaction torques; None if no interaction torque acts on the joint."""
     if is_uncoupled(arm):
@@ -116,7 +123,7 @@ def _interaction(
         )
     base = base_parameters(model, arm)
     motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
-    return base, interaction_torques(arm, base, *motion)
+    return base, interaction_torques(arm, base, *motion, postures)
 
 
 def _total_viscous_friction(model: RigidModel, arm: Arm, joint: int) -> float | None:
@@ -233,7 +240,7 @@ def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> 
     zero = np.zeros_like(q)
     static_torque = arm.link_torques(base, q, zero, zero)
     inertia = (arm.link_torques(base, q, zero, unit_acceleration) - static_torque)[:, i]
-    change = float(np.ptp(inertia) / arm.link_inertias(base)[i])
+    change = float(np.ptp(inertia) / np.mean(inertia))
     message = f"the link's own inertia changes by {100.0 * change:.2g} %"
     message += (
         ""

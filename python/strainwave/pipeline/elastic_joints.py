@@ -25,6 +25,7 @@ from strainwave.domain import (
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
+from strainwave.dynamics.interaction_torque import mean_postures
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, frequency
 from strainwave.identification import joint_model as physical
@@ -82,9 +83,13 @@ def fit_elastic_joints(
             stage = _fit_alternatives(inputs, fit, rigid_model)
         else:
             try:
-                joints = run_parallel(
-                    [partial(decoupling.decouple, side, rigid_model, placed_arm) for side in sides]
+                decouple = partial(
+                    decoupling.decouple,
+                    model=rigid_model,
+                    arm=placed_arm,
+                    postures=mean_postures(sides),
                 )
+                joints = run_parallel([partial(decouple, side) for side in sides])
             except NotIdentifiable as failure:
                 return JointStage(
                     delays=removed, warnings=tuple(warnings), failures=(str(failure),)

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from strainwave.domain import RecordModel
+from strainwave.domain import Decoupled, RecordModel
+from strainwave.domain.base_parameters import link_inertia
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
 from strainwave.identification import decoupling, rigid
@@ -45,12 +46,15 @@ def records_of(folder: Path) -> dict[str, RecordModel]:
     return models
 
 
-def truth_of(folder: Path, joint: int, slope: int = 0) -> TwoInertia:
-    parameters = json.loads((folder / "truth.json").read_text())["joints"][joint - 1]
+def truth_of(folder: Path, decoupled: Decoupled, slope: int = 0) -> TwoInertia:
+    """True parameters of the excited joint, with the link inertia in the record's posture."""
+    truth = json.loads((folder / "truth.json").read_text())
+    parameters, arm = truth["joints"][decoupled.joint - 1], read_study(folder / "study.toml").arm
+    row = link_inertia(arm, decoupled.joint, np.array(decoupled.posture))
     return TwoInertia(
         motor_inertia=parameters["motor_inertia"],
         motor_viscous_friction=parameters["motor_viscous_friction"],
-        link_inertia=parameters["link_inertia"],
+        link_inertia=sum(weight * truth[name] for (name, _), weight in row.items()),
         link_viscous_friction=parameters["link_viscous_friction"],
         gear_stiffness=parameters["gear_stiffness"][slope],
         gear_damping=parameters["gear_damping"],
@@ -65,7 +69,7 @@ def truth_of(folder: Path, joint: int, slope: int = 0) -> TwoInertia:
 def test_linear_arms_come_back(shared_data: Path, arm: str, asked: float, given: float) -> None:
     folder = shared_data / "lab" / arm
     for name, record in records_of(folder).items():
-        truth = truth_of(folder, record.signals.joint)
+        truth = truth_of(folder, record.signals)
         grey, linear = record.physical, record.transfer
         assert grey is not None, name
         assert linear is not None, name
@@ -91,7 +95,7 @@ def test_deviations_hold_the_truth(shared_data: Path) -> None:
     for arm in ("scara-linear-5kg", "vertical-linear-0kg"):
         folder = shared_data / "lab" / arm
         for record in records_of(folder).values():
-            truth, model = truth_of(folder, record.signals.joint), record.physical
+            truth, model = truth_of(folder, record.signals), record.physical
             assert model is not None
             for key in WELL_IDENTIFIED:
                 k = list(model.values).index(key)
@@ -104,7 +108,7 @@ def test_deviations_hold_the_truth(shared_data: Path) -> None:
 def test_a_three_slope_gear_lies_between_its_slopes(shared_data: Path) -> None:
     folder = shared_data / "lab" / "scara-strainwave-3kg"
     for name, record in records_of(folder).items():
-        soft, stiff = (truth_of(folder, record.signals.joint, slope) for slope in (0, 2))
+        soft, stiff = (truth_of(folder, record.signals, slope) for slope in (0, 2))
         for model in (record.physical, record.transfer):
             assert model is not None, name
             for key in ("motor_inertia", "link_inertia"):

@@ -144,8 +144,8 @@ def fit_joint(
 ) -> JointFit:
     """Fit one joint as `identify_joint` does and keep the solved equations."""
     chosen = options or PhysicalOptions()
-    number = records[0][1].joint
-    known = rigid_knowledge(model, arm, number, [signals for signals, _ in records])
+    first, sides = records[0][1], [signals for signals, _ in records]
+    known = rigid_knowledge(model, arm, first.joint, sides, first.posture)
     if not chosen.use_rigid:
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems: several threads are slower
@@ -154,7 +154,8 @@ def fit_joint(
 
 
 def _joint_model(solved: Solved) -> JointModel:
-    fit, number = solved.fit(), solved.records[0][1].joint
+    fit, (_, decoupled) = solved.fit(), solved.records[0]
+    number = decoupled.joint
     values, covariance = _values(fit), fit.covariance[:6, :6]
     estimate = JointEstimate(
         joint=solved.arm.joints[number - 1],
@@ -163,6 +164,7 @@ def _joint_model(solved: Solved) -> JointModel:
         values=values,
         covariance=_with_delay(fit.covariance, values, solved.records, number),
         determined=fit.determined,
+        posture=decoupled.posture,
     )
     return estimate.to_model(
         "grey-box",
@@ -295,7 +297,9 @@ def _by_transfer(
     model of the selected order are used.
     """
     reduced, records = fit.of_physical_order(), fit.records
-    known = rigid_knowledge(model if options.use_rigid else None, arm, records[0].joint)
+    known = rigid_knowledge(
+        model if options.use_rigid else None, arm, records[0].joint, posture=records[0].posture
+    )
     models_in_other_bands = _in_other_bands(records, reduced, modes_of(reduced), fit.options)
     return from_state_space(reduced, records, arm, known, models_in_other_bands)
 

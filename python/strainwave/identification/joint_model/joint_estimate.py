@@ -29,6 +29,7 @@ class JointEstimate:
     values: Mapping[str, float]
     covariance: FloatArray  # (n_values, n_values); NaN: no standard deviation
     determined: Sequence[bool]  # (n_values,)
+    posture: tuple[float, ...] = ()  # link angles [rad] of `link_inertia`; empty: all are zero
 
     def to_model(
         self,
@@ -57,6 +58,7 @@ class JointEstimate:
             fit_percent=fit_percent,
             status="implausible" if "implausible" in codes else status,
             warnings=warnings,
+            posture=self.posture,
         )
 
     def _entries(self) -> Iterator[_Entry]:

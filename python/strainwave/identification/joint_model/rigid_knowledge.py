@@ -52,23 +52,31 @@ def _add_change(known: tuple[float, float] | None, change: float) -> tuple[float
 
 
 def rigid_knowledge(
-    model: RigidModel | None, arm: Arm, joint: int, records: Sequence[LinkSignals] = ()
+    model: RigidModel | None,
+    arm: Arm,
+    joint: int,
+    records: Sequence[LinkSignals] = (),
+    posture: Sequence[float] = (),
 ) -> RigidKnowledge:
     """c_1, c_0 and Coulomb friction of one joint from the rigid model, with standard deviations.
 
-    `joint` counts from 1. The interaction torques of `records` come from the model; its errors in
-    them are part of the result. A value that the model does not give is None.
+    `joint` counts from 1. `posture` are the link angles [rad] of m_L; empty: all are zero. The
+    interaction torques of `records` come from the model; its errors in them are part of the result.
+    A value that the model does not give is None.
     """
     if model is None:
         return RigidKnowledge(None, None, None)
+    angles = np.array(posture or np.zeros(arm.n_joints))
     parts: tuple[Row, ...] = (
-        total_inertia(arm, joint),
+        total_inertia(arm, joint, angles),
         {("total_viscous_friction", joint): 1.0},
         {("motor_coulomb_friction", joint): 1.0},
     )
     weights = [_weight(model, part) for part in parts]
     known = [_sum(model, weight) for weight in weights]
-    errors = tuple(_errors(model, arm, joint, records, weights)) if records else ()
+    errors: tuple[RigidError, ...] = ()
+    if records and not is_uncoupled(arm):
+        errors = tuple(_errors(model, arm, joint, angles, records, weights))
     return RigidKnowledge(known[0], known[1], known[2], errors)
 
 
@@ -94,13 +102,14 @@ def _errors(
     model: RigidModel,
     arm: Arm,
     joint: int,
+    posture: FloatArray,
     records: Sequence[LinkSignals],
     weights: Sequence[FloatArray | None],
 ) -> Iterator[RigidError]:
     """Independent error directions of tau, with the expected changes of the other parameters."""
-    if is_uncoupled(arm):
-        return
     variations = base_variations(model, arm)
+    motions = [(each.link_angle, each.link_velocity, each.link_acceleration) for each in records]
+    postures = np.tile(posture, (arm.n_joints, 1))
     used = np.flatnonzero(variations.any(axis=0))
     used = used[np.diag(model.covariance)[used] > 0.0]  # excludes NaN
     scale = np.sqrt(np.diag(model.covariance)[used])
@@ -117,9 +126,6 @@ def _errors(
         base = variations @ change
         changes = [0.0 if weight is None else float(weight @ change) for weight in weights]
         tau = tuple(
-            interaction_torques(arm, base, s.link_angle, s.link_velocity, s.link_acceleration)[
-                :, joint - 1
-            ]
-            for s in records
+            interaction_torques(arm, base, *motion, postures)[:, joint - 1] for motion in motions
         )
         yield RigidError(tau, *changes)

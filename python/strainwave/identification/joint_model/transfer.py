@@ -122,7 +122,15 @@ def from_state_space(
     reciprocity = _reciprocity(model, modes[0].frequency_hz, modes[1].frequency_hz)
     if reciprocity is not None:
         fit["reciprocity"] = reciprocity
-    estimate = JointEstimate(arm.joints[number - 1], number, names, values, covariance, identified)
+    estimate = JointEstimate(
+        arm.joints[number - 1],
+        number,
+        names,
+        values,
+        covariance,
+        identified,
+        joint_records[0].posture,
+    )
     place = Place.in_records(*names)
     notes = _assumption_warnings(nominal, coefficients, reciprocity, place)
     return estimate.to_model("transfer-function", (modes[0], modes[1]), band, fit, notes)

@@ -220,7 +220,8 @@ def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.WholeArm
     }
     if STIFFNESS not in values_of_joint or result.study.arm.joints[joint.joint - 1].law.is_curved:
         values_of_joint[STIFFNESS] = joint.values[STIFFNESS]
-    row = link_inertia(result.study.arm, joint.joint)
+    posture = np.array(joint.posture) if joint.posture else None
+    row = link_inertia(result.study.arm, joint.joint, posture)
     if all(key in values for key in row):
         values_of_joint["link_inertia"] = value_of(row, values)
     names = list(joint.values)[:6]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import Diagnostic, JointModel, RigidModel
-from strainwave.domain.combinations import value_of
+from strainwave.domain.combinations import change_from, value_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.starts import StageInertias, is_positive
@@ -45,10 +45,11 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
     typical value exists.
     """
     models = _models_by_joint(joints, arm)
+    rigid = {(p.name, p.joint): p.value for p in model.parameters} if model else {}
     estimates = StageInertias(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
-        link={number: joint.values["link_inertia"] for number, joint in models.items()},
-        rigid={(p.name, p.joint): p.value for p in model.parameters} if model else {},
+        link={number: _link_inertia(joint, rigid, arm) for number, joint in models.items()},
+        rigid=rigid,
     )
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
     for key in arm.base.separate_links - start.keys():
@@ -84,6 +85,13 @@ def warn_rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
         )
         text += f" whole-arm fit starts from the typical value {starts.values[name, joint]:.3g}"
         yield Diagnostic("start-rejected", place, text)
+
+
+def _link_inertia(joint: JointModel, rigid: Mapping[Key, float | None], arm: Arm) -> float:
+    """`link_inertia` of a joint model at zero angles, with the change by the rigid model."""
+    known = {key: value or 0.0 for key, value in rigid.items()}
+    row = arm.base.weights(change_from(arm, joint.joint, joint.posture)) if joint.posture else {}
+    return joint.values["link_inertia"] + value_of(row, known)
 
 
 def _friction(
