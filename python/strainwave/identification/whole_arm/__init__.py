@@ -97,13 +97,13 @@ def fit_records(
 
 def _fit(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
-    coarse = coarse_search(start.coarse, start.start, selection.options)
+    coarse = coarse_search(Fit.at(start.coarse, start.start), selection.options)
     coarse = select_model(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
     records = [replace(record, begins_in_motion=found.begins_in_motion) for record, found in pairs]
     with_effects = set_record_effects(records, selection.arm, coarse.objective.space.keys)
     objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
-    fine = fine_search(objective, coarse.z, coarse.iterations, selection.options)
+    fine = fine_search(replace(coarse, objective=objective), selection.options)
     if fine.converged:  # what comes beside has evaluations of its own
         selection.renew(fine)
     return polish(select_model(fine, FINE, selection), selection.options)

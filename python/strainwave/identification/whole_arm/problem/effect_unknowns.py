@@ -15,6 +15,7 @@ from strainwave.domain.parameter_table import COULOMB, base_name, of_record
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import keep_known_effects
+from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.largest_loads import Loads
@@ -220,3 +221,9 @@ def set_record_effects(
         return replace(record, arm=record.arm.with_joints(joints))
 
     return tuple(with_effects(record) for record in records)
+
+
+def with_effects(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
+    """The objective for other unknowns, with their effects in the arm."""
+    records = set_record_effects(objective.records, arm, space.keys)
+    return replace(objective.replace_unknowns(space), records=records)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from strainwave.domain import FloatArray
 from strainwave.domain.keys import Values
@@ -12,13 +14,27 @@ from strainwave.identification.whole_arm.problem.parameter_space import Paramete
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Final iterate of a search."""
+    """Iterate of a search: its result, or the start of another one."""
 
     objective: Objective
     z: FloatArray  # (n_unknowns,)
     cost: float  # objective with the final weights; infinite before the first iteration
     iterations: int
     converged: bool
+
+    @classmethod
+    def at(cls, objective: Objective, z: FloatArray) -> Fit:
+        """The start of a search at z (n_unknowns,)."""
+        return cls(objective, z, np.inf, 0, False)
+
+    def restart(self, objective: Objective, z: FloatArray) -> Fit:
+        """The start of a search with another objective; its evaluations count from this fit."""
+        return replace(self, objective=objective, z=z, cost=np.inf, converged=False)
+
+    def with_unknowns(self, space: ParameterSpace, starts: Values | None = None) -> Fit:
+        """The start of a search with other unknowns, at `starts` and the values of this fit."""
+        z = space.coordinates(self.values | (starts or {}))
+        return self.restart(self.objective.replace_unknowns(space), z)
 
     @property
     def space(self) -> ParameterSpace:

@@ -50,35 +50,23 @@ def report_progress(progress: Progress | None) -> Iterator[None]:
         _progress.reset(token)
 
 
-def coarse_search(objective: Objective, start: FloatArray, options: WholeArmOptions) -> Fit:
-    """Search from `start` (n_unknowns,) with initial weights, then with updated weights.
+def coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
+    """Search with initial weights, then with updated weights.
 
     Large initial errors give small weights, and with these a search may end too early. The weights
     are updated as long as the errors decrease markedly.
     """
     fit = search_minimum(
-        objective,
-        start,
-        0,
-        options,
-        tolerance=COARSE_TOLERANCE,
-        relative=_INITIAL_RELATIVE_TOLERANCE,
+        start, options, tolerance=COARSE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
     if not fit.converged or fit.iterations >= options.max_iterations:
         return replace(fit, converged=False)
     return _reweight(fit, options)
 
 
-def resumed_coarse_search(
-    objective: Objective, z: FloatArray, n_evaluations: int, options: WholeArmOptions
-) -> Fit:
-    """Continue a coarse search from `z` (n_unknowns,) after a change of records or unknowns.
-
-    `n_evaluations` is the number of evaluations so far.
-    """
-    return _reweight(
-        search_minimum(objective, z, n_evaluations, options, tolerance=COARSE_TOLERANCE), options
-    )
+def resumed_coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
+    """Continue a coarse search after a change of records or unknowns."""
+    return _reweight(search_minimum(start, options, tolerance=COARSE_TOLERANCE), options)
 
 
 def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
@@ -91,7 +79,7 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
         relative=COARSE_RELATIVE_TOLERANCE,
     )
     for _ in range(_MAX_COARSE_UPDATES):
-        fit = search(fit.objective, fit.z, fit.iterations)
+        fit = search(fit)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.converged or fit.iterations >= options.max_iterations
         if is_finished or not _has_decreased(fit.objective, updated):
@@ -100,25 +88,17 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     return fit
 
 
-def fine_search(
-    objective: Objective, z: FloatArray, n_evaluations: int, options: WholeArmOptions
-) -> Fit:
+def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     """Alternate least squares and weight updates until the weights converge.
 
-    `z` (n_unknowns,) is near the minimum, and `n_evaluations` is the number of evaluations so far.
-    The step error of the integrator is corrected after the first search and again near the minimum.
-    Call `polish` to complete the search.
+    `start` is near the minimum. The step error of the integrator is corrected after the first
+    search and again near the minimum. Call `polish` to complete the search.
     """
     fit = search_minimum(
-        objective,
-        z,
-        n_evaluations,
-        options,
-        tolerance=_FINE_TOLERANCE,
-        relative=_INITIAL_RELATIVE_TOLERANCE,
+        start, options, tolerance=_FINE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
-    if n_evaluations >= options.max_iterations:  # no evaluations are left; only the cost is new
-        return replace(fit, iterations=n_evaluations, converged=False)
+    if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
+        return replace(fit, iterations=start.iterations, converged=False)
     if fit.converged and fit.iterations < options.max_iterations:
         fit = refine(_update_corrections(fit), options, tolerance=_FINE_TOLERANCE)
     if not fit.converged or fit.iterations >= options.max_iterations:
@@ -141,7 +121,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
             return replace(fit, converged=False)
-        fit = search(fit.objective, fit.z, fit.iterations, damping=_NEAR_DAMPING)
+        fit = search(fit, damping=_NEAR_DAMPING)
         updated = fit.objective.update_weights(fit.z)
         if not fit.converged or _has_converged(fit.objective, updated):
             break
@@ -153,20 +133,11 @@ def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
     if not fit.converged or fit.iterations >= options.max_iterations:
         return fit
-    return search_minimum(
-        fit.objective,
-        fit.z,
-        fit.iterations,
-        options,
-        tolerance=_FINE_TOLERANCE,
-        damping=_NEAR_DAMPING,
-    )
+    return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING)
 
 
 def search_minimum(
-    objective: Objective,
-    z: FloatArray,
-    n_evaluations: int,
+    start: Fit,
     options: WholeArmOptions,
     *,
     tolerance: float,
@@ -174,23 +145,22 @@ def search_minimum(
     damping: float = 1e-3,
     max_evaluations: int | None = None,
 ) -> Fit:
-    """Minimise the objective with its current weights, from `z` (n_unknowns,).
+    """Minimise the objective of `start` with its current weights, from its iterate.
 
-    `n_evaluations` is the number of evaluations so far, and `max_evaluations` limits those of this
-    search. See `minimise` for `tolerance`, `relative` and `damping`. Raises `NotIdentifiable` if
-    the arm cannot be simulated at `z`.
+    `max_evaluations` limits the evaluations of this search. See `minimise` for `tolerance`,
+    `relative` and `damping`. Raises `NotIdentifiable` if the arm cannot be simulated at `start`.
     """
-    n_remaining = options.max_iterations - n_evaluations
-    evaluation = count(n_evaluations + 1)
+    n_remaining = options.max_iterations - start.iterations
+    evaluation = count(start.iterations + 1)
 
     def linearise(x: FloatArray) -> Linearised | None:
         _progress.get()(next(evaluation), options.max_iterations)
-        return objective.linearise(x)
+        return start.objective.linearise(x)
 
     minimum = minimise(
         linearise,
-        z,
-        objective.space,
+        start.z,
+        start.space,
         tolerance=tolerance,
         relative=relative,
         damping=damping,
@@ -200,13 +170,8 @@ def search_minimum(
     )
     if minimum is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm at the start values")
-    return Fit(
-        objective,
-        minimum.x,
-        minimum.at.cost,
-        n_evaluations + minimum.evaluations,
-        minimum.converged,
-    )
+    n_evaluations = start.iterations + minimum.evaluations
+    return Fit(start.objective, minimum.x, minimum.at.cost, n_evaluations, minimum.converged)
 
 
 def _has_converged(old: Objective, new: Objective) -> bool:

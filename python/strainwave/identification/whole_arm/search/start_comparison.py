@@ -154,22 +154,17 @@ def _continue_search(
         if search.is_limited:
             joints = _recentre(search)
             objective = objective_of(joints)
-            fit = replace(
-                fit,
-                objective=objective,
-                z=objective.space.coordinates(_values_with_start_springs(fit, objective)),
-            )
+            values = _values_with_start_springs(fit, objective)
+            fit = Fit.at(objective, objective.space.coordinates(values))
         fit = search_minimum(
-            fit.objective,
-            fit.z,
-            0,
+            replace(fit, iterations=0),
             options,
             tolerance=COARSE_TOLERANCE,
             max_evaluations=EVALUATIONS_PER_ROUND,
         )
     except NotIdentifiable:
         return None
-    return _SearchState(joints, replace(fit, iterations=0))
+    return _SearchState(joints, fit)
 
 
 def _recentre(search: _SearchState) -> list[JointModel]:

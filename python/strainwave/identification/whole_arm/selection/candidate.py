@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
-from strainwave.domain import FloatArray, WholeArmOptions
+from strainwave.domain import WholeArmOptions
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_RELATIVE_TOLERANCE,
@@ -57,19 +56,14 @@ class Candidate(Protocol):
         """Return the fit of the changed model if the data support it, otherwise `fit`."""
 
 
-def run_trial(
-    fit: Fit, objective: Objective, z: FloatArray, selection: Selection, max_evaluations: int | None
-) -> Fit:
-    """Run a coarse search of another model from `z` (n_unknowns,).
+def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> Fit:
+    """Run a coarse search of another model.
 
-    The evaluation count continues from that of `fit`. `max_evaluations` limits the evaluations of
-    the trial; None allows all remaining ones. Raises `NotIdentifiable` if the arm cannot be
-    simulated at `z`.
+    `max_evaluations` limits the evaluations of the trial; None allows all remaining ones. Raises
+    `NotIdentifiable` if the arm cannot be simulated at `start`.
     """
     return search_minimum(
-        objective,
-        z,
-        fit.iterations,
+        start,
         selection.options,
         tolerance=COARSE_TOLERANCE,
         relative=COARSE_RELATIVE_TOLERANCE,

@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
-from strainwave.domain import Cause, Diagnostic, FloatArray, ParameterShift, WholeArmOptions
+from strainwave.domain import Cause, Diagnostic, ParameterShift, WholeArmOptions
 from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Values
@@ -30,9 +31,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     add_effects,
     effects_in,
     named_effects,
-    set_record_effects,
+    with_effects,
 )
-from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.records.gear_torques import gear_torques
 from strainwave.identification.whole_arm.records.largest_loads import Loads, loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
@@ -237,35 +237,15 @@ def _search_with_effect(
     options: WholeArmOptions,
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
-    space = fit.space
-    extended, begin = add_effects(space, [one], arm, start, loads, fit.records)
-    objective = replace(
-        fit.objective.replace_unknowns(extended),
-        records=set_record_effects(
-            fit.objective.records, _with_possible_effect(arm, one), extended.keys
-        ),
-    )
+    space, z = add_effects(fit.space, [one], arm, start, loads, fit.records)
+    search = partial(search_minimum, options=options, tolerance=REFIT_GAIN_TOLERANCE)
     try:
-        intermediate = search_minimum(objective, begin, 0, options, tolerance=REFIT_GAIN_TOLERANCE)
-        objective = intermediate.objective.correct_step_error(intermediate.z)
-        return search_minimum(
-            objective,
-            intermediate.z,
-            intermediate.iterations,
-            options,
-            tolerance=REFIT_GAIN_TOLERANCE,
+        first = search(
+            Fit.at(with_effects(fit.objective, space, _with_possible_effect(arm, one)), z)
         )
+        return search(replace(first, objective=first.objective.correct_step_error(first.z)))
     except (InvalidInput, NotIdentifiable, NumericalFailure):
         return None
-
-
-def _in_short_steps(fit: Fit, refit: Refit, arm: Arm) -> tuple[Objective, FloatArray]:
-    """The objective of a refit in the steps of the fit, and the point of the refit."""
-    space = refit.fit.space
-    records = set_record_effects(
-        fit.objective.records, _with_possible_effect(arm, refit.named_effect), space.keys
-    )
-    return replace(fit.objective.replace_unknowns(space), records=records), refit.fit.z
 
 
 def _with_possible_effect(arm: Arm, one: NamedEffect) -> Arm:
@@ -332,8 +312,10 @@ def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
         if not refits.fits:
             break
         selection.renew(fit)
-        objective, z = _in_short_steps(fit, refits.fits[0], arm)
-        fit = fine_search(objective, z, fit.iterations, selection.options)
+        best = refits.fits[0]
+        extended = _with_possible_effect(arm, best.named_effect)
+        objective = with_effects(fit.objective, best.fit.space, extended)
+        fit = fine_search(fit.restart(objective, best.fit.z), selection.options)
     return fit
 
 

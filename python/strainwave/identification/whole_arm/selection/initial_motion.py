@@ -37,7 +37,7 @@ def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
     objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:
         return fit
-    return resumed_coarse_search(objective, fit.z, fit.iterations, selection.options)
+    return resumed_coarse_search(replace(fit, objective=objective), selection.options)
 
 
 def add_initial_states(objective: Objective, z: FloatArray) -> Objective:

@@ -102,9 +102,7 @@ def _choose_mounting(
     for k in (*by_kind[0][:_MAX_STARTS], *by_kind[1][:2]):
         candidate, start = starts[k]
         trial = search_minimum(
-            candidate,
-            start,
-            0,
+            Fit.at(candidate, start),
             options,
             tolerance=COARSE_TOLERANCE,
             max_evaluations=_MAX_SEARCH_EVALUATIONS,
@@ -154,14 +152,13 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
         starts = [_with_mounting(fit.objective, values, one) for one in mountings]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_MAX_STARTS]:
             trial = search_minimum(
-                *starts[k],
-                fit.iterations,
+                fit.restart(*starts[k]),
                 options,
                 tolerance=COARSE_TOLERANCE,
                 max_evaluations=_MAX_SEARCH_EVALUATIONS,
             )
             if trial.cost < (1.0 - _MIN_COST_REDUCTION) * fit.cost:
-                fit = resumed_coarse_search(trial.objective, trial.z, trial.iterations, options)
+                fit = resumed_coarse_search(trial, options)
                 break
     return fit
 
@@ -184,19 +181,13 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
         if not _is_in_plane(fit.space, joint) or (joint == 1 and not arm.gravity):
             continue
         tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
-        values = fit.values
         trials = []
         for side in (1.0, -1.0):
             starts = {tilts[0]: _START_TILT, tilts[1]: side * _START_TILT}
             space = add_sensor_constants(fit.space, tilts, starts)
-            objective = fit.objective.replace_unknowns(space)
-            start = space.coordinates({**values, **starts})
-            evaluations = fit.iterations
             trials.append(
                 search_minimum(
-                    objective,
-                    start,
-                    evaluations,
+                    fit.with_unknowns(space, starts),
                     options,
                     tolerance=COARSE_TOLERANCE,
                     max_evaluations=_MAX_SEARCH_EVALUATIONS,

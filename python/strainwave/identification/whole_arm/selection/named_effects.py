@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     NamedEffect,
@@ -14,9 +13,8 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     insignificant_effects,
     named_effects,
     remove_effects,
-    set_record_effects,
+    with_effects,
 )
-from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
@@ -41,9 +39,7 @@ def add_named_effects(fit: Fit, selection: Selection) -> Fit:
     loads = loads_of(fit.objective.records, values)
     space, begin = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
     extended = search_minimum(
-        _with_space(fit.objective, space, arm),
-        begin,
-        fit.iterations,
+        fit.restart(with_effects(fit.objective, space, arm), begin),
         selection.options,
         tolerance=COARSE_TOLERANCE,
         max_evaluations=MAX_TRIAL_EVALUATIONS,
@@ -68,10 +64,10 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     if not named_effects(arm):
         return fit
     while gone := _insignificant_effects(fit):
-        values = fit.values
         space = remove_effects(fit.space, gone, arm)
-        objective = _with_space(fit.objective, space, arm)
-        fit = fine_search(objective, space.coordinates(values), fit.iterations, selection.options)
+        objective = with_effects(fit.objective, space, arm)
+        start = fit.restart(objective, space.coordinates(fit.values))
+        fit = fine_search(start, selection.options)
     return fit
 
 
@@ -79,9 +75,3 @@ def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
     """The insignificant effects among the unknowns."""
     covariance = confidence_of(fit).cautious
     return set(insignificant_effects(fit.space, fit.z, covariance))
-
-
-def _with_space(objective: Objective, space: ParameterSpace, arm: Arm) -> Objective:
-    """The objective for other unknowns, with their effects in the arm."""
-    records = set_record_effects(objective.records, arm, space.keys)
-    return replace(objective.replace_unknowns(space), records=records)

@@ -33,7 +33,6 @@ from strainwave.domain.parameter_table import record_of
 from strainwave.dynamics.link_sensors import MAX_SCALE_ERROR, MAX_SENSOR_DELAY
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
-from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.restrictions import is_held
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation
@@ -122,13 +121,8 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
     if not starts or fit.iterations >= options.max_iterations:
         return fit
     extended = add_sensor_constants(space, list(starts), starts)
-    objective, start = (
-        fit.objective.replace_unknowns(extended),
-        extended.coordinates(values | starts),
-    )
-    if coarse:
-        return resumed_coarse_search(objective, start, fit.iterations, options)
-    return _refine_from(fit, objective, start, options)
+    search = resumed_coarse_search if coarse else refine
+    return search(fit.with_unknowns(extended, values | starts), options)
 
 
 def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
@@ -155,31 +149,16 @@ def add_significant_sensor_constants(fit: Fit, selection: Selection, *, coarse: 
         estimates |= _significant_drifts(fit, options)
         if not estimates:
             break
-        values = fit.values
         space = add_sensor_constants(fit.space, list(estimates))
-        start = space.coordinates(values | estimates)
-        objective = fit.objective.replace_unknowns(space)
-        if coarse:
-            fit = resumed_coarse_search(objective, start, fit.iterations, options)
-        else:
-            fit = _refine_from(fit, objective, start, options)
+        search = resumed_coarse_search if coarse else refine
+        fit = search(fit.with_unknowns(space, estimates), options)
     return fit
-
-
-def _refine_from(fit: Fit, objective: Objective, z: FloatArray, options: WholeArmOptions) -> Fit:
-    """Refine from `z` (n_unknowns,) with the changed unknowns of `objective`."""
-    start = replace(fit, objective=objective, z=z, cost=np.inf, converged=False)
-    return refine(start, options)
 
 
 def remove_insignificant_sensor_constants(fit: Fit, selection: Selection) -> Fit:
     """Remove sensor constants that are not significant, one by one."""
     while insignificant := _least_significant(fit):
-        values = fit.values
-        space = fit.space.fix_values(insignificant)
-        fit = _refine_from(
-            fit, fit.objective.replace_unknowns(space), space.coordinates(values), selection.options
-        )
+        fit = refine(fit.with_unknowns(fit.space.fix_values(insignificant)), selection.options)
     return fit
 
 

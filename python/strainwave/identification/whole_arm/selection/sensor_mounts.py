@@ -56,8 +56,8 @@ def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
         if best is None:
             break
         selection.grant(best.iterations)
-        options = selection.options
-        fit = fine_search(best.objective, best.z, fit.iterations + best.iterations, options)
+        best = replace(best, iterations=fit.iterations + best.iterations)
+        fit = fine_search(best, selection.options)
     return fit
 
 
@@ -134,14 +134,13 @@ def _fit_mount(
 ) -> Fit | None:
     """Best of short searches with a mount as additional unknowns, from several starts."""
     best: Fit | None = None
-    values = fit.values
     for mount in mounts:
         starts = dict(zip(names, (mount.frequency, mount.damping), strict=True))
         space = add_sensor_constants(fit.space, list(starts), starts)
-        objective, start = fit.objective.replace_unknowns(space), space.coordinates(values | starts)
+        start = replace(fit.with_unknowns(space, starts), iterations=0)
         options = replace(selection.options, max_iterations=_MAX_TRIAL_EVALUATIONS)
         try:
-            trial = search_minimum(objective, start, 0, options, tolerance=_TRIAL_TOLERANCE)
+            trial = search_minimum(start, options, tolerance=_TRIAL_TOLERANCE)
         except NotIdentifiable:
             continue
         if best is None or trial.cost < best.cost:

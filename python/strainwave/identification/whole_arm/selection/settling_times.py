@@ -32,12 +32,10 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     required = selection.options.settling
     if required is False or fit.iterations >= selection.max_evaluations:
         return fit
-    values = fit.values
     space = add_settling_unknowns(fit.space)
-    start = space.coordinates(dict.fromkeys(space.keys, SETTLING_START) | values)
-    objective = fit.objective.replace_unknowns(space)
+    starts = {key: SETTLING_START for key in space.keys if key[0] == SETTLING}
     max_evaluations = None if required else MAX_CANDIDATE_EVALUATIONS
-    extended = run_trial(fit, objective, start, selection, max_evaluations)
+    extended = run_trial(fit.with_unknowns(space, starts), selection, max_evaluations)
     return select_better(fit, extended) if required is None else extended
 
 
@@ -58,8 +56,4 @@ def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
     }
     if not insignificant:
         return fit
-    space = fit.space.fix_values(insignificant)
-    start = space.coordinates(values)
-    return fine_search(
-        fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
-    )
+    return fine_search(fit.with_unknowns(fit.space.fix_values(insignificant)), selection.options)

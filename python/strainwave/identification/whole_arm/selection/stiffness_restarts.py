@@ -35,7 +35,7 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
                 return replace(fit, converged=False)
             z = fit.space.coordinates(start)
             try:
-                restarted = run_trial(fit, fit.objective, z, selection, MAX_CANDIDATE_EVALUATIONS)
+                restarted = run_trial(replace(fit, z=z), selection, MAX_CANDIDATE_EVALUATIONS)
             except NotIdentifiable:
                 continue  # the arm cannot be simulated with this curve
             fit = select_better(fit, restarted)
@@ -61,7 +61,7 @@ def restart_fine_fit(fit: Fit, selection: Selection) -> Fit:
         return fit
     if restarted.cost < fit.cost:
         objective = restarted.objective.update_weights(restarted.z)
-        return fine_search(objective, restarted.z, restarted.iterations, selection.options)
+        return fine_search(replace(restarted, objective=objective), selection.options)
     return replace(restarted, converged=fit.converged)
 
 

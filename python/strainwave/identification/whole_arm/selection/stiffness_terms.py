@@ -19,12 +19,8 @@ def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
     insignificant = _insignificant_terms(fit, selection)
     if not insignificant:
         return fit
-    values = fit.values
     space = fit.space.fix_values(dict.fromkeys(insignificant, 0.0))
-    start = space.coordinates(values)
-    return fine_search(
-        fit.objective.replace_unknowns(space), start, fit.iterations, selection.options
-    )
+    return fine_search(fit.with_unknowns(space), selection.options)
 
 
 def _insignificant_terms(fit: Fit, selection: Selection) -> list[Key]:
