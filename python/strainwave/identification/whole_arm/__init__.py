@@ -97,7 +97,7 @@ def fit_records(
 
 def _fit(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
-    coarse = coarse_search(Fit.at(start.coarse, start.start), selection.options)
+    coarse = coarse_search(start.coarse, selection.options)
     coarse = select_model(coarse, COARSE, selection)
     pairs = zip(start.records, coarse.objective.records, strict=True)
     records = [replace(record, begins_in_motion=found.begins_in_motion) for record, found in pairs]

@@ -7,9 +7,11 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Criticism
+from strainwave.domain import ArmModel, Criticism, Prediction
+from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING
+from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import (
     predict_closed_loop,
 )
@@ -60,8 +62,6 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     `start` holds the starting values of the fit, `selection` the arm of the study and the options.
     """
     arm = selection.arm
-    initial_fit_percent = start.coarse.fit_percentages(start.initial)
-    initial_values = start.coarse.space.values(start.initial)
     instant_settling = {(SETTLING, number): 0.0 for number in range(1, arm.n_joints + 1)}
     values = instant_settling | fit.values
     gear_loads = gear_torque_samples(fit.objective.records, values)
@@ -87,28 +87,15 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         if is_far_above_noise or is_disagreement(agreement)
         else ()
     )
-    servo_logs = [
-        log
-        for log in start.logs
-        if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
-    ]
-    value_sets = (values, initial_values)
-    predictions = run_parallel(
-        [
-            partial(predict_closed_loop, value_set, log, arm)
-            for value_set in value_sets
-            for log in servo_logs
-        ]
-    )
     public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
     return ArmModel(
         parameters=tuple(parameters[k] for k in public),
         values=values,
         covariance=covariance[np.ix_(public, public)],
         fit_percent=fit.objective.fit_percentages(fit.z),
-        initial_fit_percent=initial_fit_percent,
-        simulated=tuple(predictions[: len(servo_logs)]),
-        initial=tuple(predictions[len(servo_logs) :]),
+        initial_fit_percent=start.coarse.objective.fit_percentages(start.initial),
+        simulated=_predict(values, start, arm),
+        initial=_predict(start.coarse.space.values(start.initial), start, arm),
         iterations=fit.iterations,
         status=status,
         warnings=(
@@ -132,3 +119,13 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
     )
+
+
+def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:
+    """Predictions of the fitted records of servoed steps, by simulation with the servo."""
+    logs = [
+        log
+        for log in start.logs
+        if log.experiment.use == "tuning" and missing_recorded_input(arm, log) is None
+    ]
+    return tuple(run_parallel([partial(predict_closed_loop, values, log, arm) for log in logs]))

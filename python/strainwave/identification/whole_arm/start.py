@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, JointModel, Log, RigidModel, WholeArmOptions
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import STIFFNESS, is_slope
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.dynamics.arm import Arm
@@ -44,7 +44,11 @@ from strainwave.identification.whole_arm.records.preparation import (
     dataset_of,
     select_usable_records,
 )
-from strainwave.identification.whole_arm.search.start_comparison import select_candidate
+from strainwave.identification.whole_arm.search.fit import Fit
+from strainwave.identification.whole_arm.search.start_comparison import (
+    SelectedCandidate,
+    select_candidate,
+)
 from strainwave.identification.whole_arm.selection.mountings import (
     select_mountings,
 )
@@ -66,9 +70,8 @@ class Start:
 
     logs: list[Log]
     records: tuple[Dataset, ...]
-    coarse: Objective  # of the same records in long integrator steps
-    initial: FloatArray  # (n_unknowns,) from the preceding stages
-    start: FloatArray  # (n_unknowns,) `initial`, or its improvement by the comparison of starts
+    coarse: Fit  # start of the search on the same records in long integrator steps
+    initial: FloatArray  # (n_unknowns,) from the preceding stages, without comparison of starts
     rejected: tuple[Diagnostic, ...]  # warnings about physically impossible starting values
 
 
@@ -89,6 +92,38 @@ def prepare_start(
     Raises `NotIdentifiable` if there is no record to fit or no feasible start, and `InvalidInput`
     if a record lacks data for its simulation.
     """
+    used = _select_logs(logs, arm, options)
+    records = _records(used, [joint for joints in candidates for joint in joints], arm, options)
+    placed = estimate_mounting_starts(logs, arm, used)
+    starts = {**placed, **(given or {})}
+
+    def space_at(records: _Records, joints: Sequence[JointModel]) -> ParameterSpace:
+        keys = [key for key in placed if key[0] not in IMU_START_ATTITUDE]
+        space = _space(records.short_steps, model, joints, arm, options)
+        return add_sensor_constants(space, keys, starts)
+
+    best = select_candidate(
+        candidates,
+        lambda joints: Objective.of(space_at(records, joints), records.long_steps),
+        options,
+    )
+    if len(candidates) > 1:  # the best candidate determines the band
+        records = _records(used, best.joints, arm, options)
+    space = space_at(records, best.joints)
+    coarse, initial = _start_search(space, records, best, starts, options)
+    if placed:
+        coarse = Fit.at(*select_mountings(coarse.objective, coarse.z, arm, options))
+    stages = starts_of(model, best.joints, arm)
+    for name, joint in stages.rejected:
+        if name == STIFFNESS:
+            coarse = _scan_stiffness(coarse, joint)
+    if best.end_values is None or placed:
+        initial = coarse.z
+    rejected = tuple(warn_rejected_starts(stages, arm))
+    return Start(used, records.short_steps, coarse, initial, rejected)
+
+
+def _select_logs(logs: Sequence[Log], arm: Arm, options: WholeArmOptions) -> list[Log]:
     used = select_usable_records(logs, arm)
     if options.as_published:
         used = published_records(used, arm)
@@ -97,79 +132,72 @@ def prepare_start(
             'the whole-arm fit needs records with use = "frequency", "sweep" or "tuning", with the'
             " angle and the voltage of every motor"
         )
-    all_joints = [joint for joints in candidates for joint in joints]
-    records, long_steps = _records(used, all_joints, arm, options)
+    return used
 
-    placed = estimate_mounting_starts(logs, arm, used)
-    given = placed | ({} if given is None else dict(given))
 
-    def extended_space(joints: Sequence[JointModel]) -> ParameterSpace:
-        extended = _space(records, model, joints, arm, options)
-        return add_sensor_constants(
-            extended, [key for key in placed if key[0] not in IMU_START_ATTITUDE], given
-        )
+def _start_search(
+    space: ParameterSpace,
+    records: _Records,
+    best: SelectedCandidate,
+    given: Values,
+    options: WholeArmOptions,
+) -> tuple[Fit, FloatArray]:
+    """The start of the search, and the coordinates of the values of the earlier stages.
 
-    def objective_of(joints: Sequence[JointModel]) -> Objective:
-        return Objective.of(extended_space(joints), long_steps)
-
-    best = select_candidate(candidates, objective_of, options)
-    joints = best.joints
-    if len(candidates) > 1:  # the best candidate determines the band
-        records, long_steps = _records(used, joints, arm, options)
-    space = extended_space(joints)
-    measured_keys = {key for record in records for key in record.sensor_constants()}
-    space = add_sensor_constants(space, [key for key in given if key in measured_keys])
+    Raises `NotIdentifiable` if the arm cannot be simulated there.
+    """
+    measured = {key for record in records.short_steps for key in record.sensor_constants()}
+    space = add_sensor_constants(space, [key for key in given if key in measured])
     optional = {k: c for k in space.keys if (c := constant_of(k)) and c.is_optional}
     nominal_values = {key: constant.kind.nominal for key, constant in optional.items()}
-    start = space.coordinates(space.values(np.zeros(len(space.unknowns))) | nominal_values | given)
-    initial = start
+    initial = start = space.coordinates(space.start_values | nominal_values | given)
     if best.end_values is not None:
         start = space.coordinates(space.values(start) | best.end_values | given)
-    keys = space.keys
-    space = restrict_space(space, options, start)
-    kept = [key in space.keys for key in keys]
-    start, initial = start[kept], initial[kept]
-    coarse = Objective.of(space, long_steps)
-    if coarse.linearise(start) is None:
+    restricted = restrict_space(space, options, start)
+    keys = set(restricted.keys)
+    kept = [key in keys for key in space.keys]
+    fit = Fit.at(Objective.of(restricted, records.long_steps), start[kept])
+    if fit.objective.linearise(fit.z) is None:
         raise NotIdentifiable(_INFEASIBLE_START)
-    if placed:
-        coarse, start = select_mountings(coarse, start, arm, options)
-    starts = starts_of(model, joints, arm)
-    for name, joint in starts.rejected:
-        if name == STIFFNESS:
-            start = _scan_stiffness(coarse, start, joint)
-    if best.end_values is None or placed:
-        initial = start
-    return Start(used, records, coarse, initial, start, tuple(warn_rejected_starts(starts, arm)))
+    return fit, initial[kept]
+
+
+@dataclass(frozen=True, slots=True)
+class _Records:
+    """The same records in short and in long integrator steps."""
+
+    short_steps: tuple[Dataset, ...]
+    long_steps: list[Dataset]
 
 
 def _records(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
-) -> tuple[tuple[Dataset, ...], list[Dataset]]:
-    """Prepare the records in the band of the joints' resonances, in short and in long steps."""
+) -> _Records:
+    """Prepare the records in the band of the joints' resonances."""
     cutoff = options.cutoff_hz or _cutoff(used, joints, arm)
     plain = keep_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=options.closed_loop) for log in used)
     for record in records:
         _check_link_encoders(record, arm)
-    return records, [coarsen_steps(r, 1.0 / (STEPS_PER_PERIOD * cutoff)) for r in records]
+    step = 1.0 / (STEPS_PER_PERIOD * cutoff)
+    return _Records(records, [coarsen_steps(record, step) for record in records])
 
 
-def _scan_stiffness(coarse: Objective, start: FloatArray, joint: int | None) -> FloatArray:
+def _scan_stiffness(start: Fit, joint: int | None) -> Fit:
     """Scan the range of an unknown stiffness for the minimum of the cost.
 
     A resonance is about 10 % wide. A search that starts further away ends in a local minimum.
     """
-    slopes = [k for k, key in enumerate(coarse.space.keys) if key[1] == joint and is_slope(key[0])]
-    low, high = coarse.space.lower[slopes], coarse.space.upper[slopes]
-    best, lowest = start, np.inf
+    slopes = [k for k, key in enumerate(start.space.keys) if key[1] == joint and is_slope(key[0])]
+    low, high = start.space.lower[slopes], start.space.upper[slopes]
+    best, lowest = start.z, np.inf
     for share in np.linspace(0.0, 1.0, _STIFFNESS_GRID_POINTS):
-        z = start.copy()
+        z = start.z.copy()
         z[slopes] = low + share * (high - low)
-        linearised = coarse.linearise(z)
+        linearised = start.objective.linearise(z)
         if linearised is not None and linearised.cost < lowest:
             best, lowest = z, linearised.cost
-    return best
+    return replace(start, z=best)
 
 
 def _check_link_encoders(record: Dataset, arm: Arm) -> None:
@@ -210,7 +238,7 @@ def _space(
         model, joints, arm, largest_voltage=voltage.tolist(), floor=options.least_deviation
     )
     if any(joint.law.is_curved for joint in arm.joints):
-        values = space.values(np.zeros(len(space.unknowns)))
+        values = space.start_values
         try:
             space = add_stiffness_curves(space, arm, gear_torques(records, values).tolist())
         except NumericalFailure as failure:

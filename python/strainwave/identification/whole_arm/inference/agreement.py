@@ -25,7 +25,7 @@ from strainwave.domain.parameter_table import family_of
 from strainwave.domain.units import unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
-from strainwave.identification.whole_arm.inference.covariance import confidence_of
+from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
     body_parameters,
     friction_parameters,
@@ -99,9 +99,7 @@ def agreement_tests(fit: Fit) -> tuple[AgreementTest, ...]:
     F = prior.factor
     _, steady = (F @ part @ F.T for part in confidence.prior_covariance)
     std = _standard_deviations([F @ part @ F.T for part in confidence.prior_covariance])
-    steady_std = np.sqrt(np.maximum(np.diag(steady), 0.0))
-    scale = np.divide(std, steady_std, out=np.ones_like(std), where=steady_std > 0.0)
-    covariance = steady * np.outer(scale, scale)
+    covariance = with_variances(steady, std**2)
     rigid, difference = F @ prior.errors @ F.T, F @ confidence.prior_residual
     sizes = reference_sizes(dict(zip(prior.names, prior.mean.tolist(), strict=True)))
     relative = np.abs(difference) / np.maximum(list(sizes.values()), 1e-300)

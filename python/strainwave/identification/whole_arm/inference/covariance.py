@@ -77,11 +77,15 @@ class Confidence:
 
         A sandwich of few segments can be far too small by chance.
         """
-        combined, local = np.diag(self.combined), np.diag(self.local)
-        ones = np.ones_like(local)
-        raised = np.sqrt(np.divide(local, combined, out=ones, where=combined > 0.0))
-        raised = np.maximum(raised, 1.0)
-        return np.asarray(self.combined * np.outer(raised, raised))
+        variances = np.maximum(np.diag(self.local), np.diag(self.combined))
+        return with_variances(self.combined, variances)
+
+
+def with_variances(covariance: FloatArray, variances: FloatArray) -> FloatArray:
+    """The correlations of a covariance with other variances; zero variances stay."""
+    own = np.diag(covariance)
+    scale = np.sqrt(np.divide(variances, own, out=np.ones_like(own), where=own > 0.0))
+    return np.asarray(covariance * np.outer(scale, scale))
 
 
 _computed: WeakKeyDictionary[Fit, Confidence] = WeakKeyDictionary()
@@ -99,66 +103,54 @@ def confidence_at(objective: Objective, z: FloatArray) -> Confidence:
 
     `z`, (n_unknowns,), minimises `objective`.
     """
-    noise = [
+    noise = (
         np.minimum(1.0, record.noise / weights.stds)
         for record, weights in zip(objective.records, objective.weights, strict=True)
-    ]
+    )
     each = zip(objective.records, objective.rows(z), objective.blocks(), noise, strict=True)
     records = run_parallel([partial(evidence_of, *one) for one in each])
-    space, prior = objective.space, objective.space.prior
+    space, prior, n_records = objective.space, objective.space.prior, len(records)
     slope = space.slope(z)
-    rows, unknown_rows = prior.rows @ slope, space.own_prior[0] @ slope
-    unknown_information = unknown_rows.T @ unknown_rows
-    prior_information = rows.T @ rows + unknown_information
-    inverse = inverse_information(sum((record.product for record in records), prior_information))
-    bread = sum((record.curvature for record in records), prior_information)
-    unscaled_covariance = inverse_information(bread)
+    rows, own_rows = prior.rows @ slope, space.own_prior[0] @ slope
+    own_information = own_rows.T @ own_rows
+    known = rows.T @ rows + own_information
+    inverse = inverse_information(sum((record.product for record in records), known))
+    bread = sum((record.curvature for record in records), known)
+    answer = inverse_information(bread)
     blocks = np.concatenate([record.gradients for record in records])
-    n = len(blocks)
-    segment_meat = n / (n - 1.0) * blocks.T @ blocks
-    prior_residual = prior.rows @ space.parameters(z) - prior.target
-    prior_scale = _prior_scale(
-        prior.errors, prior_residual, rows @ unscaled_covariance, rows, segment_meat
-    )
-    prior_meat = prior_scale * rows.T @ prior.errors @ rows + unknown_information
-    sandwich = unscaled_covariance @ (segment_meat + prior_meat) @ unscaled_covariance
-    steady = (
-        unscaled_covariance
-        @ sum((record.steady for record in records), prior_meat)
-        @ unscaled_covariance
-    )
-    steady = steady + MIN_VARIANCE_SHARE * inverse
-    scatter, pooled = _scatter(bread, prior_information, records)
+    segment_meat = len(blocks) / (len(blocks) - 1.0) * blocks.T @ blocks
+    steady_meat = sum((record.steady for record in records), np.zeros_like(known))
+    residual = prior.rows @ space.parameters(z) - prior.target
+    scale = _prior_scale(prior.errors, residual, rows @ answer, rows, segment_meat)
+    prior_meat = scale * rows.T @ prior.errors @ rows + own_information
+    scatter, pooled = _scatter(bread, known, records)
     local, sandwich, steady, scatter = (
-        slope @ part @ slope.T for part in (inverse, sandwich, steady, scatter)
+        slope @ part @ slope.T
+        for part in (
+            inverse,
+            answer @ (segment_meat + prior_meat) @ answer,
+            answer @ (steady_meat + prior_meat) @ answer + MIN_VARIANCE_SHARE * inverse,
+            scatter,
+        )
     )
-    local_variance, sandwich_variance, steady_variance, scatter_variance = (
-        np.diag(part) for part in (local, sandwich, steady, scatter)
-    )
-    n_records = len(records)
-    variance = np.maximum(sandwich_variance, steady_variance)
+    variance = np.maximum(np.diag(sandwich), np.diag(steady))
     if n_records >= _MIN_RECORDS:
         variance = variance + _scatter_increment(
-            local_variance, scatter_variance, pooled, n_records
+            np.diag(local), np.diag(scatter), pooled, n_records
         )
-    variance = variance * (
-        1.0 + n_records * _unexplained_share(slope @ unscaled_covariance, records)
-    )
-    ones = np.ones_like(variance)
-    scale = np.sqrt(np.divide(variance, steady_variance, out=ones, where=steady_variance > 0.0))
-    steady_meat = sum((record.steady for record in records), np.zeros_like(prior_information))
-    expected = tuple(
-        residual_covariance(prior.errors, rows @ unscaled_covariance, rows, meat)
+    variance = variance * (1.0 + n_records * _unexplained_share(slope @ answer, records))
+    by_segments, by_steady_errors = (
+        residual_covariance(prior.errors, rows @ answer, rows, meat)
         for meat in (segment_meat, steady_meat)
     )
     return Confidence(
-        steady * np.outer(scale, scale),
+        with_variances(steady, variance),
         local,
         sandwich,
         steady,
         scatter,
-        prior_residual,
-        (expected[0], expected[1]),
+        residual,
+        (by_segments, by_steady_errors),
     )
 
 

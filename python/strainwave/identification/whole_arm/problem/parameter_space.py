@@ -150,6 +150,11 @@ class ParameterSpace:
         """Values of all parameters for the simulation, fixed ones included."""
         return {**self.fixed, **dict(zip(self.keys, self.parameters(z).tolist(), strict=True))}
 
+    @property
+    def start_values(self) -> Values:
+        """Values of all parameters at the starts of the unknowns, fixed ones included."""
+        return self.values(np.zeros(len(self.unknowns)))
+
     def coordinates(self, values: Values) -> FloatArray:
         """Coordinates of values, clipped to the bounds: (n_unknowns,)."""
         z = []

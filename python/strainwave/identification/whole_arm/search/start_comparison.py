@@ -181,6 +181,6 @@ def _recentre(search: _SearchState) -> list[JointModel]:
 def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
     """The values of the search, with the springs at their starts."""
     space = objective.space
-    start_values = space.values(np.zeros(len(space.unknowns)))
+    start_values = space.start_values
     gear_names, estimates = gear_parameters(), fit.values
     return {**start_values, **{key: x for key, x in estimates.items() if key[0] not in gear_names}}
