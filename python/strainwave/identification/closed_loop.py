@@ -94,9 +94,10 @@ class Observation:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
 
         The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.
-        Delay and scale of an accelerometer are applied if they are among the values. `arm` must
-        have the springs and effects of `values`, which maps (name, joint) to a value.
+        Delay and scale of an accelerometer are applied if they are among the values. The arm has
+        the springs and effects of `values`, which maps (name, joint) to a value.
         """
+        arm = restrict_to_values(arm, values)
         record: list[Quantity] = ["encoder"]
         if self.axes:
             record.append("accelerometer")
@@ -167,7 +168,7 @@ def predict_closed_loop(
     `NumericalFailure` if the simulated motion is not finite.
     """
     observed = observe(log, arm, cutoff_hz)
-    return build_prediction(observed, observed.simulated(restrict_to_values(arm, values), values))
+    return build_prediction(observed, observed.simulated(arm, values))
 
 
 def build_prediction(observation: Observation, predicted: FloatArray) -> Prediction:

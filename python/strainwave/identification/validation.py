@@ -28,7 +28,6 @@ from strainwave.identification.closed_loop import (
     Observation,
     build_prediction,
     observe,
-    restrict_to_values,
 )
 from strainwave.signals.recorded_input import driven_by_voltage
 
@@ -145,6 +144,8 @@ def predict_rigid(
             if not np.isfinite(fit)
         ),
     )
+    if not fitted:
+        return prediction
 
     def varied() -> Iterator[FloatArray]:
         for solution in _rigid_variations(model):
@@ -153,17 +154,14 @@ def predict_rigid(
             )
             yield (other.predicted - band.predicted) / per_channel
 
+    motions = np.max([np.std(each.measured, axis=0) for each in fitted], axis=0)
+    errors = np.max([np.std(each.measured - each.predicted, axis=0) for each in fitted], axis=0)
     typical = {
-        name: _TypicalMotion(
-            max(float(np.std(each.measured[:, k])) for each in fitted),
-            max(float(np.std(each.measured[:, k] - each.predicted[:, k])) for each in fitted),
-        )
-        for k, name in enumerate(names if fitted else ())
+        name: _TypicalMotion(motion, error)
+        for name, motion, error in zip(names, motions.tolist(), errors.tolist(), strict=True)
     }
-    errors = (
-        _unexplained_errors(prediction, np.zeros(len(names)), typical, varied) if fitted else {}
-    )
-    return replace(prediction, unexplained=errors)
+    unexplained = _unexplained_errors(prediction, np.zeros(len(names)), typical, varied)
+    return replace(prediction, unexplained=unexplained)
 
 
 def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
@@ -189,7 +187,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     needs.
     """
     values, observed = dict(model.values), observe(log, arm)
-    motion = observed.simulated(restrict_to_values(arm, values), values)
+    motion = observed.simulated(arm, values)
     prediction = build_prediction(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
@@ -198,7 +196,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     def varied() -> Iterator[FloatArray]:
         for other in _variations(model):
             try:
-                yield observed.simulated(restrict_to_values(arm, other), other) - motion
+                yield observed.simulated(arm, other) - motion
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
@@ -217,10 +215,8 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
 def _by_voltage(observed: Observation, values: Values, arm: Arm) -> Prediction:
     """The same prediction with the recorded voltages instead of the servo."""
     driven, drive = driven_by_voltage(arm, observed.log)
-    driven_observation = replace(observed, drive=drive)
-    return build_prediction(
-        driven_observation, driven_observation.simulated(restrict_to_values(driven, values), values)
-    )
+    by_voltage = replace(observed, drive=drive)
+    return build_prediction(by_voltage, by_voltage.simulated(driven, values))
 
 
 def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
@@ -270,7 +266,7 @@ def _stiffness_effect(
         * (_STIFFNESS_FACTOR if number == joint and family_of(name) == "stiffness" else 1.0)
         for (name, number), value in values.items()
     }
-    stiffer_motion = observed.simulated(restrict_to_values(arm, stiffer), stiffer)
+    stiffer_motion = observed.simulated(arm, stiffer)
     has_fit = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
     change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
     motion_std = np.std(prediction.measured, axis=0)
