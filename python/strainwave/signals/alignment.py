@@ -11,7 +11,7 @@ import numpy as np
 from strainwave.domain import Delay, FloatArray, LinkSignals
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.link_readings import acceleration_gains
+from strainwave.signals.link_readings import acceleration_gain, preceding_gains
 
 _MIN_FREQUENCY_HZ = 2.0  # [Hz] lower band edge; friction and drift dominate below it
 _MAX_CUTOFF_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
@@ -135,8 +135,9 @@ def _sensor_contributions(signals: LinkSignals, arm: Arm, link: FloatArray, i: i
     relative = link[:, i]
     if i == 0 or signals.sources[i] not in ("accelerometer", "gyro"):
         return relative[:, None]
-    gains = acceleration_gains(arm, signals.link_angle, i, gyro=signals.sources[i] == "gyro")
-    before = gains[:, :i] / gains[:, i, None] * link[:, :i]
+    is_gyro = signals.sources[i] == "gyro"
+    before = preceding_gains(arm, signals.link_angle, i, gyro=is_gyro) * link[:, :i]
+    before /= 1.0 if is_gyro else acceleration_gain(arm.joints[i])
     is_measured = np.array(signals.sources[:i]) != "motor"
     return np.column_stack([relative + before.sum(axis=1), -before[:, is_measured]])
 

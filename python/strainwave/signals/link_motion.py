@@ -43,7 +43,7 @@ from strainwave.signals.delays import (
 from strainwave.signals.fusion import bias_of, complement, fuse
 from strainwave.signals.link_readings import (
     JointMotion,
-    acceleration_gains,
+    acceleration_gain,
     read_accelerometer,
     read_gyro,
 )
@@ -368,8 +368,7 @@ def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> Flo
     """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
     motion = JointMotion(links.angle, links.velocity, links.acceleration)
     still = replace(motion, acceleration=motion.without(i).acceleration)
-    gain = acceleration_gains(arm, links.angle, i, gyro=False)[:, i]
-    return np.asarray((read - read_accelerometer(arm, still, i).sum) / gain)
+    return (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
 
 
 def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]]:

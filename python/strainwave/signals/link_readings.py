@@ -64,23 +64,25 @@ class AccelerometerParts:
     translation: FloatArray  # acceleration of that origin
     gravity: FloatArray
 
-    @property
-    def sum(self) -> FloatArray:
-        """The reading."""
-        return self.rotation + self.translation + self.gravity
 
-
-def read_accelerometer(arm: Arm, motion: JointMotion, i: int) -> AccelerometerParts:
-    """Reading of the accelerometer on link i, from 0, at its distance from the axis."""
+def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> AccelerometerParts:
+    """Contributions to the reading of the accelerometer on link i, from 0."""
     joint, link = arm.joints[i], motion.links(arm)[:, i]
-    x, y, z = _sensor_axes(joint)
-    rotation, direction = np.zeros(len(link)), z
-    if joint.motion == "revolute":
-        rate, turning = link[:, :3], link[:, 3:6]
-        distance = joint.accelerometer_distance or 1.0
-        rotation, direction = distance * (turning @ z + (rate @ x) * (rate @ y)), y
-    gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ direction
-    return AccelerometerParts(rotation, link[:, 6:] @ direction - gravity, gravity)
+    force, gravity = link[:, 6:] @ _direction(joint), np.zeros(len(link))
+    if arm.gravity:
+        gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
+    return AccelerometerParts(_rotation(joint, link), force - gravity, gravity)
+
+
+def read_accelerometer(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
+    """Reading of the accelerometer on link i, from 0: (n_samples,) [m/s^2]."""
+    joint, link = arm.joints[i], motion.links(arm)[:, i]
+    return np.asarray(link[:, 6:] @ _direction(joint) + _rotation(joint, link))
+
+
+def read_rotation(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
+    """Contribution of the rotation of link i, from 0, to the reading of its accelerometer."""
+    return _rotation(arm.joints[i], motion.links(arm)[:, i])
 
 
 def read_gyro(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
@@ -89,25 +91,32 @@ def read_gyro(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
 
 
 def read_gravity(arm: Arm, angle: FloatArray, i: int, gravity: FloatArray) -> FloatArray:
-    """Reading of an accelerometer at rest under any gravity (3,) [m/s^2] in the base's frame."""
-    joint = arm.joints[i]
-    direction = _sensor_axes(joint)[1 if joint.motion == "revolute" else 2]
-    return -np.asarray(direction @ arm.link_attitudes(angle)[:, i] @ gravity)
+    """Readings of accelerometer i at rest under any gravity (n, 3) [m/s^2] of the base's frame.
+
+    Returns (n_samples, n).
+    """
+    return -np.asarray(_direction(arm.joints[i]) @ arm.link_attitudes(angle)[:, i] @ gravity.T)
 
 
-def acceleration_gains(arm: Arm, angle: FloatArray, i: int, *, gyro: bool) -> FloatArray:
-    """Derivatives of a reading by the accelerations of the joints: (n_samples, n_joints).
+def acceleration_gain(joint: Joint) -> float:
+    """Derivative of the reading of a link's accelerometer by the acceleration of its own joint."""
+    return 1.0 if joint.motion == "prismatic" else joint.accelerometer_distance or 1.0
+
+
+def preceding_gains(arm: Arm, angle: FloatArray, i: int, *, gyro: bool) -> FloatArray:
+    """Derivatives of a reading by the accelerations of the joints before i: (n_samples, i).
 
     Those of a gyro are derivatives of the slope of its reading.
     """
-    gains = np.empty_like(angle)
-    for j, unit in enumerate(np.eye(arm.n_joints)):
-        rest = JointMotion.at_rest(angle)
+    joint, rest = arm.joints[i], JointMotion.at_rest(angle)
+    start = 0.0 if gyro else read_accelerometer(arm, rest, i)
+    gains = np.empty((len(angle), i))
+    for j in range(i):
+        unit = replace(rest, acceleration=rest.acceleration + np.eye(arm.n_joints)[j])
         if gyro:
-            gains[:, j] = read_gyro(arm, replace(rest, velocity=rest.velocity + unit), i)
+            gains[:, j] = unit.links(arm)[:, i, 3:6] @ _sensor_axes(joint)[2]
         else:
-            parts = read_accelerometer(arm, replace(rest, acceleration=rest.acceleration + unit), i)
-            gains[:, j] = parts.rotation + parts.translation
+            gains[:, j] = read_accelerometer(arm, unit, i) - start
     return gains
 
 
@@ -122,7 +131,21 @@ def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
     rate, rate_slope = motion.links(arm)[:, None, i, :3], slope[..., :3]
     products = (rate @ x) * (rate_slope @ y) + (rate @ y) * (rate_slope @ x)
     rotation = slope[..., 3:6] @ z + products
-    return np.asarray(slope[..., 6:] @ y + (joint.accelerometer_distance or 1.0) * rotation)
+    return np.asarray(slope[..., 6:] @ y + acceleration_gain(joint) * rotation)
+
+
+def _direction(joint: Joint) -> FloatArray:
+    """Direction of a link's accelerometer in the frame of the link."""
+    return np.asarray(_sensor_axes(joint)[2 if joint.motion == "prismatic" else 1])
+
+
+def _rotation(joint: Joint, link: FloatArray) -> FloatArray:
+    """Contribution of the rotation of a link (n_samples, 9) to the reading of its accelerometer."""
+    if joint.motion == "prismatic":
+        return np.zeros(len(link))
+    x, y, z = _sensor_axes(joint)
+    rate, turning = link[:, :3], link[:, 3:6]
+    return np.asarray(acceleration_gain(joint) * (turning @ z + (rate @ x) * (rate @ y)))
 
 
 def _sensor_axes(joint: Joint) -> FloatArray:

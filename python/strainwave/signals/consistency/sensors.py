@@ -20,10 +20,11 @@ from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slo
 from strainwave.signals.consistency.regression import Fit, regress
 from strainwave.signals.link_readings import (
     JointMotion,
+    accelerometer_parts,
     angle_derivatives,
-    read_accelerometer,
     read_gravity,
     read_gyro,
+    read_rotation,
 )
 
 LINK_CHANNELS = ("a", "gyro", "theta_l")
@@ -178,7 +179,7 @@ def _predicted_parts(
         return {"own-joint": motion.angle[:, i]}
     if kind == "gyro":
         return {"own-joint": read_gyro(arm, motion, i)}
-    joint, reading = arm.joints[i], read_accelerometer(arm, motion, i)
+    joint, reading = arm.joints[i], accelerometer_parts(arm, motion, i)
     if joint.motion == "prismatic":
         parts = {"own-joint": reading.translation}
     elif joint.accelerometer_distance is None:
@@ -209,9 +210,8 @@ def _tilt_derivatives(arm: Arm, motion: JointMotion, kind: str, i: int) -> _Deri
     changes = STANDARD_GRAVITY * np.eye(3)
     if arm.gravity:
         changes = np.cross(np.eye(3), arm.gravity)
-    tilt = [read_gravity(arm, motion.angle, i, change) for change in changes]
-    without_gravity = replace(arm, gravity=None)
-    zero = list(angle_derivatives(without_gravity, motion, i).T)
+    tilt = read_gravity(arm, motion.angle, i, changes).T
+    zero = angle_derivatives(replace(arm, gravity=None), motion, i).T
     return _Derivatives([x for x in tilt if np.any(x)], [x for x in zero if np.any(x)])
 
 
@@ -258,10 +258,8 @@ def _regress_channel(
     if each_part_fit is not None:
         scales = {key: _coefficient(each_part_fit, k) for k, key in enumerate(parts)}
     size = float(np.std(target))
-    shares = _rotation_parts(arm, motion, kind, i)
-    rotation_ratio = None
-    if shares is not None:
-        rotation_ratio = nuisance.quotient(target, [sensed(share) for share in shares])
+    rotations = [sensed(part) for part in _rotations(arm, motion, kind, i)]
+    rest = [part for key, part in parts.items() if key != "own-joint"]
     yield Reading(
         channel=name,
         record=record.experiment.name,
@@ -275,7 +273,7 @@ def _regress_channel(
         explained=fit.explained,
         signal=size / max(record.noise[name], 1e-12 * size, 1e-300),
         parts=scales,
-        rotation_ratio=rotation_ratio,
+        rotation_ratio=nuisance.quotient(target, [*rotations, *rest]) if rotations else None,
         tilt=None if arm.gravity else _tilt(fit, 4 + len(decays), len(derivatives.tilt)),
     )
 
@@ -286,7 +284,7 @@ def _tilt(fit: Fit, first: int, count: int) -> tuple[float, float] | None:
         return None
     tilt_columns = slice(first, first + count)
     components, covariance = fit.value[tilt_columns], fit.covariance[tilt_columns, tilt_columns]
-    size = float(np.hypot(*components))
+    size = float(np.linalg.norm(components))
     return size, float(np.sqrt(components @ covariance @ components)) / max(size, 1e-12)
 
 
@@ -357,17 +355,16 @@ def _relative_coefficient(fit: Fit, k: int) -> tuple[float, float]:
     return (value / scale, std / abs(scale)) if scale else (0.0, np.inf)
 
 
-def _rotation_parts(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray] | None:
-    """Parts of a reading of link i, from 0: rotation of its joint, of the joints before, the rest.
+def _rotations(arm: Arm, motion: JointMotion, kind: str, i: int) -> list[FloatArray]:
+    """Parts of the rotation in a reading of link i, from 0: of its joint, of the joints before.
 
-    Returns None if the reading does not contain both rotations.
+    Empty if the reading does not contain both.
     """
-    parts = _predicted_parts(arm, motion, kind, i)
-    others = _predicted_parts(arm, motion.without(i), kind, i)
-    if parts is None or others is None or kind == "theta_l" or not np.any(others["own-joint"]):
-        return None
-    rotations = [parts["own-joint"] - others["own-joint"], others["own-joint"]]
-    return rotations + [part for key, part in parts.items() if key != "own-joint"]
+    if kind == "theta_l" or arm.joints[i].motion == "prismatic":
+        return []
+    read = read_gyro if kind == "gyro" else read_rotation
+    before = read(arm, motion.without(i), i)
+    return [read(arm, motion, i) - before, before] if np.any(before) else []
 
 
 def _coefficient_ratio(fit: Fit) -> tuple[float, float] | None:
