@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from strainwave.domain import Comparison, Decoupled, Evidence, InputOutput, LinearOptions, Tally
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import NotIdentifiable
-from strainwave.identification.joint_model import linear
+from strainwave.identification.joint_model import linear, stretches
 from strainwave.paper import (
     PUBLISHED_SETTINGS,
     ComparisonOptions,
@@ -241,9 +241,9 @@ def test_held_inputs_give_unstable_models(monkeypatch: pytest.MonkeyPatch) -> No
     ) -> list[InputOutput]:
         return [replace(piece, hold=("zero", "zero")) for piece in decimate(record, band, options)]
 
-    decimate = linear._decimate
+    decimate = stretches._decimate
     run = Rig(0, PUBLISHED_SETTINGS).prbs(1)
-    monkeypatch.setattr(linear, "_decimate", held)
+    monkeypatch.setattr(stretches, "_decimate", held)
     model = linear.state_space_of(run.decoupled, PUBLISHED_SETTINGS.linear)
     assert np.abs(np.linalg.eigvals(model.A)).max() > 1.05
 

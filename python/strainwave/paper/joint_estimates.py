@@ -27,9 +27,8 @@ from strainwave.dynamics.two_inertia import anti_resonance as true_anti_resonanc
 from strainwave.dynamics.two_inertia import resonance as true_resonance
 from strainwave.errors import NumericalFailure, StrainwaveError
 from strainwave.identification.joint_model import modes_of, state_space_of
-from strainwave.identification.joint_model.linear import remove_alternating_poles
 from strainwave.presentation.figures.curves import Curve
-from strainwave.statespace import frequency_response, to_continuous
+from strainwave.statespace import frequency_response, remove_alternating_poles, to_continuous
 
 LINES_HZ = np.geomspace(1.0, 100.0, 240)  # of frequency responses
 JUDGED_HZ = (3.0, 60.0)  # band of response errors: around anti-resonance and resonance

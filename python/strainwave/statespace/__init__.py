@@ -7,6 +7,7 @@ derive quantities from a model with their uncertainty; `propagate` does so for a
 """
 
 from strainwave.statespace._stack import remove_means
+from strainwave.statespace.alternating_poles import remove_alternating_poles
 from strainwave.statespace.continuous import to_continuous
 from strainwave.statespace.modes import modes, nearest, poles_and_zeros
 from strainwave.statespace.order import select_order
@@ -25,6 +26,7 @@ __all__ = [
     "pem",
     "poles_and_zeros",
     "propagate",
+    "remove_alternating_poles",
     "remove_means",
     "select_order",
     "subspace",

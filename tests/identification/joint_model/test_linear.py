@@ -15,17 +15,14 @@ from strainwave.dynamics.two_inertia import anti_resonance, resonance
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification.joint_model import linear
 from strainwave.identification.joint_model.linear import (
-    band_of,
     fit_linear,
     judge,
     modes_of,
-    other_bands,
     physical_order,
-    remove_alternating_poles,
     state_space_of,
-    velocities,
 )
-from strainwave.statespace import frequency_response
+from strainwave.identification.joint_model.stretches import band_of, other_bands, velocities
+from strainwave.statespace import frequency_response, remove_alternating_poles
 from two_inertia import TwoInertia, state_space
 
 CASES = [(1, 1), (2, 1), (3, 2), (4, 2)]

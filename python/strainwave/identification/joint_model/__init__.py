@@ -45,11 +45,9 @@ from strainwave.identification.joint_model.grey_box import (
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.linear import (
     LinearFit,
-    band_for,
     fit_linear,
     judge,
     modes_of,
-    other_bands,
     physical_order,
     state_space_of,
 )
@@ -58,6 +56,7 @@ from strainwave.identification.joint_model.motor_side import (
     models_from_motors,
 )
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge, rigid_knowledge
+from strainwave.identification.joint_model.stretches import band_for, other_bands
 from strainwave.identification.joint_model.transfer import from_state_space
 from strainwave.numerics.parallel import one_blas_thread
 

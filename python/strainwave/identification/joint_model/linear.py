@@ -1,16 +1,7 @@
 """Estimate a state-space model of one decoupled joint, the paper's decoupling identification.
 
 The inputs are motor torque minus Coulomb friction, and interaction torque. The outputs are motor
-velocity and link velocity, as in (11), (12). The data are prepared for prediction-error estimation:
-
-- Innovations need noise power at all frequencies up to Nyquist. The sampling rate is therefore
-  reduced together with the low-pass; a low-pass alone would make the noise predictable.
-- Friction and sensor bias drift. A second-order zero-phase high-pass below the anti-resonance
-  removes them. Its gentle slope leaves power at all frequencies.
-- Linear interpolation between samples attenuates the inputs by sinc^2. The inputs are divided by
-  sinc^2, so that the interpolated inputs have the original spectrum within the band.
-- At low frequencies the fused link velocity (10) contains the motor velocity. The fusion filter is
-  known and is inverted.
+velocity and link velocity, as in (11), (12).
 """
 
 from __future__ import annotations
@@ -18,17 +9,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import cast
 
 import numpy as np
 
 from strainwave.domain import (
-    ComplexArray,
     Decoupled,
     Diagnostic,
-    FloatArray,
-    Fusion,
-    Hold,
     InputOutput,
     LinearOptions,
     ModelCheck,
@@ -39,52 +25,38 @@ from strainwave.domain import (
 from strainwave.errors import NotIdentifiable, StrainwaveError
 from strainwave.identification.joint_model.bands import (
     FIRST_BAND_HZ,
-    MIN_PERIODS,
     Band,
-    limit_band,
-    neighbouring_bands,
     same_band,
 )
-from strainwave.numerics.filters import by_spectrum, low_pass
+from strainwave.identification.joint_model.stretches import (
+    band_around,
+    band_for,
+    decimated_hz,
+    input_output_of,
+    limit_to_rate,
+    limit_to_records,
+)
 from strainwave.signals.channels import check_alike
 from strainwave.statespace import (
     check_model,
     modes,
     pem,
-    propagate,
+    remove_alternating_poles,
     select_order,
     subspace,
     subspace_orders,
 )
 
-ANTI_RESONANCE_TO_LOW_EDGE = 3.0  # ratio of the anti-resonance to the lower edge of the band
-# ratio of the upper edge of the band to the resonance; with less, the data do not determine d_G
-HIGH_EDGE_TO_RESONANCE = 3.0
-_MIN_EDGE_RATIO = 4.0  # minimum ratio of the edges of the band
-# ratio of the sampling rate to the upper edge of the band. 3.5 to 4.5 work; above 5 the low-pass
-# leaves too little noise near Nyquist for the prediction-error method
-_RATE_TO_HIGH_EDGE = 4.0
 _FIT_SHARE = 0.75  # share of a stretch used to fit; the rest is used to check the model
 _MAX_BANDS = 5  # maximum number of bands in the search
 _BAND_TOLERANCE = 0.1  # relative difference of the edges up to which the search has converged
 _REFIT_BAND_DIFFERENCE = (
     0.25  # relative difference of the edges above which the model is fitted again
 )
-_HIGH_PASS_ORDER, _LOW_PASS_ORDER = (
-    2,
-    6,
-)  # orders of the band-pass: powers of the frequency ratios in the gain
-# share of the new sampling rate up to which inputs are divided by sinc^2, which is 0.1 there
-_MAX_COMPENSATED_RATE_SHARE = 0.75
-_CUTOFF_TO_NYQUIST = 0.8  # cut-off over the new Nyquist frequency, as in MATLAB's `decimate`
-_MIN_CUTOFF_PERIODS = (
-    10.0  # minimum number of periods of the cut-off in one period of the slowest motion
-)
 PHYSICAL_ORDER = 3  # torsion and two velocities; the common angle is not observable
 _ORDERS = (3, 4, 5, 6)  # three states of the joint and up to three of the filters
 # samples used to select the order: about 100 per parameter of a model with three states
 _ORDER_SELECTION_SAMPLES = 2000
-_BAND_CHANGE = 1.2  # factor on the band edges for the estimate of the model error
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,11 +112,11 @@ def fit_linear(
     joint = (records,) if isinstance(records, Decoupled) else tuple(records)
     check_alike(joint)
     if chosen.filter == "decimation":
-        return _fit_in((0.0, _decimated_hz(joint[0], chosen)), joint, chosen, near)
+        return _fit_in((0.0, decimated_hz(joint[0], chosen)), joint, chosen, near)
     if chosen.band_hz is not None:
         return _fit_in(chosen.band_hz, joint, chosen, near)
-    band = _at_rate(_search_band(joint), joint, chosen)
-    data = _data(joint, band, chosen)
+    band = limit_to_rate(_search_band(joint), joint, chosen)
+    data = input_output_of(joint, band, chosen)
     # the model of three states determines the band; then the order is selected in that band
     physical = _model(joint, data, physical_order(chosen))
     modes = modes_of(replace(physical, covariance=None))
@@ -165,18 +137,13 @@ def _fit_in(
     options: LinearOptions,
     near: StateSpace | None = None,
 ) -> LinearFit:
-    data = _data(records, band_hz, options)
+    data = input_output_of(records, band_hz, options)
     return LinearFit(records, options, band_hz, data, _model(records, data, options, near))
 
 
 def physical_order(options: LinearOptions) -> LinearOptions:
     """The options with the order of (11), (12), three states, unless the order is set by hand."""
     return options if options.order else replace(options, order=PHYSICAL_ORDER)
-
-
-def other_bands(band_hz: Band, records: Sequence[Decoupled]) -> list[Band]:
-    """A narrower and a wider band [Hz], to measure the model error by the change of estimates."""
-    return [_limit_band(band, records) for band in neighbouring_bands(band_hz, _BAND_CHANGE)]
 
 
 def judge(fit: LinearFit) -> ModelCheck:
@@ -201,204 +168,11 @@ def modes_of(model: StateSpace) -> Modes:
     return modes(remove_alternating_poles(model), 0, 0)
 
 
-def remove_alternating_poles(model: StateSpace) -> StateSpace:
-    """Remove poles on the negative real axis, which have no continuous-time equivalent.
-
-    Such a pole alternates in sign from sample to sample and models the edge of the band, at
-    Nyquist. Within the band it is a constant gain, which is added to D. The covariance is
-    propagated. Returns the model itself if it has no such pole.
-    """
-    values, vectors = np.linalg.eig(model.A)
-    alternating = np.flatnonzero((values.imag == 0.0) & (values.real <= 0.0))
-    if not len(alternating) or len(alternating) == model.order:
-        return model
-    z, w = float(values[alternating[0]].real), np.linalg.inv(vectors)[alternating[0]].real
-    complement = np.linalg.svd(w[None])[2][
-        1:
-    ].T  # w'A = z w': `complement` is the invariant subspace
-    reduced = _without(z, complement, model)
-
-    def entries(near: StateSpace) -> FloatArray:
-        remaining = _without(z, complement, near)
-        return np.concatenate(
-            [
-                each.ravel()
-                for each in (remaining.A, remaining.B, remaining.C, remaining.D, remaining.K)
-            ]
-        )
-
-    if model.covariance is not None:
-        reduced = replace(reduced, covariance=propagate(model, entries)[1])
-    return remove_alternating_poles(reduced)
-
-
-def _without(z: float, others: FloatArray, model: StateSpace) -> StateSpace:
-    """Remove the pole nearest to z, in the basis `others` projected along that pole's eigenvector.
-
-    The basis is a smooth function of the model, as `propagate` requires.
-    """
-    values, vectors = np.linalg.eig(model.A)
-    index = int(np.argmin(np.abs(values - z)))
-    pole, v, w = values[index].real, vectors[:, index].real, np.linalg.inv(vectors)[index].real
-    basis = others - np.outer(v, w @ others)
-    projection = np.linalg.inv(np.column_stack([basis, v]))[:-1]
-    return replace(
-        model,
-        A=projection @ model.A @ basis,
-        B=projection @ model.B,
-        C=model.C @ basis,
-        D=model.D + np.outer(model.C @ v, w @ model.B) / (1.0 - pole),
-        K=projection @ model.K,
-        initial_states=model.initial_states @ projection.T,
-        covariance=None,
-    )
-
-
-def band_around(
-    anti_resonance_hz: float, resonance_hz: float, records: Sequence[Decoupled]
-) -> Band:
-    """Filter band [Hz] around the resonances, limited to the frequencies in the records."""
-    low = anti_resonance_hz / ANTI_RESONANCE_TO_LOW_EDGE
-    return _limit_band((low, resonance_hz * HIGH_EDGE_TO_RESONANCE), records)
-
-
-def _limit_band(band: Band, records: Sequence[Decoupled]) -> Band:
-    longest = [
-        max((stop - start for start, stop in _stretches(record)), default=1) for record in records
-    ]
-    return limit_band(band, records, longest, _MIN_EDGE_RATIO)
-
-
-def band_for(rings_hz: Band, records: Sequence[Decoupled], options: LinearOptions) -> Band:
-    """Filter band [Hz] of the options, otherwise the band around a joint's resonances.
-
-    `rings_hz` has the anti-resonance and the resonance [Hz].
-    """
-    return options.band_hz or _at_rate(band_around(*rings_hz, records), records, options)
-
-
-def _at_rate(band_hz: Band, records: Sequence[Decoupled], options: LinearOptions) -> Band:
-    """Limit the upper edge of the band to what the decimation of the options allows."""
-    if options.decimation is None:
-        return band_hz
-    high = 1.0 / (_RATE_TO_HIGH_EDGE * options.decimation * records[0].sample_time)
-    return min(band_hz[0], high / _MIN_EDGE_RATIO), high
-
-
-def band_of(f: FloatArray, band_hz: Band) -> FloatArray:
-    """Gain (n_frequencies,) of the zero-phase band-pass, 1 / ((1 + (low/f)^2) (1 + (f/high)^6))."""
-    low, high = band_hz
-    gain = (1.0 + (low / f) ** _HIGH_PASS_ORDER) * (1.0 + (f / high) ** _LOW_PASS_ORDER)
-    return np.asarray(1.0 / gain)
-
-
-def velocities(f: FloatArray, record: Decoupled) -> ComplexArray:
-    """Frequency response from the outputs to motor and link velocity, the inverse of (10).
-
-    Returns (n_frequencies, 2, 2) for `f` (n_frequencies,) [Hz].
-    """
-    inverse = np.zeros((len(f), 2, 2), dtype=complex)
-    inverse[:, 0, 0] = inverse[:, 1, 1] = 1.0
-    if record.fusion is not None:
-        F = _fusion_low_pass(f, record.fusion)
-        inverse[:, 1, 1] = 1.0 / (1.0 - F)
-        inverse[:, 1, 0] = -record.gear_ratio * F / (1.0 - F)
-    return inverse
-
-
-def _fusion_low_pass(f: FloatArray, fusion: Fusion) -> ComplexArray:
-    """Low-pass F of the fusion (10)."""
-    x = 2j * np.pi * f * fusion.time_constant
-    return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
-
-
-def _stretches(record: Decoupled) -> list[tuple[int, int]]:
-    """Start and stop (exclusive) of each run of valid samples."""
-    edges = np.flatnonzero(np.diff(np.r_[False, record.valid, False].astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-
-
-def _data(
-    records: Sequence[Decoupled], band_hz: Band, options: LinearOptions
-) -> tuple[InputOutput, ...]:
-    """Filtered and decimated stretches of all records."""
-    pieces = _pieces if options.filter == "band" else _decimate
-    stretches = [piece for record in records for piece in pieces(record, band_hz, options)]
-    if not stretches:
-        raise NotIdentifiable(
-            f"no stretch of {records[0].experiment.name} is free of edges and saturation for "
-            f"{MIN_PERIODS:g} periods of "
-            f"{band_hz[0] or band_hz[1] / _MIN_CUTOFF_PERIODS:.3g} Hz: record for longer, "
-            "or lower the amplitude"
-        )
-    return tuple(stretches)
-
-
-def _pieces(record: Decoupled, band_hz: Band, options: LinearOptions) -> Iterator[InputOutput]:
-    low, high = band_hz
-    T = record.sample_time
-    step = options.decimation or max(1, round(1.0 / (_RATE_TO_HIGH_EDGE * high * T)))
-    n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
-    n_out = 1 if options.outputs == "motor" else 2
-
-    def compensated_band(f: FloatArray) -> ComplexArray:
-        attenuation = np.where(
-            f * step * T < _MAX_COMPENSATED_RATE_SHARE, np.sinc(f * step * T) ** 2, 1.0
-        )
-        return np.asarray(band_of(f, band_hz) / attenuation, dtype=complex)
-
-    def compensated_sensors(f: FloatArray) -> ComplexArray:
-        return np.asarray(band_of(f, band_hz)[:, None, None] * velocities(f, record))
-
-    for start, stop in _stretches(record):
-        edge = int(1.0 / (low * T))
-        # the high-pass response lasts one period; the remaining samples must suffice for a fit
-        if (stop - start) * T * low < MIN_PERIODS - 1e-6:
-            continue
-        inputs = by_spectrum(record.inputs[start:stop, :n_in], compensated_band, T, 3.0 / low)
-        outputs = by_spectrum(record.outputs[start:stop], compensated_sensors, T, 3.0 / low)
-        yield InputOutput(
-            inputs=np.ascontiguousarray(inputs[edge : stop - start - edge : step]),
-            outputs=np.ascontiguousarray(outputs[edge : stop - start - edge : step, :n_out]),
-            sample_time=step * T,
-            hold=cast("tuple[Hold, ...]", ("first",) * n_in),
-            input_names=("motor_torque", "interaction_torque")[:n_in],
-            output_names=("motor_velocity", "link_velocity")[:n_out],
-        )
-
-
-def _decimated_hz(record: Decoupled, options: LinearOptions) -> float:
-    """Cut-off frequency [Hz] of the low-pass before decimation."""
-    return _CUTOFF_TO_NYQUIST * 0.5 / ((options.decimation or 1) * record.sample_time)
-
-
-def _decimate(record: Decoupled, _: Band, options: LinearOptions) -> Iterator[InputOutput]:
-    """Low-passed, decimated stretches without their means, prepared as in the source."""
-    T, step, cutoff = record.sample_time, options.decimation or 1, _decimated_hz(record, options)
-    n_in = 1 if options.inputs == "motor" else record.inputs.shape[1]
-    n_out = 1 if options.outputs == "motor" else 2
-    for start, stop in _stretches(record):
-        edge = int(1.0 / (cutoff * T))
-        if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * MIN_PERIODS:
-            continue
-        columns = np.hstack([record.inputs[start:stop, :n_in], record.outputs[start:stop, :n_out]])
-        samples = low_pass(columns, cutoff, T)[edge : stop - start - edge : step]
-        samples = np.ascontiguousarray(samples - samples.mean(axis=0))
-        yield InputOutput(
-            inputs=samples[:, :n_in],
-            outputs=samples[:, n_in:],
-            sample_time=step * T,
-            hold=cast("tuple[Hold, ...]", ("first",) * n_in),
-            input_names=("motor_torque", "interaction_torque")[:n_in],
-            output_names=("motor_velocity", "link_velocity")[:n_out],
-        )
-
-
 def _search_band(records: Sequence[Decoupled]) -> Band:
     """Band around the resonances, from fast subspace estimates without starting values."""
-    band = _limit_band(FIRST_BAND_HZ, records)
+    band = limit_to_records(FIRST_BAND_HZ, records)
     for _ in range(_MAX_BANDS):
-        estimated_modes = modes_of(subspace(_data(records, band, LinearOptions()), 3))
+        estimated_modes = modes_of(subspace(input_output_of(records, band, LinearOptions()), 3))
         if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:
             break
         previous_band = band

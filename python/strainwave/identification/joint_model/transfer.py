@@ -34,16 +34,17 @@ from strainwave.dynamics.two_inertia import (
 )
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.joint_estimate import JointEstimate
-from strainwave.identification.joint_model.linear import (
-    band_around,
-    band_of,
-    modes_of,
-    remove_alternating_poles,
-    velocities,
-)
+from strainwave.identification.joint_model.linear import modes_of
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
+from strainwave.identification.joint_model.stretches import band_around, band_of, velocities
 from strainwave.numerics.filters import by_spectrum
-from strainwave.statespace import nearest, poles_and_zeros, propagate, to_continuous
+from strainwave.statespace import (
+    nearest,
+    poles_and_zeros,
+    propagate,
+    remove_alternating_poles,
+    to_continuous,
+)
 
 _MAX_RELATIVE_STD = 1.0  # relative standard deviation above which the sign is not determined
 _MAX_LAG_TO_ANTI_RESONANCE = (
@@ -97,14 +98,7 @@ def from_state_space(
     number, ratio = joint_records[0].joint, joint_records[0].gear_ratio
     names = tuple(record.experiment.name for record in joint_records)
     nominal = _pairs(model, None)
-    vector, pair_covariance = _pairs_with_covariance(model, nominal)
-    if pair_covariance is None:
-        pair_covariance = np.full((len(vector), len(vector)), np.nan)
-    changes = [_pairs(other, nominal).vector - vector for other in others]
-    if changes:
-        pair_covariance = pair_covariance + np.mean(
-            [np.outer(move, move) for move in changes], axis=0
-        )
+    vector, pair_covariance = _pairs_with_covariance(model, nominal, others)
     coefficients, lag_covariance = _with_rigid(vector[:6], pair_covariance[:6, :6], known)
     two_inertia = from_coefficients(coefficients[:2], coefficients[2:4], coefficients[4:], ratio)
     J = jacobian(lambda q: from_coefficients(q[:2], q[2:4], q[4:], ratio).vector, coefficients)
@@ -148,9 +142,9 @@ def _vector(zero: ComplexArray, pole: ComplexArray, lag: FloatArray) -> FloatArr
 
 
 def _pairs_with_covariance(
-    model: StateSpace, nominal: _Pairs
-) -> tuple[FloatArray, FloatArray | None]:
-    """`_Pairs.vector` with its covariance."""
+    model: StateSpace, nominal: _Pairs, others: Sequence[StateSpace]
+) -> tuple[FloatArray, FloatArray]:
+    """`_Pairs.vector` with its covariance, model error included; NaN without a covariance."""
 
     def at_once(near: StateSpace) -> FloatArray:
         continuous = to_continuous(near)
@@ -159,7 +153,13 @@ def _pairs_with_covariance(
         pole = nearest(np.array([nominal.pole]), poles)[:, 0]
         return _vector(zero, pole, np.stack(_lag(continuous, zero, pole)))
 
-    return propagate(remove_alternating_poles(model), at_once, stacked=True)
+    vector, covariance = propagate(remove_alternating_poles(model), at_once, stacked=True)
+    if covariance is None:
+        covariance = np.full((len(vector), len(vector)), np.nan)
+    changes = [_pairs(other, nominal).vector - vector for other in others]
+    if changes:
+        covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
+    return vector, covariance
 
 
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
