@@ -132,7 +132,7 @@ def main() -> None:
     by_name: dict[str, list[list[Any]]] = defaultdict(list)
     failures: list[dict[str, Any]] = []
     statuses: dict[str, int] = defaultdict(int)
-    simulator: Simulator = partial(simulate, longest=EXACT_STEP)
+    simulator: Simulator = partial(simulate, max_time_step=EXACT_STEP)
     if options.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
     arm = partial(draw_rig, series=options.seed, catalogue=options.catalogue)

@@ -275,7 +275,7 @@ def main() -> None:
     parser.add_argument("--engine", action="store_true", help="simulate in MuJoCo")
     parser.add_argument("--out", type=Path, help="lines of JSON; a repeated run continues")
     options = parser.parse_args()
-    simulator: Simulator = partial(simulate, longest=EXACT_STEP)
+    simulator: Simulator = partial(simulate, max_time_step=EXACT_STEP)
     if options.engine:
         from benchmarks.studies.engine import in_mujoco as simulator
     arm = partial(_draw, sensors=options.sensors, series=options.seed, catalogue=options.catalogue)

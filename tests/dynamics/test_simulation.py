@@ -204,7 +204,7 @@ def test_the_time_step_resolves_the_fastest_resonance() -> None:
                 sample_time=1e-3,
                 samples=200,
                 record=record,
-                longest=longest,
+                max_time_step=longest,
             )
         )
         for longest in (MAX_TIME_STEP, 1e-5)

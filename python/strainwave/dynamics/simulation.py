@@ -75,13 +75,13 @@ def simulate(
     sample_time: float,
     samples: int,
     record: Sequence[Quantity],
-    longest: float = MAX_TIME_STEP,
+    max_time_step: float = MAX_TIME_STEP,
 ) -> Trajectory:
     """Simulate one experiment with a time step that resolves the fastest gear resonance.
 
     `sample_time` [s] is the period of the recorded samples, `record` lists the recorded quantities,
-    and `longest` [s] is an upper limit of the time step. Raises InvalidInput if a parameter is
-    missing or impossible, or if the clocks have no common step. Raises NumericalFailure if the
+    and `max_time_step` [s] is an upper limit of the time step. Raises InvalidInput if a parameter
+    is missing or impossible, or if the clocks have no common step. Raises NumericalFailure if the
     motion diverges.
     """
     recorded = simulate_arms(
@@ -91,7 +91,7 @@ def simulate(
         sample_time=sample_time,
         samples=samples,
         record=record,
-        max_time_step=min(longest, arm.max_time_step(values)),
+        max_time_step=min(max_time_step, arm.max_time_step(values)),
     )
     time: FloatArray = sample_time * np.arange(samples, dtype=np.float64)
     return Trajectory(time, {name: recorded[name][0] for name in record})
@@ -109,8 +109,8 @@ def simulate_arms(
 ) -> dict[Quantity, FloatArray]:
     """Simulate one experiment on many arms, in parallel vector lanes and threads.
 
-    Arguments and errors are those of `simulate`; `max_time_step` [s] is the upper limit of the time
-    step. Arrays of the result have shape (n_arms, n_samples, n_joints).
+    Arguments and errors are those of `simulate`. Arrays of the result have shape (n_arms,
+    n_samples, n_joints).
     """
     vectors = np.array([arm.parameter_vector(values) for values in arms])
     experiment = _experiment(arm, drive, sample_time, samples, max_time_step)

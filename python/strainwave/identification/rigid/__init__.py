@@ -82,8 +82,8 @@ def _fit(signals: Sequence[Signals], arm: Arm, chosen: RigidOptions) -> RigidMod
 def _elastic_model_error(best: Trial) -> FloatArray:
     """Variance (n_parameters,) of the error of the first-order compliance model.
 
-    It has two parts: the change of the estimates with the motor's share of the first inertia, from
-    one half to about one standard deviation away; and the second-order term in (w / w_a)^2,
+    It has two parts: the change of the estimates with the motors' share of inertias, from one half
+    to about one standard deviation away; and the second-order term in (w / w_a)^2,
     estimated as the first-order change times (bandwidth / anti-resonance)^2.
     """
     arm = best.arm

@@ -22,7 +22,7 @@ from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
 
 MOTOR_SHARE = 0.5
-"""Assumed motor share of the rigid inertia of joint 1 (or of a single joint).
+"""Assumed motor share of inertias that rigid motion does not separate into motor and link.
 
 Only the gear compliance separates motor and link inertia. Designs match the two within a small
 factor, and the fitted compliance compensates for an error of the share.
@@ -105,7 +105,7 @@ def assemble(
 
     Nuisance parameters are the compliances of elastic joints, common to all rows, and the free
     friction of each record and joint. Blocks are equal intervals of time, about 20 in all, and
-    equal parts of the period of a repeated motion; both joints share them.
+    equal parts of the period of a repeated motion; all joints share them.
 
     Without `around`, the joints are rigid, the prior of the free friction is the size of the
     torque, and friction does not depend on the load. `loads` adds one share of the load per joint,

@@ -74,9 +74,9 @@ def fit_whole_arm(
     """
     chosen = expand_published_options(options or WholeArmOptions())
     with one_blas_thread(), report_progress(progress):  # thousands of small factorisations
-        begin = prepare_start(logs, model, (joints, *others), arm, chosen, start)
+        prepared = prepare_start(logs, model, (joints, *others), arm, chosen, start)
         selection = Selection(arm, chosen)
-        return arm_model(_fit(begin, selection), begin, selection)
+        return arm_model(_fit(prepared, selection), prepared, selection)
 
 
 def fit_records(
@@ -91,19 +91,21 @@ def fit_records(
     """Fit as `fit_whole_arm` does, and return the fit itself with its residuals."""
     chosen = expand_published_options(options or WholeArmOptions())
     with one_blas_thread():
-        begin = prepare_start(logs, model, (joints,), arm, chosen, start)
-        return _fit(begin, Selection(arm, chosen))
+        prepared = prepare_start(logs, model, (joints,), arm, chosen, start)
+        return _fit(prepared, Selection(arm, chosen))
 
 
 def _fit(start: Start, selection: Selection) -> Fit:
     """Fit in long steps to near the minimum, then in short steps, with the selected model."""
     coarse = coarse_search(start.coarse, selection.options)
     coarse = select_model(coarse, COARSE, selection)
-    pairs = zip(start.records, coarse.objective.records, strict=True)
-    records = [replace(record, begins_in_motion=found.begins_in_motion) for record, found in pairs]
-    with_effects = set_record_effects(records, selection.arm, coarse.objective.space.keys)
+    records = [
+        replace(record, begins_in_motion=long_steps.begins_in_motion)
+        for record, long_steps in zip(start.records, coarse.objective.records, strict=True)
+    ]
+    with_effects = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
     fine = fine_search(replace(coarse, objective=objective), selection.options)
-    if fine.converged:  # what comes beside has evaluations of its own
+    if fine.converged:  # the model selection has its own budget of evaluations
         selection.renew(fine)
     return polish(select_model(fine, FINE, selection), selection.options)

@@ -207,10 +207,10 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
     def column(k: int, evaluated: Evaluation) -> FloatArray:
         """Derivative with respect to the logarithm of the length: (n_rows, n_channels, 1)."""
         record = objective.records[k]
-        own = evaluated.record_parameters[: len(record.initial_states)]
+        initial = evaluated.record_parameters[: len(record.initial_states)]
         ends = [
             replace(record, arm=record.arm.with_joint(number, origin=scaled(factor))).linearised(
-                values, own, ()
+                values, initial, ()
             )[0]
             for factor in (1.0 + LENGTH_STEP, 1.0 - LENGTH_STEP)
         ]
@@ -221,10 +221,10 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
     except (InvalidInput, NumericalFailure):
         return
     n = len(objective.space.unknowns)
-    own, target = factor[n:, n], factor[n:, -1]
-    square = float(own @ own)
+    derivative, target = factor[n:, n], factor[n:, -1]
+    square = float(derivative @ derivative)
     if square > 0.0:
-        step = -float(own @ target) / square
+        step = -float(derivative @ target) / square
         share = step**2 * square / max(fit.cost, 1e-300)
         value = math.hypot(*origin.xyz) * math.exp(step)
         text = f"measure the distance between the axes of joints {number - 1} and {number}"

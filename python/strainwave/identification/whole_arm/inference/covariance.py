@@ -171,14 +171,14 @@ def _scatter_increment(
 
 
 def _prior_scale(
-    errors: FloatArray, left: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
+    errors: FloatArray, residual: FloatArray, answer: FloatArray, rows: FloatArray, meat: FloatArray
 ) -> float:
     """Mean ratio of squared prior residuals to their expectation; at least 1."""
-    if not len(left):
+    if not len(residual):
         return 1.0
     expected = np.diag(residual_covariance(errors, answer, rows, meat))
     expected = np.maximum(expected, _MIN_VARIANCE_RATIO * np.diag(errors))
-    return max(1.0, float(np.mean(left**2 / expected)))
+    return max(1.0, float(np.mean(residual**2 / expected)))
 
 
 def residual_covariance(

@@ -139,12 +139,12 @@ class EffectColumns:
         return self.factor[self.n_unknowns :, -1]
 
     def effect_columns(self, one: Hypothesis) -> FloatArray:
-        """An effect's columns after projection, zero where only rounding is left."""
+        """An effect's columns after projection, zero where only rounding remains."""
         place = self._place(one)
-        left = self.factor[self.n_unknowns :, place].copy()
+        projection = self.factor[self.n_unknowns :, place].copy()
         size = np.linalg.norm(self.factor[:, place], axis=0)
-        left[:, np.linalg.norm(left, axis=0) <= COLUMN_ROUNDING * size] = 0.0
-        return left
+        projection[:, np.linalg.norm(projection, axis=0) <= COLUMN_ROUNDING * size] = 0.0
+        return projection
 
     def shifts(self, one: Hypothesis) -> FloatArray:
         """Residual effect of errors in the rigid-step estimates due to the missing effect."""

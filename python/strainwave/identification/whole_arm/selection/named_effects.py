@@ -37,9 +37,9 @@ def add_named_effects(fit: Fit, selection: Selection) -> Fit:
     selection.grant(selection.budget)  # as many as the fit without them
     values = fit.values
     loads = loads_of(fit.objective.records, values)
-    space, begin = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
+    space, start = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
     extended = search_minimum(
-        fit.restart(with_effects(fit.objective, space, arm), begin),
+        fit.restart(with_effects(fit.objective, space, arm), start),
         selection.options,
         tolerance=COARSE_TOLERANCE,
         max_evaluations=MAX_TRIAL_EVALUATIONS,
@@ -52,8 +52,8 @@ def _prior_relief(fit: Fit, space: ParameterSpace) -> float:
     parameters = fit.space.parameters(fit.z)
 
     def cost(prior: Prior) -> float:
-        left = prior.rows[:, : len(parameters)] @ parameters - prior.target
-        return float(np.sum(left**2))
+        residual = prior.rows[:, : len(parameters)] @ parameters - prior.target
+        return float(np.sum(residual**2))
 
     return cost(fit.space.prior) - cost(space.prior)
 
@@ -63,8 +63,8 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    while gone := _insignificant_effects(fit):
-        space = remove_effects(fit.space, gone, arm)
+    while insignificant := _insignificant_effects(fit):
+        space = remove_effects(fit.space, insignificant, arm)
         objective = with_effects(fit.objective, space, arm)
         start = fit.restart(objective, space.coordinates(fit.values))
         fit = fine_search(start, selection.options)
