@@ -27,6 +27,7 @@ from strainwave.dynamics.simulation import simulate_arms
 from strainwave.identification.closed_loop import restrict_to_values, velocity_band
 from strainwave.numerics.filters import differentiate
 from strainwave.numerics.spectra import cross_spectral_densities
+from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _MAX_SEGMENT_SECONDS = 8.0  # [s] maximum duration of a Welch segment
@@ -60,9 +61,8 @@ def motor_response(
         record=["motor_torque", "motor_angle"],
     )
     number, T = log.experiment.joint or 1, log.sample_time
-    angles = np.column_stack(
-        [log.channels[f"theta_m{number}"], runs["motor_angle"][0, :, number - 1]]
-    )
+    motor_angle = prepare_record(log, arm).motor_angle
+    angles = np.column_stack([motor_angle[:, number - 1], runs["motor_angle"][0, :, number - 1]])
     columns = np.column_stack([runs["motor_torque"][0, :, number - 1], differentiate(angles, T)])
     segment = min(len(log) // 2, round(_MAX_SEGMENT_SECONDS / T))
     frequency, density = cross_spectral_densities(columns, T, segment)
@@ -73,9 +73,7 @@ def motor_response(
     coherence = np.abs(density[inside, 0, 1]) ** 2
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
     condition = _condition(log, arm)
-    posture = arm.gear_ratios * np.array(
-        [np.mean(log.channels[f"theta_m{i}"]) for i in range(1, arm.n_joints + 1)]
-    )
+    posture = arm.links_of(motor_angle.mean(axis=0))
     values, is_servoed = (
         _with_equivalent_stiffness(model.values, joints, arm),
         condition == "others-servoed",

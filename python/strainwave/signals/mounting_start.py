@@ -22,6 +22,7 @@ from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import estimate_imu_starts
 from strainwave.signals.link_readings import JointMotion, read_gyro
+from strainwave.signals.prepared_record import prepare_record
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
 _MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a record
@@ -103,8 +104,7 @@ def _cutoff_hz(log: Log) -> float:
 
 def _motion_from_motors(log: Log, arm: Arm) -> JointMotion:
     """Motion of the joints at low frequencies, from the motors."""
-    motors = np.column_stack([log.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
-    motors = low_pass(motors, _cutoff_hz(log), log.sample_time)
+    motors = low_pass(prepare_record(log, arm).motor_angle, _cutoff_hz(log), log.sample_time)
     return JointMotion.of_motors(motors, arm, log.sample_time)
 
 

@@ -24,23 +24,22 @@ def recorded_drive(arm: Arm, log: Log) -> Drive:
     experiment = log.experiment
     voltage = np.zeros((len(log), arm.n_joints))
     reference = np.zeros_like(voltage)
-    recorded_voltage = prepare_record(log, arm).voltage
+    record = prepare_record(log, arm)
     for i in range(arm.n_joints):
         if experiment.control[i] == "open":
-            voltage[:, i] = recorded_voltage[:, i]
+            voltage[:, i] = record.voltage[:, i]
         else:
             reference[:, i] = log.channels.get(f"ref{i + 1}", reference[:, i])
             if experiment.prbs and experiment.joint == i + 1:
                 voltage[:, i] = _sample_prbs(experiment.prbs, log.sample_time, len(log))
-    numbers = range(1, arm.n_joints + 1)
-    servo_voltage = recorded_voltage[0] - voltage[0]
+    servo_voltage = record.voltage[0] - voltage[0]
     return Drive(
         tick=log.sample_time,
         voltage=voltage,
         reference=reference,
         servo=tuple(control == "servo" for control in experiment.control),
-        motor_angle=tuple(float(log.channels[f"theta_m{i}"][0]) for i in numbers),
-        initial_voltage=tuple(float(v) for v in servo_voltage),
+        motor_angle=tuple(record.motor_angle[0].tolist()),
+        initial_voltage=tuple(servo_voltage.tolist()),
     )
 
 

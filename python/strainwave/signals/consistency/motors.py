@@ -18,8 +18,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
 from strainwave.signals.consistency.evidence import Evidence, SlowRecord, is_slow
 from strainwave.signals.consistency.regression import regress
+from strainwave.signals.consistency.sensors import motion_of
 from strainwave.signals.drive_law import DriveLaw
-from strainwave.signals.link_readings import JointMotion
 
 # Maximum share of samples at the servo limit; above it, the servo law does not hold.
 _MAX_SATURATED_SHARE = 0.01
@@ -216,10 +216,9 @@ class _Equation:
 
     @classmethod
     def of(cls, record: SlowRecord, arm: Arm, i: int) -> _Equation:
-        motors = np.column_stack([record.channels[f"theta_m{j + 1}"] for j in range(arm.n_joints)])
-        motion, T = JointMotion.of_motors(motors, arm, record.sample_time), record.sample_time
+        motion, motor = motion_of(record, arm), record.channels[f"theta_m{i + 1}"]
         q, dq, ddq = motion.angle, motion.velocity, motion.acceleration
-        friction = differentiate(motors[:, i], T), record.direction[:, i]
+        friction = differentiate(motor, record.sample_time), record.direction[:, i]
         columns = np.column_stack([arm.rigid_regressor(q, dq, ddq)[:, i], *friction])
         rest = np.zeros_like(q)
         unit = rest + arm.links_of(np.eye(arm.n_joints)[i])

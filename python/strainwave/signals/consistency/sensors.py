@@ -83,7 +83,7 @@ def regress_readings(evidence: Evidence) -> list[Reading]:
     slow = {name for r in evidence.records if is_slow(r.experiment) for name in r.channels}
     regressions: list[Reading] = []
     for record in evidence.records:
-        motion = _motion_of(record, evidence.arm)
+        motion = motion_of(record, evidence.arm)
         for kind in LINK_CHANNELS:
             for i in range(evidence.arm.n_joints):
                 name = f"{kind}{i + 1}"
@@ -104,7 +104,7 @@ def estimate_high_pass_cutoff(evidence: Evidence, name: str) -> float | None:
     if not records:
         return None
     record = max(records, key=lambda r: len(r.inside))
-    motion = _motion_of(record, evidence.arm)
+    motion = motion_of(record, evidence.arm)
 
     def unexplained(hz: float) -> float:
         hypothesis = replace(evidence, high_passes={**evidence.high_passes, name: hz})
@@ -143,7 +143,7 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
         hypothesis = evidence.corrected(
             [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
         )
-        motion = _motion_of(slow[0], hypothesis.arm)
+        motion = motion_of(slow[0], hypothesis.arm)
         regressions = _regress_channel(slow[0], hypothesis, motion, names[0][:-1], joint - 1)
         return min((1.0 - reading.explained for reading in regressions), default=1.0)
 
@@ -162,7 +162,7 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
     return (best,) if best_share < 0.5 else ()
 
 
-def _motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
+def motion_of(record: SlowRecord, arm: Arm) -> JointMotion:
     """Joint motion from the motor angles, each (n_rows, n_joints)."""
     motors = np.column_stack([record.channels[f"theta_m{i + 1}"] for i in range(arm.n_joints)])
     return JointMotion.of_motors(motors, arm, record.sample_time)

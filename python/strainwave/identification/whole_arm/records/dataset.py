@@ -30,6 +30,7 @@ from strainwave.dynamics.record_effects import RecordInputs, record_inputs
 from strainwave.dynamics.simulation import Drive, LowPass, sensitivities, simulate_arms
 from strainwave.identification.whole_arm.records.low_pass import Kernels, low_pass_kernels
 from strainwave.numerics.filters import noise_std
+from strainwave.signals.prepared_record import prepare_record
 
 INITIAL_STATES = ("initial_motor_velocity", "initial_link_angle", "initial_link_velocity")
 """Unknown initial states of a record that begins in motion, one of each per joint."""
@@ -128,9 +129,9 @@ class Dataset:
         """Starting values (n_initial,) of the initial states, with unloaded gears."""
         if not self.begins_in_motion:
             return np.zeros(0)
-        n, T = self.arm.n_joints, self.log.sample_time
+        T = self.log.sample_time
         n_first = max(2, round(INITIAL_INTERVAL / T))
-        angle = np.column_stack([self.log.channels[f"theta_m{i + 1}"][:n_first] for i in range(n)])
+        angle = prepare_record(self.log, self.arm).motor_angle[:n_first]
         slope, origin = np.polyfit(T * np.arange(n_first), angle, 1)
         return np.concatenate([slope, self.arm.links_of(origin), self.arm.links_of(slope)])
 

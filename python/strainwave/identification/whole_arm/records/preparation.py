@@ -147,12 +147,12 @@ def _decimate(record: Dataset, every: int) -> Dataset:
 
 
 def _add_link_angles(log: Log, arm: Arm) -> Log:
-    """Add link angles theta_l = n theta_m + deflection of joints with measured deflection."""
+    """Add link angles of joints with measured deflection: motor side plus deflection."""
     channels, masked = dict(log.channels), dict(log.masked)
-    for i, joint in enumerate(arm.joints, start=1):
+    for i in range(1, arm.n_joints + 1):
         if f"deflection{i}" in channels and f"theta_l{i}" not in channels:
-            motor = channels[f"theta_m{i}"]
-            channels[f"theta_l{i}"] = joint.gear_ratio * motor + channels[f"deflection{i}"]
+            motor_side = arm.links_of(prepare_record(log, arm).motor_angle)
+            channels[f"theta_l{i}"] = motor_side[:, i - 1] + channels[f"deflection{i}"]
             masked[f"theta_l{i}"] = unmeasured(log, (f"theta_m{i}", f"deflection{i}"))
     return replace(log, channels=channels, masked=masked)
 
