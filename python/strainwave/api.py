@@ -482,10 +482,10 @@ class Result:
         arm = self._arm()
         model = joint_model(arm, joint)
         f = _response_frequencies(model) if frequencies_hz is None else np.array(frequencies_hz)
-        covariance = joint_model_covariance(arm, joint, self.covariance)
-        G, magnitude_std, phase_std = _model_response(model, covariance, f)
         measured = results.response_of(self._document, joint)
-        return JointResponse(joint, f, G, magnitude_std, phase_std, measured)
+        response = JointResponse(joint, f, _motor_response(model, f), None, None, measured)
+        covariance = joint_model_covariance(arm, joint, self.covariance)
+        return response if covariance is None else _with_stds(response, model, covariance)
 
     def residuals(self, experiment: str) -> Residuals:
         """Measured minus predicted channels of a record, over the samples that are predicted.
@@ -597,21 +597,23 @@ def _response_frequencies(model: Any) -> FloatArray:
     return np.geomspace(low, resonance(model).frequency_hz * factor, _N_FREQUENCIES)
 
 
-def _model_response(
-    model: Any, covariance: FloatArray | None, f: FloatArray
-) -> tuple[ComplexArray, FloatArray | None, FloatArray | None]:
-    """Response, and standard deviations of magnitude and phase by the delta method."""
-    from strainwave.identification.joint_model.agreement import motor_response, response_jacobian
+def _motor_response(model: Any, f: FloatArray) -> ComplexArray:
+    from strainwave.identification.joint_model.agreement import motor_response
 
-    G = motor_response(model.vector, model.gear_ratio, f)
-    if covariance is None:
-        return G, None, None
+    return motor_response(model.vector, model.gear_ratio, f)
+
+
+def _with_stds(response: JointResponse, model: Any, covariance: FloatArray) -> JointResponse:
+    """Add standard deviations of magnitude and phase by the delta method."""
+    from strainwave.identification.joint_model.agreement import response_jacobian
+
+    G, f = response.response, response.frequencies_hz
     relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
-    stds = [
+    size, phase = (
         np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
         for part in (relative.real, relative.imag)
-    ]
-    return G, np.abs(G) * stds[0], stds[1]
+    )
+    return replace(response, magnitude_std=np.abs(G) * size, phase_std=phase)
 
 
 def _study_of(study: Study | Path | str, data: Data) -> Study:

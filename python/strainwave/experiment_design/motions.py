@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,7 +74,8 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     arm, limits = search.arm, search.limits
     periods, reason = _periods(search, values, series)
     for _ in range(_MAX_ATTEMPTS):
-        drive, angle, lead = _drive(search, values, series, periods)
+        planned = _drive(search, values, series, periods)
+        drive = planned.drive
         motion = predicted_motion(run(arm, values, drive, drive.tick))
         if motion.use_of(limits) <= 1.0:
             break
@@ -90,23 +92,27 @@ def _record(search: Search, values: Values, series: Fourier, name: str, use: Use
     return Planned(
         experiment=Experiment(name, f"{name}.csv", use, (HELD_CONTROL,) * arm.n_joints),
         drive=drive,
-        motor_angle=angle,
+        motor_angle=planned.motor_angle,
         band_hz=(1.0 / series.period, N_HARMONICS / series.period),
         predicted=motion,
         reasons=(
             f"{N_HARMONICS} harmonics of {1.0 / series.period:.3g} Hz, condition number "
             f"{condition:.1f} after scaling of columns",
             reason,
-            f"{lead:g} s of lead-in and of lead-out",
+            f"{planned.lead:g} s of lead-in and of lead-out",
         ),
         condition_number=condition,
     )
 
 
-def _drive(
-    search: Search, values: Values, series: Fourier, periods: int
-) -> tuple[Drive, FloatArray, float]:
-    """References of a complete record, the intended motor angles, and the lead time [s]."""
+class _PlannedDrive(NamedTuple):
+    drive: Drive
+    motor_angle: FloatArray  # intended
+    lead: float  # [s] before and after the motion
+
+
+def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _PlannedDrive:
+    """References of a complete record."""
     arm = search.arm
     tick = clock_of(arm)
     zero = np.zeros(arm.n_joints)
@@ -131,7 +137,7 @@ def _drive(
         motor_angle=start,
         initial_voltage=arm.holding_voltage(values, start),
     )
-    return drive, angle, float(lead)
+    return _PlannedDrive(drive, angle, float(lead))
 
 
 def _ticks(duration: float, tick: float) -> FloatArray:

@@ -9,6 +9,7 @@ shape.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -136,6 +137,12 @@ def optimise(
     return tuple(search.series(r.x) for r in sorted(results, key=lambda result: result.fun))
 
 
+class _Feasible(NamedTuple):
+    shape: Fourier
+    motion: Motion  # within the limits
+    scale: FloatArray  # (..., 1, n_joints) of the motion over the shape
+
+
 class Search:
     """Unconstrained search space of series with a period [s].
 
@@ -161,15 +168,15 @@ class Search:
 
     def motion_of(self, points: FloatArray) -> Motion:
         """One period of the feasible series of each point; arrays (..., n_samples, n_joints)."""
-        return self._feasible(points)[1]
+        return self._feasible(points).motion
 
     def series(self, point: FloatArray) -> Fourier:
         """Largest feasible series of a point."""
-        shape, _, scale = self._feasible(point)
-        return shape.scaled(scale)
+        feasible = self._feasible(point)
+        return feasible.shape.scaled(feasible.scale)
 
-    def _feasible(self, points: FloatArray) -> tuple[Fourier, Motion, FloatArray]:
-        """Shapes, their feasible motions, and the scales (..., 1, n_joints) between them."""
+    def _feasible(self, points: FloatArray) -> _Feasible:
+        """Feasible series of points."""
         n = self.arm.n_joints
         table = points.reshape(*points.shape[:-1], -1, n)
         limit = _ANGLE_SHARE * np.array(self.limits.angle)
@@ -185,7 +192,7 @@ class Search:
         scaled = (scale * angle, scale * velocity, scale * acceleration)
         factor = self._voltage_factor(offset, scaled)
         motion = offset + factor * scaled[0], factor * scaled[1], factor * scaled[2]
-        return Fourier(self.period, offset, sine, cosine), motion, factor * scale
+        return _Feasible(Fourier(self.period, offset, sine, cosine), motion, factor * scale)
 
     def _voltage_factor(self, offset: FloatArray, motion: Motion) -> FloatArray:
         """Factor (..., 1, 1) with which series satisfy the voltage limits.

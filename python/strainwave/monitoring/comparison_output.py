@@ -155,12 +155,12 @@ def _printed_pair_table(comparison: ResultComparison, pair: Pair) -> Table:
     for difference in pair.parameters:
         verdict = comparison.verdict(difference)
         values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
-        cells = (difference.first.label, *values, *_format_tests(difference), verdict)
+        cells = (difference.first.label, *values, *_test_cells(difference), verdict)
         table.add_row(*map(Text, cells), style="red" if verdict == DIFFERS else "")
     return table
 
 
-def _format_tests(difference: ParameterDifference) -> tuple[str, str, str]:
+def _test_cells(difference: ParameterDifference) -> tuple[str, ...]:
     """Change [%], z and adjusted p-value as text."""
     percent = (
         ""
@@ -247,7 +247,7 @@ def _difference_row(comparison: ResultComparison, difference: ParameterDifferenc
     return (
         Cell(difference.first.label, "name"),
         Cell(verdict, mark="bad" if verdict == DIFFERS else ""),
-        *map(number, _format_tests(difference)),
+        *map(number, _test_cells(difference)),
         *map(number, values),
         difference.first.unit,
     )

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -224,12 +224,17 @@ def _folder(study: str) -> str:
     return path.parent.name or path.stem
 
 
+class _GroupedVisits(NamedTuple):
+    visits: dict[str, list[Visit]]  # by arm
+    time_from: str  # source of their times
+    dropped: int  # visits without covariates
+
+
 def _group_visits(
     rows: Iterable[Row],
     arm_namer: Callable[[Row], tuple[str | None, str | None]],
     conditions: Conditions,
-) -> tuple[dict[str, list[Visit]], str, int]:
-    """Visits by arm, the source of their times, and the number of visits without covariates."""
+) -> _GroupedVisits:
     visits: dict[str, list[Visit]] = {}
     sources: Counter[str] = Counter()
     matcher = _Matcher(conditions)
@@ -262,7 +267,7 @@ def _group_visits(
             "no study of the table of covariates is in the store",
             remedy="write the studies as in the column `study` of the store",
         )
-    return visits, "started" if "started" in sources else "recorded", dropped
+    return _GroupedVisits(visits, "started" if "started" in sources else "recorded", dropped)
 
 
 class _Matcher:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray
@@ -61,7 +63,7 @@ def prbs(rig: Rig) -> Comparison:
 def free(rig: Rig) -> Comparison:
     """Fig. 5: torque of link 2 on link 1 with joint 2 free."""
     run = rig.prbs(1)
-    tau, true, fit = _torques(run)
+    tau, true, fit = _interaction_torque(run)
     frequency, density = _density(tau, run)
     spectrum_check = next(c for c in run.decoupled.checks if c.name == "interaction-spectrum")
     cosine = _least_cosine(run)
@@ -95,7 +97,7 @@ def servoed(rig: Rig) -> Comparison:
     controls: tuple[tuple[str, Control], ...] = (("free", "open"), ("servoed", "servo"))
     for name, other in controls:
         run = rig.prbs(1, other=other)
-        tau, true, fit = _torques(run)
+        tau, true, fit = _interaction_torque(run)
         frequency, density = _density(tau, run)
         densities[f"joint 2 {name}"] = (frequency, density)
         cosine = _least_cosine(run)
@@ -148,8 +150,13 @@ def _fit_criterion(fit: float) -> Criterion:
     )
 
 
-def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
-    """Computed and true interaction torque, and the fit of the computed one [%]."""
+class _InteractionTorque(NamedTuple):
+    computed: FloatArray
+    true: FloatArray
+    fit_percent: float
+
+
+def _interaction_torque(run: Run) -> _InteractionTorque:
     joint = run.decoupled.joint
     tau = run.decoupled.inputs[:, 1]
     motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
@@ -159,7 +166,7 @@ def _torques(run: Run) -> tuple[FloatArray, FloatArray, float]:
     valid = run.decoupled.valid
     error = np.linalg.norm((tau - true)[valid])
     fit = 100.0 * (1.0 - error / np.linalg.norm(true[valid] - true[valid].mean()))
-    return tau, true, float(fit)
+    return _InteractionTorque(tau, true, float(fit))
 
 
 def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:

@@ -71,7 +71,7 @@ def _criteria(by_protocol: Mapping[str, Claim], protocols: Sequence[str]) -> Ite
 def _passed(criterion: Mapping[str, Any] | None) -> str:
     if criterion is None:
         return ""
-    least, median, largest = _spread(criterion["values"])
+    least, median, largest = _spread_cells(criterion["values"])
     spread = median if least == largest else f"{median} ({least} to {largest})"
     return f"{spread}, {sum(criterion['passed'])}/{len(criterion['passed'])}"
 
@@ -103,7 +103,8 @@ def _verdict(claim: Claim | None) -> str:
     return outcomes_text(claim["outcomes"])
 
 
-def _spread(values: Sequence[float | None]) -> tuple[str, str, str]:
+def _spread_cells(values: Sequence[float | None]) -> tuple[str, ...]:
+    """Least, median and largest value as text."""
     known = sorted(value for value in values if value is not None)
     if not known:
         return ("none",) * 3

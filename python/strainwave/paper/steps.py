@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from strainwave.domain import Comparison, Criterion, FloatArray
@@ -78,10 +80,16 @@ def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
     )
 
 
+class _StepResponse(NamedTuple):
+    measured: FloatArray
+    model: FloatArray
+    time: FloatArray
+
+
 def _link_velocities(
     rig: Rig, values: Values, levels: tuple[float, ...], number: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Link velocities of the arm and of the model, from the same sensors, and the time."""
+) -> _StepResponse:
+    """Link velocities of the arm and of the model, from the same sensors."""
     joint = 1
     log = rig.steps(levels, joint, number)
     model = run_steps(restrict_to_values(rig.arm, values), values, levels, joint)
@@ -89,7 +97,7 @@ def _link_velocities(
     for record in (log, ideal_log(model, joint)):
         velocity = prepare_link_signals(record, rig.arm).link_velocity[:, joint - 1]
         velocities.append(low_pass(velocity, _MAX_SIGNAL_HZ, record.sample_time))
-    return velocities[0], velocities[1], log.time
+    return _StepResponse(velocities[0], velocities[1], log.time)
 
 
 def _vibration(velocity: FloatArray, time: FloatArray) -> FloatArray:

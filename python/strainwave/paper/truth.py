@@ -9,13 +9,9 @@ from strainwave.dynamics.simulation import Trajectory
 from strainwave.dynamics.two_inertia import TwoInertia
 
 
-def slopes(values: Values, joint: int) -> tuple[float, float, float]:
-    """K1, K2, K3 [N m/rad] of one gear."""
-    return (
-        values["gear_stiffness_k1", joint],
-        values["gear_stiffness_k2", joint],
-        values["gear_stiffness_k3", joint],
-    )
+def slopes(values: Values, joint: int) -> list[float]:
+    """Slopes [N m/rad] of one gear, from the innermost."""
+    return [values[name, joint] for name in gear_law("three-slope").slopes]
 
 
 def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> TwoInertia:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -85,18 +86,23 @@ def _read_table(path: Path) -> Record:
     return Record(path, time, name, scale, unit, columns, (), (*faults, *value_faults))
 
 
-def _time_column(columns: dict[str, FloatArray], path: Path) -> tuple[str, str, float]:
-    """Return the name of the time column, its unit and the unit in seconds."""
+class _TimeColumn(NamedTuple):
+    name: str
+    unit: str
+    scale: float  # the unit in seconds
+
+
+def _time_column(columns: dict[str, FloatArray], path: Path) -> _TimeColumn:
     clocks = [name for name, values in columns.items() if is_clock(values)]
     clocks.sort(key=lambda name: parse(name).quantity != "time")
     for name in clocks:
         period = float(np.median(np.diff(columns[name])))
         unit = parse(name).unit
         if unit in UNITS["time"]:
-            return name, unit, UNITS["time"][unit]
+            return _TimeColumn(name, unit, UNITS["time"][unit])
         unit_from_period = time_unit(period)
         if unit_from_period:
-            return name, *unit_from_period
+            return _TimeColumn(name, *unit_from_period)
     increasing = f" ({', '.join(clocks)} increase, but not at a rate of 20 Hz to 50 kHz)"
     raise InvalidInput(
         f"there is no time column among {', '.join(columns)}{increasing if clocks else ''}",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,7 +27,15 @@ from strainwave.study_draft.signal_features import (
     wraps,
 )
 from strainwave.study_draft.signal_features import relation as relation_of
-from strainwave.study_draft.units import MAX_UNIT_RATIO_ERROR, nearest_unit, unit_pair
+from strainwave.study_draft.units import MAX_UNIT_RATIO_ERROR, UnitPair, nearest_unit, unit_pair
+
+_COUNTS_SCALE = "2 pi / counts per motor turn [rad]"
+
+
+class _AngleUnit(NamedTuple):
+    scale: float | None  # SI factor; None: see `todo`
+    reason: str
+    todo: str = ""  # what the user must enter as the scale
 
 
 class JointColumns:
@@ -93,7 +102,7 @@ class JointColumns:
         each = self.parsed_names[column]
         sure: Sure = "likely" if each.sure else "unsure"
         name_reason = _evidence(each)
-        scale, todo, unit_reason = self._angle_unit(column)
+        scale, unit_reason, todo = self._angle_unit(column)
         self.facts.prismatic = each.unit in LINEAR or any(e.unit in LINEAR for e in self._inputs())
         if side == "link":
             scale, todo = None, "1/gear_ratio: motor turns per link turn"
@@ -112,30 +121,30 @@ class JointColumns:
             each for each in self.parsed_names.values() if each.quantity in ("torque", "velocity")
         ]
 
-    def _angle_unit(self, column: str) -> tuple[float | None, str, str]:
+    def _angle_unit(self, column: str) -> _AngleUnit:
         unit = self.parsed_names[column].unit
         if unit in COUNTS:
-            return None, "2 pi / counts per motor turn [rad]", "in counts according to its name"
+            return _AngleUnit(None, "in counts according to its name", _COUNTS_SCALE)
         if unit is not None:
-            return UNITS["angle"][unit], "", f"unit {unit} according to its name"
+            return _AngleUnit(UNITS["angle"][unit], f"unit {unit} according to its name")
         for velocity in self._columns_of("velocity"):
             units = self._unit_pair(column, velocity)
             if units and self.parsed_names[velocity].unit is None:
-                return units[0], "", f"with {velocity!r}: {units[2]}"
+                return _AngleUnit(units.angle_scale, f"with {velocity!r}: {units.text}")
             rate = UNITS["velocity"].get(self.parsed_names[velocity].unit or "")
             r, ratio = self._relation(velocity, column)
             if rate and r > MIN_RELATED_CORRELATION and ratio > 0.0:
                 scale = nearest_unit(rate / ratio)
-                return scale, "", f"unit from {velocity!r}, of which it is the integral"
+                return _AngleUnit(scale, f"unit from {velocity!r}, of which it is the integral")
         values = self._values(column)
         if np.all(values == np.round(values)) and np.ptp(values) > 100.0:
-            return None, "2 pi / counts per motor turn [rad]", "whole numbers: counts?"
-        return 1.0, "", "assumed unit rad: the log does not state a unit"
+            return _AngleUnit(None, "whole numbers: counts?", _COUNTS_SCALE)
+        return _AngleUnit(1.0, "assumed unit rad: the log does not state a unit")
 
     def _relation(self, rate: str, value: str) -> tuple[float, float]:
         return relation_of(self._values(rate), self._values(value), self.record.time)
 
-    def _unit_pair(self, angle: str, velocity: str) -> tuple[float, float, str] | None:
+    def _unit_pair(self, angle: str, velocity: str) -> UnitPair | None:
         r, ratio = self._relation(velocity, angle)
         return unit_pair(ratio) if r > MIN_RELATED_CORRELATION else None
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
@@ -15,14 +16,19 @@ _MIN_DERIVATIVE_CORRELATION = (
 )
 
 
-def assign_columns(
-    record: Record, fullest: Record | None = None
-) -> tuple[dict[str, ParsedName], str, tuple[str, ...]]:
-    """Return each column's quantity and joint number, a limit and notes.
+class ColumnAssignment(NamedTuple):
+    """Quantity and joint of each column."""
+
+    columns: dict[str, ParsedName]
+    limit: str  # why joints are omitted; empty if none is
+    notes: tuple[str, ...]
+
+
+def assign_columns(record: Record, fullest: Record | None = None) -> ColumnAssignment:
+    """Assign each column a quantity and a joint number.
 
     Joints count from 1. `fullest` is the record of the same arm that determines the moving joints;
-    by default `record`. Columns of joints beyond MOST_JOINTS are omitted; the second value then
-    states the limit, else it is empty. The last value holds further notes.
+    by default `record`. Columns of joints beyond MAX_JOINTS are omitted.
     """
     parsed_names = {name: parse(name) for name in record.columns}
     notes: list[str] = []
@@ -54,7 +60,7 @@ def assign_columns(
         for name, each in numbered.items()
         if (each.number or 1) in order
     }
-    return kept, limit, tuple(notes)
+    return ColumnAssignment(kept, limit, tuple(notes))
 
 
 def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
@@ -145,15 +151,19 @@ def _classify_by_data(
     return classified
 
 
-def _derivative_pairs(
-    columns: Mapping[str, FloatArray], time: FloatArray
-) -> list[tuple[float, str, str]]:
-    """Return (correlation, angle, velocity) for each column that is the derivative of another."""
+class _DerivativePair(NamedTuple):
+    correlation: float
+    angle: str
+    velocity: str
+
+
+def _derivative_pairs(columns: Mapping[str, FloatArray], time: FloatArray) -> list[_DerivativePair]:
+    """Return each column that is the derivative of another, with the other."""
     pairs = []
     for rate, speeds in columns.items():
         for value, angles in columns.items():
             if rate != value:
                 r, ratio = relation(speeds, angles, time)
                 if r > _MIN_DERIVATIVE_CORRELATION and ratio > 0.0:
-                    pairs.append((r, value, rate))
+                    pairs.append(_DerivativePair(r, value, rate))
     return pairs

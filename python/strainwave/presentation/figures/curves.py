@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -145,13 +146,19 @@ def _lines(series: Sequence[Series]) -> tuple[Line, ...]:
     return tuple(marks)
 
 
-def _styles(true: Sequence[bool]) -> list[tuple[str, Dash, float]]:
-    """Colour, dash and width of each line; no two are alike, even without colour."""
+class _Style(NamedTuple):
+    colour: str
+    dash: Dash
+    width: float
+
+
+def _styles(true: Sequence[bool]) -> list[_Style]:
+    """Style of each line; no two are alike, even without colour."""
     styles, k = [], 0
     for is_true in true:
         if is_true:
-            styles.append((_TRUE_COLOUR, SOLID, _TRUE_WIDTH))
+            styles.append(_Style(_TRUE_COLOUR, SOLID, _TRUE_WIDTH))
         else:
-            styles.append((PALETTE[k % len(PALETTE)], DASHES[k % len(DASHES)], 1.5))
+            styles.append(_Style(PALETTE[k % len(PALETTE)], DASHES[k % len(DASHES)], 1.5))
             k += 1
     return styles

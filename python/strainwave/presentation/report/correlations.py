@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,13 +43,21 @@ def correlations(identification: Identification) -> Correlations | None:
     return _of(rigid.parameters, rigid.covariance) if rigid is not None else None
 
 
-def strong_pairs(errors: Correlations) -> list[tuple[str, str, float]]:
+class StrongPair(NamedTuple):
+    """Two strongly correlated parameters."""
+
+    first: str
+    second: str
+    correlation: float
+
+
+def strong_pairs(errors: Correlations) -> list[StrongPair]:
     """Pairs of strongly correlated parameters, strongest first."""
     rows, columns = np.triu_indices(len(errors.names), 1)
     values = errors.matrix[rows, columns]
     order = [k for k in np.argsort(-np.abs(values)) if abs(values[k]) >= MIN_STRONG_CORRELATION]
     return [
-        (errors.names[rows[k]], errors.names[columns[k]], float(values[k]))
+        StrongPair(errors.names[rows[k]], errors.names[columns[k]], float(values[k]))
         for k in order[:_MAX_LISTED_PAIRS]
     ]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Joint, Log
+from strainwave.domain import FloatArray, Identification, Joint, Log, channel_parts
 from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     DASHES,
@@ -19,6 +19,7 @@ from strainwave.presentation.figures import (
     Panel,
     decimate,
 )
+from strainwave.presentation.figures.curves import Series
 from strainwave.presentation.report.blocks import Block, FigureName, Fold, Plot
 from strainwave.presentation.report.predictions import unit_of
 
@@ -57,30 +58,30 @@ def recording_figure(log: Log, joints: Sequence[Joint], limit: int) -> Figure:
     Lines keep the minimum and the maximum of each pixel column. A motor velocity that is not
     logged is the mean slope of the encoder angle between the points drawn.
     """
-    panels: dict[str, list[tuple[str, str, FloatArray, FloatArray]]] = {}
-    for name, time, values in _line_samples(log, limit):
-        kind = name.rstrip("0123456789")
-        unit = unit_of("omega_m" + name[len(kind) :] if kind == "ref" else name, joints)
+    panels: dict[str, list[Series]] = {}
+    for series in _channel_series(log, limit):
+        kind, number = channel_parts(series.name)
+        unit = unit_of(f"omega_m{number}" if kind == "ref" else series.name, joints)
         title = _TITLES["omega_m" if kind == "ref" else kind]
-        panels.setdefault(f"{title} [{unit}]", []).append((name, kind, time, values))
+        panels.setdefault(f"{title} [{unit}]", []).append(series)
     order = list(dict.fromkeys(_TITLES.values()))
     titles = sorted(panels, key=lambda title: order.index(title.rsplit(" [", 1)[0]))
     stack = tuple(Panel(Axis(title), tuple(_panel_lines(panels[title])), 0.8) for title in titles)
     return Figure(Axis("time [s]"), stack)
 
 
-def _line_samples(log: Log, limit: int) -> Iterator[tuple[str, FloatArray, FloatArray]]:
-    """Name, times and values of each line."""
+def _channel_series(log: Log, limit: int) -> Iterator[Series]:
+    """The line of each channel."""
     channels: Mapping[str, FloatArray] = log.channels
     for name, values in channels.items():
         kind = name.rstrip("0123456789")
         if kind == "theta_m":
             number = name.removeprefix(kind)
             if f"omega_m{number}" not in channels:
-                yield (f"omega_m{number}", *_mean_slope(log.time, values, limit))
+                yield Series(f"omega_m{number}", *_mean_slope(log.time, values, limit))
         elif kind in _TITLES or kind == "ref":
             rows = decimate(values, limit)
-            yield name, log.time[rows], values[rows]
+            yield Series(name, log.time[rows], values[rows])
 
 
 def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatArray, FloatArray]:
@@ -90,10 +91,11 @@ def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatA
     return 0.5 * (t[1:] + t[:-1]), np.diff(angle[rows]) / np.diff(t)
 
 
-def _panel_lines(series: Sequence[tuple[str, str, FloatArray, FloatArray]]) -> Iterator[Line]:
+def _panel_lines(panel: Sequence[Series]) -> Iterator[Line]:
     """Coloured by joint, axes of an IMU by dash; references are grey and below the others."""
-    for name, kind, time, values in sorted(series, key=lambda line: line[1] != "ref"):
-        number = int(name[len(kind) :] or 1)
+    for series in sorted(panel, key=lambda series: not series.name.startswith("ref")):
+        kind, number = channel_parts(series.name)
+        time, values = series.x, series.y
         if kind == "ref":
             dash = DASHES[1 + (number - 1) % 3]
             yield Line(time, values, f"reference {number}", RESIDUAL_COLOUR, dash, width=1.0)

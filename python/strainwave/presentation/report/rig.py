@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 from strainwave.domain import ArmDescription, Joint
 from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
@@ -23,10 +24,10 @@ def rig_constants(arm: ArmDescription) -> Iterator[Block]:
 
 
 def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
-    for title, key, unit, value in _joint_constants(arm):
-        values = [value(joint) for joint in arm.joints]
+    for constant in _joint_constants(arm):
+        values = [constant.format(joint) for joint in arm.joints]
         if any(values):
-            yield _constant_row(title, key, unit, values)
+            yield _constant_row(constant.title, constant.key, constant.unit, values)
     servo = arm.servo
     if servo is None:
         return
@@ -40,16 +41,20 @@ def _constant_rows(arm: ArmDescription) -> Iterator[Row]:
             yield _constant_row(title, f"servo.{key}", unit, [f"{value:g}" for value in gain])
 
 
-def _joint_constants(
-    arm: ArmDescription,
-) -> Iterator[tuple[str, str, str, Callable[[Joint], str]]]:
-    """Title, key, unit and text of each constant of a joint; the text is empty if not given."""
+class _JointConstant(NamedTuple):
+    title: str
+    key: str
+    unit: str
+    format: Callable[[Joint], str]  # empty if not given
+
+
+def _joint_constants(arm: ArmDescription) -> Iterator[_JointConstant]:
     is_prismatic = any(joint.motion == "prismatic" for joint in arm.joints)
     if is_prismatic:
-        yield "motion", "motion", "", lambda joint: joint.motion
-    yield "gear spring", "spring", "", lambda joint: joint.spring
+        yield _JointConstant("motion", "motion", "", lambda joint: joint.motion)
+    yield _JointConstant("gear spring", "spring", "", lambda joint: joint.spring)
     ratio = "link rad (or m) per motor rad" if is_prismatic else "link turns per motor turn"
-    yield "gear ratio n", "gear_ratio", ratio, _format_ratio
+    yield _JointConstant("gear ratio n", "gear_ratio", ratio, _format_ratio)
     for title, key, unit in (
         ("torque per volt e", "torque_per_volt", "N m/V"),
         ("current loop bandwidth", "current_loop_hz", "Hz"),
@@ -58,9 +63,9 @@ def _joint_constants(
         ("accelerometer bandwidth", "accelerometer_hz", "Hz"),
         ("gyro bandwidth", "gyro_hz", "Hz"),
     ):
-        yield title, key, unit, partial(_format_constant, key)
-    yield "IMU position", "imu.xyz", "m", lambda joint: _format_vector(joint, "xyz")
-    yield "IMU orientation", "imu.rpy", "rad", lambda joint: _format_vector(joint, "rpy")
+        yield _JointConstant(title, key, unit, partial(_format_constant, key))
+    for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):
+        yield _JointConstant(title, f"imu.{key}", unit, partial(_format_vector, key))
 
 
 def _format_ratio(joint: Joint) -> str:
@@ -75,7 +80,7 @@ def _format_constant(key: str, joint: Joint) -> str:
     return "" if value is None else f"{value:.6g}"
 
 
-def _format_vector(joint: Joint, key: str) -> str:
+def _format_vector(key: str, joint: Joint) -> str:
     if joint.imu is None:
         return ""
     values = getattr(joint.imu, key)

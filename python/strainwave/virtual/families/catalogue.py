@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -157,7 +158,7 @@ def _draw_drive(
     i: int,
     size: int,
     ratio: float,
-    slopes: tuple[float, float, float],
+    slopes: Sequence[float],
     load: float,
 ) -> _Drive:
     """Motor and gear of joint i, from 0, for a load inertia [kg m^2] at the link."""
@@ -204,10 +205,16 @@ def _arm_classes(size: int, counts: int, sample_time: float, bandwidth: float) -
     }
 
 
+class _Links(NamedTuple):
+    values: Values  # base parameters (3)
+    load: tuple[float, float]  # inertia at each joint of the stretched arm [kg m^2]
+    length: tuple[float, float]
+    payload: float  # [kg]
+
+
 def _draw_links(
     rng: np.random.Generator, inertia: Sequence[float], payloads: tuple[float, float] | None
-) -> tuple[Values, tuple[float, float], tuple[float, float], float]:
-    """Base parameters (3), inertia at each joint of the stretched arm, lengths, payload."""
+) -> _Links:
     beta = min(inertia[1], inertia[0] / 3.0)  # joint 1 carries the load of joint 2
     coupling = float(rng.uniform(0.3, 0.75))
     root = -coupling * np.sqrt(beta) + np.sqrt(coupling**2 * beta + inertia[0] - beta)
@@ -220,14 +227,13 @@ def _draw_links(
         ("gamma", None): gamma + payload * length[0] * length[1],
     }
     load = (inertia[0] + payload * sum(length) ** 2, values["beta", None])
-    return values, load, length, payload
+    return _Links(values, load, length, payload)
 
 
-def _gear_slopes(size: int, ratio: int) -> tuple[float, float, float]:
+def _gear_slopes(size: int, ratio: int) -> list[float]:
     """K1, K2, K3 [N m/rad] of a gear."""
     _, high, low = GEAR_CATALOGUE[size]
-    first, second, third = low if ratio <= 50 else high
-    return 1e4 * first, 1e4 * second, 1e4 * third
+    return [1e4 * slope for slope in (low if ratio <= 50 else high)]
 
 
 def _draw_factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float:
