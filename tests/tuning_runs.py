@@ -30,7 +30,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, SensorNoise, simulate
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import Prior
-from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
+from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.low_pass import Kernels
 from strainwave.io.logs import read_log
 from strainwave.io.study import read_study
@@ -265,13 +265,12 @@ def linear_record(
     experiment = Experiment("linear", "linear.csv", "frequency", ("open", "open"))
     still = np.zeros((1, 2))
     sensor = (Accelerometer if shifted else LinkEncoder).of_joint(study.arm.joints[0])
-    channels = [Channel(f"a{k}", 1, Axis(sensor, 1)) for k in range(n_channels)]
     return LinearRecord(
         log=Log(experiment, time, 1e-3, {}),
         arm=Arm.of(study.arm),
         cutoff_hz=100.0,
         drive=Drive(1e-3, still, still, (False, False), (0.0, 0.0), (0.0, 0.0)),
-        channels=tuple(channels),
+        channels=(Axis(sensor, 1),) * n_channels,
         kernels=Kernels(np.ones(1), np.ones(1), 1),
         time=time,
         measured=measured,

@@ -75,6 +75,5 @@ def test_the_sensor_model_applies_the_mount() -> None:
 
 
 def test_encoders_have_no_mount() -> None:
-    assert mount_resonance(None, {}) is None
     mounts = [axis.mount for axis in compared_axes(JOINT, 1, ["theta_l1", "gx1"])]
     assert mounts == [None, (("imu_gyro_mount_frequency", 1), ("imu_gyro_mount_damping", 1))]

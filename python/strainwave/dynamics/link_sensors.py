@@ -22,9 +22,9 @@ _KAISER_BETA = 9.0  # of the interpolation window
 _DIFFERENCES = (4.0 / 5.0, -1.0 / 5.0, 4.0 / 105.0, -1.0 / 280.0)  # central, eighth order
 
 
-def mount_resonance(axis: Axis | None, values: Mapping[Key, float]) -> MountResonance | None:
+def mount_resonance(axis: Axis, values: Mapping[Key, float]) -> MountResonance | None:
     """Resonance of the mount of a sensor; None if the mount is rigid."""
-    names = None if axis is None else axis.mount
+    names = axis.mount
     if names is None or names[0] not in values:
         return None
     return MountResonance(*(values[name] for name in names))

@@ -134,7 +134,7 @@ def test_the_whole_arm_fit_excludes_rows_with_defective_samples() -> None:
     """The whole-arm fit excludes rows whose filter includes defective samples."""
     record = dataset_of(spoilt("a2", 5000, 5003), ARM, CUTOFF)
     assert record.is_counted is not None
-    names = [channel.name for channel in record.channels]
+    names = [channel.channel for channel in record.channels]
     reach = 0.5 * len(record.kernels.smooth) * log().sample_time
     near = np.abs(record.time - log().time[5001]) < reach
     for k, name in enumerate(names):

@@ -187,7 +187,7 @@ def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple
 def mounted_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
     """The compared axes whose readings depend on a mounting."""
     axes = compared_axes(joint, number, channels)
-    return tuple(axis for axis in axes if axis.sensor.group is Group.MOUNTED)
+    return tuple(axis for axis in axes if axis.is_mounted)
 
 
 def unknowns_of(axes: Sequence[Axis], arm: ArmDescription) -> list[Key]:

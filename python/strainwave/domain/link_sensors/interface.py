@@ -121,8 +121,9 @@ class SensorConstant:
 
 
 class Group(Enum):
-    """Sensors of one link that replace each other in a fit."""
+    """Sensors of one joint that replace each other in a fit, in the order of the channels."""
 
+    MOTOR = "motor motion"
     MOTION = "link motion, as one simulated quantity"
     MOUNTED = "link motion, as a combination of quantities that depends on the mounting"
     TORQUE = "joint torque"
@@ -325,6 +326,21 @@ class Axis:
         return f"{self.sensor.channel_kinds[self.number]}{self.joint}"
 
     @property
+    def rate(self) -> bool:
+        """Whether its reading is an angle, which is compared as a velocity."""
+        return self.sensor.reads_angle
+
+    @property
+    def shifted(self) -> bool:
+        """Whether its reading has an unknown bias."""
+        return self.sensor.has_bias
+
+    @property
+    def is_mounted(self) -> bool:
+        """Whether its reading depends on a mounting."""
+        return self.sensor.group is Group.MOUNTED
+
+    @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that it reads."""
         return self.sensor.quantities()
@@ -354,7 +370,7 @@ class Axis:
     def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
         """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""
         parts = [of[name][:, self.joint - 1] for name in self.quantities]
-        if len(parts) == 1 and self.sensor.group is not Group.MOUNTED:
+        if len(parts) == 1 and not self.is_mounted:
             return parts[0]
         pairs = zip(self.weights(values), parts, strict=True)
         return np.asarray(sum(weight * part for weight, part in pairs))

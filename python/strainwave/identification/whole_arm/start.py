@@ -13,6 +13,7 @@ from strainwave.domain.gear_laws import STIFFNESS, is_slope
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
+from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import (
@@ -204,10 +205,10 @@ def _check_link_encoders(record: Dataset, arm: Arm) -> None:
     """Raise `InvalidInput` if an effect moves a link encoder relative to the ground."""
     for channel in record.channels:
         for effect in arm.joints[channel.joint - 1].named_effects:
-            reads_angle = channel.axis is not None and channel.axis.sensor.reads_angle
-            if reads_angle and effect_named(effect).moves_link_encoder:
+            is_encoder = isinstance(channel.sensor, LinkEncoder)
+            if is_encoder and effect_named(effect).moves_link_encoder:
                 raise InvalidInput(
-                    f"{channel.name} does not measure the angle in space: the joint has"
+                    f"{channel.channel} does not measure the angle in space: the joint has"
                     f" a {effect.replace('-', ' ')}",
                     where=record.log.name,
                     remedy=f"log an accelerometer on that link, or remove the effect '{effect}'",

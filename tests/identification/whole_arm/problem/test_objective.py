@@ -158,7 +158,7 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
 
 def test_an_added_bias_is_recovered_without_an_increase_of_the_cost() -> None:
     space, (record, _), true = rig("linear")
-    names = [channel.name for channel in record.channels]
+    names = [channel.channel for channel in record.channels]
     reference = Objective.of(space, [record]).update_weights(true)
     bias = np.zeros(len(names))
     bias[names.index("a1")], bias[names.index("a2")] = 0.7, -1.3

@@ -155,7 +155,7 @@ def test_noise_is_the_filtered_sensor_noise() -> None:
         dataset_of(record, Arm.of(study.arm), CUTOFF)
         for record in (log, replace(log, channels=channels))
     )
-    assert [channel.name for channel in noisy.channels] == list(sizes)
+    assert [channel.channel for channel in noisy.channels] == list(sizes)
     noise_std = np.std(noisy.measured - clean.measured, axis=0)
     # 320 rows, of which four overlap
     np.testing.assert_allclose(noisy.noise, noise_std, rtol=0.3)
@@ -191,7 +191,7 @@ def test_counts_are_noise() -> None:
 
 def named(log: Log, study: Study) -> list[tuple[str, str, bool, bool]]:
     channels = dataset_of(log, Arm.of(study.arm), CUTOFF).channels
-    return [(c.name, c.reads[0], c.rate, c.shifted) for c in channels]
+    return [(c.channel, c.quantities[0], c.rate, c.shifted) for c in channels]
 
 
 def test_what_is_compared() -> None:
@@ -238,7 +238,7 @@ def test_every_channel_is_simulated_as_it_is_measured(
     for name in ("a1", "a2"):
         del channels[name]
     dataset = dataset_of(replace(log, channels=channels), Arm.of(study.arm), CUTOFF)
-    assert [channel.name for channel in dataset.channels][2:] == ["gyro1", "theta_l2"]
+    assert [channel.channel for channel in dataset.channels][2:] == ["gyro1", "theta_l2"]
     rows = simulated(dataset, values, dataset.start())
     assert np.all(np.abs(rows - dataset.measured) < off * np.std(dataset.measured, axis=0))
 

@@ -12,6 +12,7 @@ from strainwave.domain.combinations import value_of
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors import Group
 from strainwave.domain.parameter_table import VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, resonance
@@ -40,7 +41,8 @@ def motor_side_limits(
     at a bound of their range. Yields at most one diagnostic on the gear and one on viscous friction
     for each joint whose link has no sensor in any record.
     """
-    sensed_joints = {c.joint for r in fit.objective.records for c in r.channels if c.axis}
+    channels = (channel for record in fit.objective.records for channel in record.channels)
+    sensed_joints = {c.joint for c in channels if c.sensor.group is not Group.MOTOR}
     for number, joint in enumerate(arm.joints, start=1):
         if number in sensed_joints or not joint.elastic:
             continue
@@ -148,7 +150,7 @@ def _busiest_velocity(fit: Fit, joint: int) -> _Velocity:
     """Velocity of a motor in the record in which it moves most."""
     velocities = []
     for record, weights in zip(fit.objective.records, fit.objective.weights, strict=True):
-        column = [(c.axis, c.joint) for c in record.channels].index((None, joint))
+        column = [c.channel for c in record.channels].index(f"theta_m{joint}")
         slope = np.linalg.norm(record.kernels.taps(rate=True))
         rounding = float(record.counts[column] / np.sqrt(12.0) * slope)
         motion = float(np.std(record.measured[:, column]))

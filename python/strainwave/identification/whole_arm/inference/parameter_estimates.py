@@ -91,8 +91,8 @@ def mountings_of(fit: Fit) -> Mountings:
     """
     space = fit.space
     keys, fitted_values = space.keys, space.values(fit.z)
-    channels = (c for r in fit.objective.records for c in r.channels if c.is_mounted)
-    axes = dict.fromkeys(c.axis for c in channels if c.axis)
+    channels = (channel for record in fit.objective.records for channel in record.channels)
+    axes = dict.fromkeys(channel for channel in channels if channel.is_mounted)
     hidden = [k for k, key in enumerate(keys) if (one := constant_of(key)) and one.is_mounting]
     mountings = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
     for joint in dict.fromkeys(axis.joint for axis in axes):

@@ -70,7 +70,7 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
     by_input = correlate_with_inputs(left, inputs, kernels.step * T)
     return ResidualTest(
         experiment=record.log.name,
-        channel=channel.name.replace("theta", "omega"),
+        channel=channel.channel.replace("theta", "omega"),
         deviation=float(np.std(left)),
         noise=float(record.noise[k]),
         frequency_hz=frequency,

@@ -17,6 +17,7 @@ from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.effects import Effect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import constant_of
+from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.domain.parameter_table import OFFSET, SETTLING, VISCOUS, base_name
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
@@ -97,7 +98,7 @@ def _missing_effects(fit: Fit, arm: Arm) -> list[NamedEffect]:
     """Effects that the model lacks and that the channels of the records permit."""
     present = effects_in(fit.space, arm)
     channels = [channel for record in fit.objective.records for channel in record.channels]
-    encoders = {c.joint for c in channels if c.axis and c.axis.sensor.reads_angle}
+    encoders = {c.joint for c in channels if isinstance(c.sensor, LinkEncoder)}
     return [
         (number, effect.name)
         for number, joint in enumerate(arm.joints, start=1)

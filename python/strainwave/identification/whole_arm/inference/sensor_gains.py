@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Parameter, SensorGain
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import TypicalSensor, all_types, constant_of
+from strainwave.domain.link_sensors import Axis, Group, TypicalSensor, all_types, constant_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import (
@@ -26,7 +26,7 @@ from strainwave.identification.whole_arm.problem.error_correlation import filter
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.prior import combination
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
-from strainwave.identification.whole_arm.records.dataset import Channel, Dataset
+from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
@@ -41,7 +41,7 @@ class _Candidate:
     """A sensor that a link lacks."""
 
     sensor: str
-    channel: Channel
+    channel: Axis
     typical: TypicalSensor
 
 
@@ -122,7 +122,8 @@ def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
 
 def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
     """Candidate sensors of elastic joints whose link has no sensor in any record."""
-    sensed_joints = {c.joint for r in records for c in r.channels if c.axis}
+    channels = (channel for record in records for channel in record.channels)
+    sensed_joints = {c.joint for c in channels if c.sensor.group is not Group.MOTOR}
     for number, joint in enumerate(arm.joints, start=1):
         if number in sensed_joints or not joint.elastic:
             continue
@@ -131,8 +132,7 @@ def _candidates(records: Sequence[Dataset], arm: Arm) -> Iterator[_Candidate]:
             sensor = typical and kind.of_joint(typical.joint)
             if typical and sensor:
                 (axis,) = sensor.axes(number)
-                channel = Channel(axis.channel, number, axis)
-                yield _Candidate(kind.name.replace("_", "-"), channel, typical)
+                yield _Candidate(kind.name.replace("_", "-"), axis, typical)
 
 
 def _length(arm: Arm) -> float:

@@ -257,7 +257,7 @@ class Objective:
             spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
             is_at_rest = spread < _MIN_SIGNAL_TO_NOISE * record.noise * np.sqrt(len(record.time))
             fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
-            names = [channel.name.replace("theta", "omega") for channel in record.channels]
+            names = [channel.channel.replace("theta", "omega") for channel in record.channels]
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
 

@@ -17,7 +17,6 @@ from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import (
     Axis,
     ConstantKind,
-    Group,
     constant_of,
     is_kind,
     with_bandwidths,
@@ -45,56 +44,6 @@ _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numeri
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
-    """One compared signal of one joint."""
-
-    name: str
-    joint: int  # from 1
-    axis: Axis | None = None  # of a link sensor; None: the motor's encoder
-
-    @property
-    def rate(self) -> bool:
-        """Whether it is an angle, which is compared as a velocity."""
-        return self.axis is None or self.axis.sensor.reads_angle
-
-    @property
-    def shifted(self) -> bool:
-        """Whether it has an unknown bias."""
-        return self.axis is not None and self.axis.sensor.has_bias
-
-    @property
-    def is_mounted(self) -> bool:
-        """Whether its reading depends on the mounting of its sensor."""
-        return self.axis is not None and self.axis.sensor.group is Group.MOUNTED
-
-    @property
-    def reads(self) -> tuple[Quantity, ...]:
-        """Simulated quantities that the channel requires."""
-        return ("motor_angle",) if self.axis is None else self.axis.quantities
-
-    def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
-        """Key of a constant of its sensor; None if there is none."""
-        return None if self.axis is None else self.axis.key(kind, record)
-
-    def value(
-        self, kind: ConstantKind, values: Mapping[Key, float], record: str | None = None
-    ) -> float:
-        """Value of a constant of its sensor; that of an ideal sensor if there is none."""
-        return kind.nominal if self.axis is None else self.axis.value(kind, values, record)
-
-    @property
-    def mount(self) -> tuple[Key, Key] | None:
-        """Natural frequency and damping ratio of its sensor's mount; None if it has none."""
-        return None if self.axis is None else self.axis.mount
-
-    def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
-        """Reading (n, ...) of an ideal sensor from (n, n_joints, ...) of each quantity."""
-        if self.axis is None:
-            return of["motor_angle"][:, self.joint - 1]
-        return self.axis.reading(of, values)
-
-
-@dataclass(frozen=True, slots=True)
 class Dataset:
     """A record with its simulation inputs and its filtered measured channels."""
 
@@ -102,7 +51,7 @@ class Dataset:
     arm: Arm  # without encoder quantisation, so that the outputs are smooth in the parameters
     cutoff_hz: float
     drive: Drive
-    channels: tuple[Channel, ...]
+    channels: tuple[Axis, ...]
     kernels: Kernels
     time: FloatArray  # (n_rows,) [s]
     measured: FloatArray  # (n_rows, n_channels)
@@ -226,7 +175,7 @@ class Dataset:
             if not delay:
                 continue
             n_delay = round(delay / T)
-            raw = self.log.channels[channel.name]
+            raw = self.log.channels[channel.channel]
             advanced = raw[np.clip(np.arange(len(raw)) + n_delay, 0, len(raw) - 1)]
             kernels = low_pass_kernels(self.cutoff_hz, T, delay / T - n_delay)
             channels[:, k] = kernels.rows(advanced, rate=channel.rate)
@@ -280,15 +229,15 @@ class Dataset:
                     tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
-            if channel.axis is not None and channel.is_mounted and mounting:
+            if channel.is_mounted and mounting:
                 quantities = np.stack(
-                    [motion[name][:, channel.joint - 1] for name in channel.reads], 1
+                    [motion[name][:, channel.joint - 1] for name in channel.quantities], 1
                 )
                 if self._has_resonant_mount(values):
                     quantities = self.kernels.rows(
                         self._filter_by_mount(channel, quantities, values), rate=False
                     )
-                by = channel.axis.slopes(values, [keys[at] for at in mounting])
+                by = channel.slopes(values, [keys[at] for at in mounting])
                 tangent[:, k, mounting] += scales[k] * quantities @ by
         bandwidths = [
             k for k, one in enumerate(constants) if one and one.kind is ConstantKind.BANDWIDTH
@@ -312,13 +261,13 @@ class Dataset:
 
     def _mount_slopes(
         self,
-        channel: Channel,
+        channel: Axis,
         motion: Mapping[Quantity, FloatArray],
         values: Mapping[Key, float],
         keys: Sequence[Key],
     ) -> dict[Key, FloatArray]:
         """Derivatives of a channel's rows by its mount constants, without scale factors."""
-        mount, names = mount_resonance(channel.axis, values), channel.mount
+        mount, names = mount_resonance(channel, values), channel.mount
         if mount is None or names is None or not any(name in keys for name in names):
             return {}
         slopes = mount.slopes(channel.reading(motion, values), self.log.sample_time)
@@ -329,13 +278,13 @@ class Dataset:
         """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
         has_gravity, kinds = bool(self.arm.gravity), (ConstantKind.DELAY, ConstantKind.SCALE)
         constants: dict[Key | None, None] = {}
-        for axis in self._axes():
-            axes = [one for one in self._axes() if one.joint == axis.joint]
+        for axis in self.channels:
+            axes = [one for one in self.channels if one.joint == axis.joint]
             is_separate = axis.sensor.is_scale_identifiable(axis, axes, has_gravity=has_gravity)
             constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
-            if axis.sensor.group is Group.MOUNTED:
+            if axis.is_mounted:
                 constants[axis.key(ConstantKind.TILT)] = None
-        drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self._axes())
+        drifts = (axis.key(ConstantKind.DRIFT, self.log.name) for axis in self.channels)
         return [key for key in (*constants, *drifts) if key is not None]
 
     def tables(self, values: Mapping[Key, float], axes: Sequence[Axis]) -> list[FloatArray]:
@@ -345,7 +294,7 @@ class Dataset:
         initial states of `start`. The table of an axis that the record lacks has no rows.
         """
         rows = self._rows(self.run(values, self.start(), self.quantities()))
-        at = {channel.axis: k for k, channel in enumerate(self.channels)}
+        at = {channel: k for k, channel in enumerate(self.channels)}
         tables = []
         for axis in axes:
             parts = [rows[name][:, axis.joint - 1] for name in axis.quantities if name in rows]
@@ -355,10 +304,6 @@ class Dataset:
                 table = table - table.mean(axis=0)
             tables.append(table)
         return tables
-
-    def _axes(self) -> list[Axis]:
-        """Axes of the link sensors."""
-        return [channel.axis for channel in self.channels if channel.axis is not None]
 
     def sensor_scales(self, values: Mapping[Key, float]) -> FloatArray:
         """Scale factors (n_channels,), one where a sensor has none."""
@@ -416,7 +361,7 @@ class Dataset:
         """
         scales = self.sensor_scales(values)
         residuals = [
-            self.log.channels[c.name]
+            self.log.channels[c.channel]
             - scale * self._filter_by_mount(c, c.reading(runs, values), values)
             for c, scale in zip(self.channels, scales, strict=True)
         ]
@@ -434,11 +379,13 @@ class Dataset:
 
     def quantities(self) -> list[Quantity]:
         """Simulated quantities that the channels require."""
-        return list(dict.fromkeys(name for channel in self.channels for name in channel.reads))
+        return list(dict.fromkeys(name for c in self.channels for name in c.quantities))
 
     def low_pass(self) -> LowPass:
         """Low-pass taps of each simulated quantity."""
-        taps = {name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.reads}
+        taps = {
+            name: self.kernels.taps(rate=c.rate) for c in self.channels for name in c.quantities
+        }
         return LowPass(taps, self.kernels.step)
 
     def filtered_channels(
@@ -485,21 +432,21 @@ class Dataset:
 
     def _has_resonant_mount(self, values: Mapping[Key, float]) -> bool:
         """Whether any sensor mount resonates, which requires samples instead of rows."""
-        return any(mount_resonance(channel.axis, values) for channel in self.channels)
+        return any(mount_resonance(channel, values) for channel in self.channels)
 
     def _filter_by_mount(
         self,
-        channel: Channel,
+        channel: Axis,
         samples: FloatArray,
         values: Mapping[Key, float],
     ) -> FloatArray:
         """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
-        mount = mount_resonance(channel.axis, values)
+        mount = mount_resonance(channel, values)
         return samples if mount is None else mount.read(samples, self.log.sample_time)
 
     def _rows(self, runs: Mapping[Quantity, FloatArray]) -> dict[Quantity, FloatArray]:
         """Rows (n_rows, n_joints, ...) of each quantity from its samples."""
-        kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.reads)
+        kinds = dict.fromkeys((name, c.rate) for c in self.channels for name in c.quantities)
         return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
 
     def _stack_channels(
@@ -512,7 +459,7 @@ class Dataset:
 
 
 def noise_behind(
-    channels: Sequence[Channel],
+    channels: Sequence[Axis],
     samples: Sequence[FloatArray],
     kernels: Kernels,
     counts: Sequence[float],

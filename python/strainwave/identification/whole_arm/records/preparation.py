@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Joint, Log, channel_parts
-from strainwave.domain.link_sensors import compared_axes
+from strainwave.domain.link_sensors import Axis, Group, compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
+from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.records.dataset import (
     INITIAL_INTERVAL,
-    Channel,
     Dataset,
     noise_behind,
 )
@@ -67,10 +67,11 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
             remedy=f"record at least {4 * n_taps * T:.2g} s",
         )
     channels = tuple(_channels(log, arm))
-    raw = [log.channels[channel.name] for channel in channels]
+    raw = [log.channels[channel.channel] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        0.0 if c.axis else _encoder_resolution(arm.joints[c.joint - 1]) for c in channels
+        _encoder_resolution(arm.joints[c.joint - 1]) if c.sensor.group is Group.MOTOR else 0.0
+        for c in channels
     )
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
@@ -157,9 +158,9 @@ def _add_link_angles(log: Log, arm: Arm) -> Log:
     return replace(log, channels=channels, masked=masked)
 
 
-def _unmasked_rows(log: Log, channels: Sequence[Channel], kernels: Kernels) -> BoolArray | None:
+def _unmasked_rows(log: Log, channels: Sequence[Axis], kernels: Kernels) -> BoolArray | None:
     """Whether each row (n_rows, n_channels) is free of masked samples; None if all are."""
-    masked = [unmeasured(log, (channel.name,)) for channel in channels]
+    masked = [unmeasured(log, (channel.channel,)) for channel in channels]
     if not any(bad.any() for bad in masked):
         return None
     n_taps, step = len(kernels.smooth), kernels.step
@@ -167,13 +168,12 @@ def _unmasked_rows(log: Log, channels: Sequence[Channel], kernels: Kernels) -> B
     return np.column_stack([(b[n_taps:] - b[:-n_taps])[::step] == 0 for b in masked_before])
 
 
-def _channels(log: Log, arm: Arm) -> Iterator[Channel]:
+def _channels(log: Log, arm: Arm) -> Iterator[Axis]:
     """Compared channels of a log: motor angles, then the link sensors of each joint."""
     for i in range(1, arm.n_joints + 1):
-        yield Channel(f"theta_m{i}", i)
+        yield Axis(MotorEncoder(), i)
     for i, joint in enumerate(arm.joints, start=1):
-        for axis in compared_axes(joint, i, log.channels):
-            yield Channel(axis.channel, i, axis)
+        yield from compared_axes(joint, i, log.channels)
 
 
 def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:

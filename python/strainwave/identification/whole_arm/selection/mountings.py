@@ -165,8 +165,8 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
 
 def _axes_on(objective: Objective, joint: int) -> list[Axis]:
     """Sensor axes of unknown mounting on the link of a joint, over all records."""
-    channels = (c for record in objective.records for c in record.channels if c.is_mounted)
-    return list(dict.fromkeys(c.axis for c in channels if c.axis and c.joint == joint))
+    channels = (channel for record in objective.records for channel in record.channels)
+    return list(dict.fromkeys(c for c in channels if c.is_mounted and c.joint == joint))
 
 
 def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:

@@ -128,7 +128,7 @@ def add_sensor_bandwidths(fit: Fit, selection: Selection, *, coarse: bool) -> Fi
 def _delayed_sensors(fit: Fit) -> Iterator[tuple[Key, Key]]:
     """Delay and bandwidth keys of sensors with an estimated delay and no bandwidth in the study."""
     keys, visited = fit.space.keys, set()
-    for axis in (c.axis for record in fit.objective.records for c in record.channels if c.axis):
+    for axis in (axis for record in fit.objective.records for axis in record.channels):
         delay, bandwidth = axis.key(ConstantKind.DELAY), axis.key(ConstantKind.BANDWIDTH)
         if delay in keys and delay not in visited and delay and bandwidth:
             visited.add(delay)
@@ -291,11 +291,9 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
 
 def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
     """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes."""
-    axes = {c.axis for record in fit.objective.records for c in record.channels}
+    axes = {axis for record in fit.objective.records for axis in record.channels}
     accelerometers = [
-        axis
-        for axis in axes
-        if axis and axis.joint == key[1] and isinstance(axis.sensor, ImuAccelerometers)
+        axis for axis in axes if axis.joint == key[1] and isinstance(axis.sensor, ImuAccelerometers)
     ]
     return (
         len(accelerometers) == 2
