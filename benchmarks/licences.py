@@ -26,6 +26,7 @@ FREE = {
     "0BSD",
     "APACHE",
     "BSD",
+    "BSL",  # Boost
     "CC0",
     "ISC",
     "MIT",
@@ -42,6 +43,7 @@ FREE = {
 
 EXAMINED = {
     "apsw": "any licence that the Open Source Initiative has approved",
+    "cmeel-qhull": "Qhull: free to use, change and distribute with its notice",
     "docutils": "public domain and BSD; one of its files, an editor's mode, is under the GPL",
 }
 """Package with ambiguous metadata -> its licence."""
