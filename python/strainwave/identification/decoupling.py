@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from strainwave.domain import (
+    BoolArray,
     Check,
     ComplexArray,
     Decoupled,
@@ -78,9 +79,17 @@ def decouple(
             u = u - _dry_friction(signals, model, i)
         inputs = u[:, None] if tau is None else np.column_stack([u, tau[:, i]])
         band = options.band_hz or _motion_band(signals, i)
-        densities = _spectra(inputs, signals.sample_time)
-        frequency, richness = _richness(densities, band)
-        checks = tuple(_checks(signals, arm, base, i, inputs, band, densities, richness))
+        frequency, density = _spectra(inputs, signals.sample_time)
+        inside = (frequency >= band[0]) & (frequency <= band[1])
+        richness = _richness(density[inside])
+        checks = [_check_sliding(signals, i)]
+        if tau is not None:
+            checks += [
+                _check_inertia(signals, arm, base, i),
+                _check_amplitude(inputs, arm.joints[i].gear_ratio),
+                _check_spectrum(frequency, density[:, 1, 1].real, inside),
+                _check_richness(richness, band),
+            ]
         records.append(
             Decoupled(
                 experiment=signals.experiment,
@@ -101,9 +110,9 @@ def decouple(
                 bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
                 fusion=signals.fusion[i],
-                richness_hz=frequency,
+                richness_hz=frequency[inside],
                 richness=richness,
-                checks=checks,
+                checks=tuple(checks),
                 warnings=tuple(_warnings(signals, arm, i, checks)),
                 posture=tuple(postures[i].tolist()),
             )
@@ -167,69 +176,32 @@ def _spectra(columns: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
     return cross_spectral_densities(columns, sample_time, min(segment, len(columns)))
 
 
-def _richness(
-    densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]
-) -> tuple[FloatArray, FloatArray]:
+def _richness(density: ComplexArray) -> FloatArray:
     """Ratio of smallest to largest eigenvalue of the inputs' coherency matrix, by frequency.
 
     For two inputs with coherence gamma^2 it is (1 - gamma)/(1 + gamma). It is zero if one input is
     a linear function of the other, so that their effects are not separable. For a small ratio r,
     the standard deviations are 1 / sqrt(4 r) times those of inputs without coherence.
     """
-    frequency, density = densities
-    inside = (frequency >= band[0]) & (frequency <= band[1])
-    power = np.sqrt(np.einsum("fii->fi", density[inside]).real)
+    power = np.sqrt(np.einsum("fii->fi", density).real)
     floor = 1e-12 * power.max() if power.size else 1.0
     scale = np.maximum(power, max(floor, 1e-300))
-    eigenvalues = np.linalg.eigvalsh(density[inside] / (scale[:, :, None] * scale[:, None, :]))
-    return frequency[inside], np.clip(eigenvalues[:, 0], 0.0, None) / np.maximum(
-        eigenvalues[:, -1], 1e-300
-    )
+    eigenvalues = np.linalg.eigvalsh(density / (scale[:, :, None] * scale[:, None, :]))
+    smallest, largest = np.clip(eigenvalues[:, 0], 0.0, None), eigenvalues[:, -1]
+    return np.asarray(smallest / np.maximum(largest, 1e-300))
 
 
-def _checks(
-    signals: LinkSignals,
-    arm: Arm,
-    base: FloatArray,
-    i: int,
-    inputs: FloatArray,
-    band: tuple[float, float],
-    densities: tuple[FloatArray, ComplexArray],
-    richness: FloatArray,
-) -> Iterator[Check]:
-    sliding_share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
-    text = f"the motor slides in {100.0 * sliding_share:.0f} % of the record"
-    text += (
-        ""
-        if sliding_share >= _MIN_SLIDING_SHARE
-        else "; stiction biases the inertia of a linear model: raise the amplitude"
-    )
-    yield Check(
-        "sliding", sliding_share >= _MIN_SLIDING_SHARE, sliding_share, _MIN_SLIDING_SHARE, text
-    )
-    if inputs.shape[1] == 1:
-        return
-    yield _check_inertia(signals, arm, base, i)
-    n = arm.joints[i].gear_ratio
-    u, tau = inputs[:, 0] - inputs[:, 0].mean(), inputs[:, 1] - inputs[:, 1].mean()
-    ratio = float(n * tau.std() / max(u.std(), 1e-300))
-    text = f"n tau is {ratio:.3g} times u"
-    text += "" if ratio >= _MIN_INTERACTION_RATIO else "; too small to estimate its effect"
-    yield Check(
-        "interaction-amplitude",
-        ratio >= _MIN_INTERACTION_RATIO,
-        ratio,
-        _MIN_INTERACTION_RATIO,
-        text,
-    )
-    yield _check_spectrum(densities, band)
-    rich = float(np.median(richness)) if richness.size else 0.0
-    text = f"u and tau differ: eigenvalue ratio {rich:.3g}, median of {band[0]:.1f} to"
-    text += f" {band[1]:.1f} Hz"
-    if rich < _MIN_EIGENVALUE_RATIO:
-        text = f"tau is nearly a linear function of u (eigenvalue ratio {rich:.1g}); excite both"
-        text += " joints at once with independent sequences"
-    yield Check("input-richness", rich >= _MIN_EIGENVALUE_RATIO, rich, _MIN_EIGENVALUE_RATIO, text)
+def _check(name: str, value: float, least: float, text: str, remedy: str) -> Check:
+    """Check that a value is not below its limit; otherwise the message ends with the remedy."""
+    passed = value >= least
+    return Check(name, passed, value, least, text if passed else text + remedy)
+
+
+def _check_sliding(signals: LinkSignals, i: int) -> Check:
+    share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
+    text = f"the motor slides in {100.0 * share:.0f} % of the record"
+    remedy = "; stiction biases the inertia of a linear model: raise the amplitude"
+    return _check("sliding", share, _MIN_SLIDING_SHARE, text, remedy)
 
 
 def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
@@ -240,32 +212,42 @@ def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> 
     zero = np.zeros_like(q)
     static_torque = arm.link_torques(base, q, zero, zero)
     inertia = (arm.link_torques(base, q, zero, unit_acceleration) - static_torque)[:, i]
-    change = float(np.ptp(inertia) / np.mean(inertia))
+    change, limit = float(np.ptp(inertia) / np.mean(inertia)), _MAX_INERTIA_CHANGE
     message = f"the link's own inertia changes by {100.0 * change:.2g} %"
-    message += (
-        ""
-        if change <= _MAX_INERTIA_CHANGE
-        else ", all of it in tau; keep the swing of joint 2 small"
-    )
-    return Check(
-        "constant-inertia", change <= _MAX_INERTIA_CHANGE, change, _MAX_INERTIA_CHANGE, message
-    )
+    if change > limit:
+        message += f", all of it in tau; keep the swing of joint {i + 2} small"
+    return Check("constant-inertia", change <= limit, change, limit, message)
 
 
-def _check_spectrum(densities: tuple[FloatArray, ComplexArray], band: tuple[float, float]) -> Check:
+def _check_amplitude(inputs: FloatArray, gear_ratio: float) -> Check:
+    """Interaction torque over the torque of the motor."""
+    u, tau = inputs.std(axis=0)
+    ratio = float(gear_ratio * tau / max(u, 1e-300))
+    text, remedy = f"n tau is {ratio:.3g} times u", "; too small to estimate its effect"
+    return _check("interaction-amplitude", ratio, _MIN_INTERACTION_RATIO, text, remedy)
+
+
+def _check_spectrum(frequency: FloatArray, power: FloatArray, inside: BoolArray) -> Check:
     """Share of the band in which the power density of tau exceeds its noise level."""
-    frequency, density = densities
-    power = density[:, 1, 1].real
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
-    inside = (frequency >= band[0]) & (frequency <= band[1])
     share = float(np.mean(power[inside] > _NOISE_FACTOR * noise)) if inside.any() else 0.0
-    message = f"tau is above its noise in {100.0 * share:.0f} % of the band"
-    message += "" if share >= _MIN_BAND_SHARE else "; raise the amplitude"
-    return Check("interaction-spectrum", share >= _MIN_BAND_SHARE, share, _MIN_BAND_SHARE, message)
+    text = f"tau is above its noise in {100.0 * share:.0f} % of the band"
+    return _check("interaction-spectrum", share, _MIN_BAND_SHARE, text, "; raise the amplitude")
+
+
+def _check_richness(richness: FloatArray, band: tuple[float, float]) -> Check:
+    """Whether the effects of u and tau are separable."""
+    ratio, limit = float(np.median(richness)) if richness.size else 0.0, _MIN_EIGENVALUE_RATIO
+    text = f"u and tau differ: eigenvalue ratio {ratio:.3g}, median of {band[0]:.1f} to"
+    text += f" {band[1]:.1f} Hz"
+    if ratio < limit:
+        text = f"tau is nearly a linear function of u (eigenvalue ratio {ratio:.1g}); excite all"
+        text += " joints at once with independent sequences"
+    return Check("input-richness", ratio >= limit, ratio, limit, text)
 
 
 def _warnings(
-    signals: LinkSignals, arm: Arm, i: int, checks: tuple[Check, ...]
+    signals: LinkSignals, arm: Arm, i: int, checks: Sequence[Check]
 ) -> Iterator[Diagnostic]:
     """Warnings for failed checks of the joints that the record identifies."""
     if signals.experiment.joint not in (None, i + 1):

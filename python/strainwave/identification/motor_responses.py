@@ -121,8 +121,8 @@ def modes_of_motor(
     inertia = np.zeros((2 * n, 2 * n))  # motors first, then links
     inertia[:n, :n] = np.diag(each("motor_inertia"))
     inertia[n:, n:] = arm.inertia_matrix(base, link_angle)
-    springs = _coupling_matrix(arm.gear_ratios, each("gear_stiffness"))
-    dampers = _coupling_matrix(arm.gear_ratios, each("gear_damping"))
+    springs = _coupling_matrix(arm.transmission, each("gear_stiffness"))
+    dampers = _coupling_matrix(arm.transmission, each("gear_damping"))
     viscous = [each("motor_viscous_friction"), each("link_viscous_friction")]
     dampers += np.diag(np.concatenate(viscous))
     moving = np.ones(2 * n, dtype=bool)
@@ -143,10 +143,10 @@ def modes_of_motor(
     )
 
 
-def _coupling_matrix(ratio: FloatArray, gear: FloatArray) -> FloatArray:
-    """Matrix (2 n, 2 n) of a spring or damper between each motor and its link."""
-    motor, coupling = np.diag(ratio**2 * gear), -np.diag(ratio * gear)
-    return np.block([[motor, coupling], [coupling, np.diag(gear)]])
+def _coupling_matrix(transmission: FloatArray, gear: FloatArray) -> FloatArray:
+    """Matrix (2 n, 2 n) of springs or dampers of the gears, by motors and links."""
+    torsion = np.hstack([transmission, -np.eye(len(gear))])  # of each gear, by motors and links
+    return np.asarray(torsion.T * gear @ torsion)
 
 
 def _lightly_damped_frequencies(

@@ -183,7 +183,7 @@ def test_a_motor_that_stands_is_refused_with_a_remedy() -> None:
     signals = _signals(study, still, n)
     with pytest.raises(NotIdentifiable, match="joint 1 slide"):
         models_from_motors([signals], None, Arm.of(study.arm))
-    assert not next(pieces(signals, Arm.of(study.arm).gear_ratios, max_lines=40)).rows
+    assert not next(pieces(signals, Arm.of(study.arm), max_lines=40)).rows
 
 
 def _signals(study: Study, still: FloatArray, n: int) -> LinkSignals:

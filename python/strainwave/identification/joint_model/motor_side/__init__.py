@@ -52,9 +52,8 @@ def models_from_motors(
 
     Raises `NotIdentifiable` if a joint is not driven or no arm explains the motion of the motors.
     """
-    ratio = arm.gear_ratios
     spectra_pieces = [
-        piece for r in records for piece in pieces(r, ratio, max_lines=_FIT_LINES) if piece.rows
+        piece for r in records for piece in pieces(r, arm, max_lines=_FIT_LINES) if piece.rows
     ]
     for i in range(arm.n_joints):
         if not any(i in piece.rows for piece in spectra_pieces):

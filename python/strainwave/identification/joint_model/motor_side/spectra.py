@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import ComplexArray, FloatArray, LinkSignals
+from strainwave.dynamics.arm import Arm
 from strainwave.numerics.spectra import window_spectra
 
 MAX_PIECE_SECONDS = 4.1
@@ -34,18 +35,18 @@ class Piece:
     rows: tuple[int, ...]  # joints, from 0, that are driven and slide
 
 
-def pieces(signals: LinkSignals, ratio: FloatArray, *, max_lines: int) -> Iterator[Piece]:
+def pieces(signals: LinkSignals, arm: Arm, *, max_lines: int) -> Iterator[Piece]:
     """Yield spectra of one record, in pieces of a few seconds.
 
-    `ratio` (n_joints,) has the gear ratios. A piece has at most `max_lines` lines: the line with
-    the largest torque of each band on a logarithmic scale. If the experiment names a joint, only
-    that joint is driven; otherwise all joints are.
+    A piece has at most `max_lines` lines: the line with the largest torque of each band on a
+    logarithmic scale. If the experiment names a joint, only that joint is driven; otherwise all
+    joints are.
     """
     T, n = signals.sample_time, len(signals.time)
     length = min(n, round(MAX_PIECE_SECONDS / T))
     count = min(_MAX_PIECES, max(1, n // length))
     named_joint = signals.experiment.joint
-    excited = range(len(ratio)) if named_joint is None else (named_joint - 1,)
+    excited = range(arm.n_joints) if named_joint is None else (named_joint - 1,)
     frequency = np.fft.rfftfreq(length, T)
     highest = min(_MAX_RATE_SHARE / T, signals.bandwidth_hz or np.inf)
     inside = np.flatnonzero((frequency >= _FIRST_LINE * frequency[1]) & (frequency <= highest))
@@ -62,7 +63,7 @@ def pieces(signals: LinkSignals, ratio: FloatArray, *, max_lines: int) -> Iterat
             torque,
             direction,
             velocity,
-            (ratio * signals.motor_angle[chunk]).mean(axis=0),
+            arm.links_of(signals.motor_angle[chunk]).mean(axis=0),
             tuple(i for i in excited if sliding_share[i] >= _MIN_SLIDING_SHARE),
         )
         yield thin_lines(piece, max_lines)
