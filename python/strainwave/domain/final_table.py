@@ -8,13 +8,12 @@ are also rejected.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
-from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.base_parameters import base_parameters, link_inertia
 from strainwave.domain.combinations import (
     LINK_INERTIA,
     change_from,
@@ -26,8 +25,9 @@ from strainwave.domain.estimates import Parameter, Suspicion
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import link_channel_kinds, link_keys
-from strainwave.domain.parameter_table import base_name, parameter_table
+from strainwave.domain.parameter_table import base_name, family_of, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
 from strainwave.domain.stage_results import StageResults
@@ -113,7 +113,7 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
     else:
         _make_consistent(table, study.arm, accepted)
     _remove_equivalent_stiffness(table, study, whole_arm is not None)
-    _reject_gamma(table)
+    _reject_contradictions(table, study.arm)
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
     names = dict.fromkeys([*_FIRST_ROWS, *parameter_table()])
@@ -346,20 +346,12 @@ def _remove_equivalent_stiffness(table: _Table, study: Study, has_whole_arm_fit:
             table.pop((STIFFNESS, number), None)
 
 
-def _reject_gamma(table: _Table) -> None:
-    """Reject gamma unless alpha beta > gamma^2.
-
-    Otherwise the inertia matrix is not positive definite in every posture.
-    """
-    parameters = [_accepted_estimate(table, (name, None)) for name in ("alpha", "beta", "gamma")]
-    if any(p is None or p.value is None for p in parameters):
-        return
-    alpha, beta, gamma = (p.value for p in parameters if p is not None and p.value is not None)
-    if alpha > 0.0 and beta > 0.0 and gamma**2 >= alpha * beta:
-        entry = table["gamma", None]
-        table["gamma", None] = replace(
-            entry, rejected=f"gamma^2 = {gamma**2:.3g} is not below alpha beta = {alpha * beta:.3g}"
-        )
+def _reject_contradictions(table: _Table, arm: ArmDescription) -> None:
+    """Reject values of link parameters that contradict the others."""
+    accepted = [e.parameter for e in table.values() if not e.rejected]
+    values = {_key(p): p.value for p in accepted if p.value is not None}
+    for key, reason in kind_of(arm).contradictions(values).items():
+        table[key] = replace(table[key], rejected=reason)
 
 
 def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> Decision:
@@ -414,12 +406,13 @@ def _is_negligible(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
 
 def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Iterator[float]:
     """Motor torque per unit of a parameter, over the rms torque, for each joint it acts on."""
-    gravity = re.fullmatch(r"gravity_torque_(\d+)", p.name)
+    of_link = _motion_per_unit(p, study.arm)
     for number in [p.joint] if p.joint else sorted(levels):
         level = levels.get(number)
         if level is None or level.torque <= 0.0:
             continue
-        n2 = study.arm.joints[number - 1].gear_ratio ** 2
+        ratio = abs(study.arm.joints[number - 1].gear_ratio)
+        n2 = ratio**2
         per_unit = {
             "motor_coulomb_friction": 1.0,
             "friction_offset": 1.0,
@@ -427,9 +420,26 @@ def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
             "total_viscous_friction": level.velocity,
             "link_viscous_friction": n2 * level.velocity,
             "gear_damping": n2 * level.velocity,  # upper bound: link at rest
-            "gamma": 2.0 * n2 * level.acceleration,
         }.get(p.name)
-        if gravity and number <= int(gravity[1]):
-            per_unit = abs(study.arm.joints[number - 1].gear_ratio)
+        if number in of_link:
+            reflected = ratio if family_of(p.name) == "gravity" else n2 * level.acceleration
+            per_unit = of_link[number] * reflected
         if per_unit is not None:
             yield per_unit / level.torque
+
+
+def _motion_per_unit(p: Parameter, arm: ArmDescription) -> dict[int, float]:
+    """Largest torque at the links per unit of a parameter that may have either sign, by joint.
+
+    It is that of a stretched arm, for unit acceleration. A gravity torque acts on the joints up to
+    that of its link.
+    """
+    if p.joint is not None or physical_range(p.name) != "any":
+        return {}
+    if family_of(p.name) == "gravity":
+        row = kind_of(arm).standard_rows(arm).get(_key(p), {})
+        last = min((joint for _, joint in row if joint is not None), default=0)
+        return dict.fromkeys(range(1, last + 1), 1.0)
+    joints = range(1, arm.n_joints + 1)
+    weight = max(abs(link_inertia(arm, joint).get(_key(p), 0.0)) for joint in joints)
+    return dict.fromkeys(joints, weight)

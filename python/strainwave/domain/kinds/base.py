@@ -147,6 +147,10 @@ class Kind(ABC, Generic[Table]):
         """
         raise NotIdentifiable(f"the whole-arm fit has no starting values for a {self.name} arm")
 
+    def contradictions(self, values: Values) -> Mapping[Key, str]:
+        """Link parameters with which no arm has the other values, each with the reason."""
+        return {}
+
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Add to `known` the inertias that follow from it or have little effect.
 

@@ -107,6 +107,15 @@ class PlanarTwoLink(Kind[PlanarTable]):
         start: Values = {_ALPHA: alpha, _BETA: beta, _GAMMA: gamma}
         return start | {("motor_inertia", i): motor[i] for i in (1, 2)}, rejected
 
+    def contradictions(self, values: Values) -> Mapping[Key, str]:
+        """Gamma, unless M(q) is positive definite in every posture: alpha beta > gamma^2."""
+        if not {_ALPHA, _BETA, _GAMMA} <= values.keys():
+            return {}
+        product, square = values[_ALPHA] * values[_BETA], values[_GAMMA] ** 2
+        if min(values[_ALPHA], values[_BETA]) <= 0.0 or square < product:
+            return {}
+        return {_GAMMA: f"gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}"}
+
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Alpha from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia."""
         beta, gamma = known.get(_BETA), known.get(_GAMMA)
