@@ -1,0 +1,104 @@
+"""Rigid step of arms with more than two joints: base parameters and torque constants."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from strainwave.domain import ArmDescription, FloatArray, Joint, Origin, Servo, Signals
+from strainwave.domain.combinations import value_of
+from strainwave.domain.keys import Values
+from strainwave.domain.kinds import Fault, Kind, register, unregister
+from strainwave.dynamics.arm import Arm
+from strainwave.identification import rigid
+from virtual_arms import exact_motion, exact_signals
+
+RATIOS = (0.01, -0.02, 0.0125)
+COUPLING = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.3, 1.0))
+BODY = {"mass": 3.0, "first_moment_x": 0.3, "first_moment_y": 0.05, "first_moment_z": 0.02}
+BODY |= {"inertia_xx": 0.1, "inertia_yy": 0.16, "inertia_zz": 0.14, "inertia_xy": 0.01}
+FRICTION = (2e-4, 0.03, 0.002)  # viscous, Coulomb, offset of each motor
+
+
+@dataclass(frozen=True, slots=True)
+class NoKeys:
+    """The arm table has no keys of its own."""
+
+
+class Chain(Kind[NoKeys]):
+    """A kind without a program of its own."""
+
+    name = "three-joint-chain"
+    table = NoKeys
+
+    def faults(self, table: NoKeys, joints: Sequence[Joint]) -> Iterator[Fault]:
+        yield from ()
+
+    def construct(
+        self, table: NoKeys, joints: Sequence[Joint], servo: Servo | None = None
+    ) -> ArmDescription:
+        return ArmDescription(self.name, tuple(joints), servo=servo)
+
+    def table_of(self, arm: ArmDescription) -> NoKeys:
+        return NoKeys()
+
+
+@pytest.fixture(autouse=True)
+def registered() -> Iterator[None]:
+    register(Chain())
+    yield
+    unregister(Chain.name)
+
+
+def chain() -> Arm:
+    """A vertical axis and two parallel horizontal axes; motor 2 also turns link 3."""
+    turned = (0.5 * np.pi, 0.0, 0.0)
+    origins = (Origin(), Origin((0.0, 0.0, 0.3), turned), Origin((0.25, 0.0, 0.0)))
+    joints = tuple(
+        Joint(spring="rigid", gear_ratio=ratio, origin=origin)
+        for ratio, origin in zip(RATIOS, origins, strict=True)
+    )
+    return Arm.of(ArmDescription(Chain.name, joints, (0.0, 0.0, -9.81), coupling=COUPLING))
+
+
+def rigid_values(arm: Arm) -> FloatArray:
+    """True values of the rigid model, (n_parameters,)."""
+    values: Values = dict.fromkeys(arm.parameter_names, 0.0)
+    for joint in (1, 2, 3):
+        values |= {(f"link_{name}", joint): value for name, value in BODY.items()}
+        values["motor_inertia", joint] = 1e-4
+    body = [value_of(column.parts, values) for column in arm.rigid_columns[: arm.n_body]]
+    return np.array([*body, *FRICTION * 3])
+
+
+def signals_of(arm: Arm) -> Signals:
+    motion = exact_motion(3, 1)
+    body = arm.rigid_regressor(*map(arm.links_of, motion[1:])) @ rigid_values(arm)[: arm.n_body]
+    viscous, coulomb, offset = FRICTION
+    friction = viscous * motion[2] + coulomb * np.sign(motion[2]) + offset
+    return exact_signals(motion, body + friction)
+
+
+def test_base_parameters_of_a_coupled_chain_are_recovered() -> None:
+    arm = chain()
+    model = rigid.fit_rigid([signals_of(arm)], arm, rigid.RigidOptions(bandwidth_hz=5.0))
+    assert model.status == "determined"
+    np.testing.assert_allclose(model.solution, rigid_values(arm), rtol=1e-6, atol=1e-7)
+    # M(q) is symmetric: the torque constants agree
+    assert set(model.torque_ratios) == {2, 3}
+    for value, _ in model.torque_ratios.values():
+        assert value == pytest.approx(1.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("joint", [2, 3])
+def test_the_joint_with_a_wrong_torque_constant_shows(joint: int) -> None:
+    arm = chain()
+    signals = signals_of(arm)
+    gain = np.where(np.arange(1, 4) == joint, 0.9, 1.0)
+    wrong = replace(signals, motor_torque=gain * signals.motor_torque)
+    model = rigid.fit_rigid([wrong], arm, rigid.RigidOptions(bandwidth_hz=5.0))
+    for number, (value, _) in model.torque_ratios.items():
+        assert value == pytest.approx(1.0 / gain[number - 1], abs=1e-6)
