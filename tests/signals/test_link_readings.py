@@ -5,11 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from strainwave.domain import FloatArray, Joint
+from strainwave.domain import Experiment, FloatArray, Joint, Log, Study
 from strainwave.domain.arm import ArmDescription, Origin
+from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.domain.kinds.planar_two_link import planar_two_link
 from strainwave.domain.kinds.single_joint import single_joint
 from strainwave.dynamics.arm import Arm
+from strainwave.signals.consistency.evidence import collect_evidence
+from strainwave.signals.consistency.sensors import regress_readings
+from strainwave.signals.link_motion import prepare_link_signals
 from strainwave.signals.link_readings import (
     JointMotion,
     acceleration_gain,
@@ -38,7 +42,7 @@ def chain(n_joints: int, gravity: float) -> Arm:
     joints = [
         replace(drive(i), origin=Origin((LENGTH if i else 0.0, 0.0, 0.0))) for i in range(n_joints)
     ]
-    return Arm.of(ArmDescription("serial", tuple(joints), (0.0, -gravity, 0.0)))
+    return Arm.of(ArmDescription("serial", tuple(joints), in_plane_gravity(gravity)))
 
 
 def closed_form(motion: JointMotion, i: int, gravity: float) -> FloatArray:
@@ -111,3 +115,61 @@ def test_planar_chains_of_any_length(n_joints: int, gravity: float) -> None:
             slope = angle_derivatives(arm, motion, i)[:, j]
             # rounding of numbers of about ten, over the step
             np.testing.assert_allclose(slope, (high - low) / 2e-6, atol=1e-8)
+
+
+def slow_log(arm: Arm, gravity: float, amplitude: float = 0.4) -> tuple[Log, JointMotion]:
+    """Ideal readings of a chain whose links follow their motors, and the motion."""
+    n, t = arm.n_joints, 2e-3 * np.arange(20_000)
+    angle, velocity, acceleration = (np.zeros((len(t), n)) for _ in range(3))
+    for w in (1.1, 2.3, 3.7):  # [rad/s]
+        phase = np.multiply.outer(w * t, 1.0 + 0.17 * np.arange(n)) + np.arange(n)
+        rate = w * (1.0 + 0.17 * np.arange(n))
+        angle += amplitude * np.sin(phase)
+        velocity += amplitude * rate * np.cos(phase)
+        acceleration -= amplitude * rate**2 * np.sin(phase)
+    motion, experiment = JointMotion(angle, velocity, acceleration), slow_experiment(n)
+    noise = np.random.default_rng(0).normal(0.0, 1e-6, (len(t), n))
+    channels = {}
+    for i in range(n):
+        channels[f"theta_m{i + 1}"] = angle[:, i] / arm.joints[i].gear_ratio + noise[:, i]
+        channels[f"a{i + 1}"] = closed_form(motion, i, gravity)
+        channels[f"torque{i + 1}"] = np.sin(t + i)
+    return Log(experiment, t, 2e-3, channels), motion
+
+
+def slow_experiment(n_joints: int) -> Experiment:
+    return Experiment("motion", "", "motion", ("open",) * n_joints)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_accelerometers_of_three_links_give_their_motion(gravity: float) -> None:
+    arm = chain(3, gravity)
+    log, motion = slow_log(arm, gravity)
+    signals = prepare_link_signals(log, arm)
+    inner = slice(2000, -2000)
+    # fusion with the motors below 0.1 Hz, differentiated from angles with noise
+    scale = motion.acceleration.std()
+    error = (signals.link_acceleration - motion.acceleration)[inner]
+    assert np.abs(error).max() < 0.01 * scale
+    assert np.abs((signals.link_velocity - motion.velocity)[inner]).max() < 0.01 * scale
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_the_input_check_predicts_accelerometers_of_three_links(gravity: float) -> None:
+    arm = chain(3, gravity)
+    log, _ = slow_log(arm, gravity, 0.1)
+    study = Study(arm=arm, experiments=(log.experiment,))
+    readings = regress_readings(collect_evidence([log], study))
+    assert [reading.channel for reading in readings] == ["a1", "a2", "a3"]
+    for reading in readings:
+        # products of filtered angles are not the filtered products
+        assert reading.scale == pytest.approx(1.0, abs=0.01)
+        assert reading.explained > 0.999
+        assert all(part == pytest.approx(1.0, abs=0.03) for part, _ in reading.parts.values())
+        assert (reading.rotation_ratio is None) == (reading.channel == "a1")
+        if reading.rotation_ratio is not None:
+            ratio, std = reading.rotation_ratio
+            assert ratio == pytest.approx(1.0, abs=3.0 * std)
+        if reading.tilt is not None:
+            assert gravity == 0.0
+            assert reading.tilt[0] < 1e-3

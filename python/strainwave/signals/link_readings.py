@@ -69,7 +69,7 @@ def accelerometer_parts(arm: Arm, motion: JointMotion, i: int) -> AccelerometerP
     """Contributions to the reading of the accelerometer on link i, from 0."""
     joint, link = arm.joints[i], motion.links(arm)[:, i]
     force, gravity = link[:, 6:] @ _direction(joint), np.zeros(len(link))
-    if arm.gravity:
+    if arm.gravity_size:
         gravity = JointMotion.at_rest(motion.angle).links(arm)[:, i, 6:] @ _direction(joint)
     return AccelerometerParts(_rotation(joint, link), force - gravity, gravity)
 
