@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from strainwave.domain import Experiment, FloatArray, Joint, Log, Study
+from strainwave.domain import Control, Experiment, FloatArray, Joint, Log, Study
 from strainwave.domain.arm import ArmDescription, Origin
 from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.domain.kinds.planar_two_link import planar_two_link
@@ -119,7 +119,8 @@ def test_planar_chains_of_any_length(n_joints: int, gravity: float) -> None:
 
 def slow_log(arm: Arm, gravity: float, amplitude: float = 0.4) -> tuple[Log, JointMotion]:
     """Ideal readings of a chain whose links follow their motors, and the motion."""
-    n, t = arm.n_joints, 2e-3 * np.arange(20_000)
+    n = arm.n_joints
+    t: FloatArray = 2e-3 * np.arange(20_000, dtype=np.float64)
     angle, velocity, acceleration = (np.zeros((len(t), n)) for _ in range(3))
     for w in (1.1, 2.3, 3.7):  # [rad/s]
         phase = np.multiply.outer(w * t, 1.0 + 0.17 * np.arange(n)) + np.arange(n)
@@ -127,7 +128,9 @@ def slow_log(arm: Arm, gravity: float, amplitude: float = 0.4) -> tuple[Log, Joi
         angle += amplitude * np.sin(phase)
         velocity += amplitude * rate * np.cos(phase)
         acceleration -= amplitude * rate**2 * np.sin(phase)
-    motion, experiment = JointMotion(angle, velocity, acceleration), slow_experiment(n)
+    motion = JointMotion(angle, velocity, acceleration)
+    control: list[Control] = ["open"] * n
+    experiment = Experiment("motion", "", "motion", tuple(control))
     noise = np.random.default_rng(0).normal(0.0, 1e-6, (len(t), n))
     channels = {}
     for i in range(n):
@@ -135,10 +138,6 @@ def slow_log(arm: Arm, gravity: float, amplitude: float = 0.4) -> tuple[Log, Joi
         channels[f"a{i + 1}"] = closed_form(motion, i, gravity)
         channels[f"torque{i + 1}"] = np.sin(t + i)
     return Log(experiment, t, 2e-3, channels), motion
-
-
-def slow_experiment(n_joints: int) -> Experiment:
-    return Experiment("motion", "", "motion", ("open",) * n_joints)
 
 
 @pytest.mark.parametrize("gravity", [0.0, 9.81])
