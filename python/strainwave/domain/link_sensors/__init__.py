@@ -171,17 +171,14 @@ def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple
     Of each group of sensors, in the order of the groups, these are the axes of least rank.
     """
     axes = [
-        axis
-        for sensor in joint.sensors
-        if sensor.is_compared
-        for axis in sensor.axes(number)
-        if axis.channel in channels
+        axis for sensor in joint.sensors for axis in sensor.axes(number) if axis.channel in channels
     ]
-    least: dict[Group, int] = {}
-    for sensor in (axis.sensor for axis in axes):
-        least[sensor.group] = min(sensor.rank, least.get(sensor.group, sensor.rank))
-    compared = [axis for axis in axes if axis.sensor.rank == least[axis.sensor.group]]
-    return tuple(sorted(compared, key=lambda axis: list(Group).index(axis.sensor.group)))
+    compared: list[Axis] = []
+    for group in Group:
+        of_group = [axis for axis in axes if axis.sensor.group is group]
+        least = min((axis.sensor.rank for axis in of_group), default=0)
+        compared += [axis for axis in of_group if axis.sensor.rank == least]
+    return tuple(compared)
 
 
 def mounted_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:

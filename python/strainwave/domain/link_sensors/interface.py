@@ -62,6 +62,7 @@ class ConstantKind(Enum):
 
 
 K = ConstantKind
+Kinds = tuple[ConstantKind, ...]
 _OPTIONAL = frozenset(
     {K.DELAY, K.SCALE, K.DRIFT, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING, K.TILT}
 )
@@ -135,61 +136,22 @@ class LinkSensor(ABC):
     Sensors are values: those of equal joints are equal.
     """
 
-    name: ClassVar[str]
-    """Name in sensor constants."""
-
-    noun: ClassVar[str]
-    """Noun in descriptions of its constants."""
-
-    channel_kinds: ClassVar[tuple[str, ...]]
-    """Channels without the joint's number, one per axis."""
-
-    keys: ClassVar[tuple[str, ...]] = ()
-    """Keys of a `[[joint]]` table that describe it."""
-
-    unit: ClassVar[str]
-    """SI unit of a reading."""
-
-    measurand: ClassVar[str]
-    """Noun of what it measures, in reports."""
-
-    prismatic_unit: ClassVar[str | None] = None
-    """SI unit on the link of a prismatic joint, if it differs."""
-
-    low_pass_order: ClassVar[Literal[1, 2]] = 2
-    """Order of its low-pass; 2: Butterworth."""
-
-    by_channel: ClassVar[bool] = False
-    """Whether a study's channels alone state that the link has the sensor."""
-
-    suggested_as: ClassVar[str] = ""
-    """Noun with its article, in a report that suggests the sensor."""
-
-    bandwidth_key: ClassVar[str | None] = None
-    """Key of its bandwidth [Hz] in the table."""
-
-    is_compared: ClassVar[bool] = True
-    """Whether a fit compares its readings as they are."""
-
-    reads_angle: ClassVar[bool] = False
-    """Whether a reading is an angle, which is compared as a velocity: open-loop angles drift."""
-
-    has_bias: ClassVar[bool] = True
-    """Whether a reading has an unknown bias."""
-
-    common: ClassVar[tuple[ConstantKind, ...]] = (
-        K.DELAY,
-        K.BANDWIDTH,
-        K.MOUNT_FREQUENCY,
-        K.MOUNT_DAMPING,
-    )
-    """Kinds of constants that all axes share."""
-
-    per_axis: ClassVar[tuple[ConstantKind, ...]] = (K.SCALE, K.DRIFT)
-    """Kinds of constants that each axis has."""
-
-    symbols: ClassVar[bool] = True
-    """Whether docs/notation.md has symbols for delay, scale and drift."""
+    name: ClassVar[str]  # in sensor constants
+    noun: ClassVar[str]  # in descriptions of its constants
+    channel_kinds: ClassVar[tuple[str, ...]]  # channels without the joint's number, one per axis
+    unit: ClassVar[str]  # SI unit of a reading
+    prismatic_unit: ClassVar[str | None] = None  # on a prismatic joint, if it differs
+    measurand: ClassVar[str]  # noun of what it measures, in reports
+    suggested_as: ClassVar[str] = ""  # noun and article, in a report that suggests the sensor
+    keys: ClassVar[tuple[str, ...]] = ()  # of a `[[joint]]` table that describe it
+    by_channel: ClassVar[bool] = False  # the channels of a study alone state that a link has it
+    bandwidth_key: ClassVar[str | None] = None  # key of its bandwidth [Hz] in the table
+    low_pass_order: ClassVar[Literal[1, 2]] = 2  # 2: Butterworth
+    reads_angle: ClassVar[bool] = False  # compared as a velocity: open-loop angles drift
+    has_bias: ClassVar[bool] = True  # unknown
+    common: ClassVar[Kinds] = (K.DELAY, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING)
+    per_axis: ClassVar[Kinds] = (K.SCALE, K.DRIFT)  # `common` are those that all axes share
+    symbols: ClassVar[bool] = True  # docs/notation.md has those of delay, scale and drift
 
     @classmethod
     @abstractmethod
@@ -214,8 +176,8 @@ class LinkSensor(ABC):
         return None
 
     @property
-    def group(self) -> Group:
-        """Group of the sensor."""
+    def group(self) -> Group | None:
+        """Group of the sensor; None: a fit does not compare its readings as they are."""
         return Group.MOTION
 
     @property
@@ -307,9 +269,8 @@ class TypicalSensor:
 
     def sample_std(self, sample_time: float) -> float:
         """Standard deviation of the noise of a sample."""
-        return float(
-            np.hypot(self.noise_density * np.sqrt(0.5 / sample_time), self.resolution / 12**0.5)
-        )
+        noise = self.noise_density * np.sqrt(0.5 / sample_time)
+        return float(np.hypot(noise, self.resolution / np.sqrt(12.0)))
 
 
 @dataclass(frozen=True, slots=True)

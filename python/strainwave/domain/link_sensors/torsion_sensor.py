@@ -30,7 +30,7 @@ class TorsionSensor(LinkSensor):
     measurand = "torsion"
     prismatic_unit = "m"
     by_channel = True
-    is_compared = False  # as the link angle that it gives with the motor encoder
+    group = None  # compared as the link angle that it gives with the motor encoder
     reads_angle = True
     has_bias = False
     common = per_axis = ()

@@ -220,12 +220,14 @@ class Dataset:
         constants = [constant_of(key) for key in keys]
         mounting = [k for k, one in enumerate(constants) if one and one.is_mounting]
         for k, channel in enumerate(self.channels):
+            scale, delay = channel.key(ConstantKind.SCALE), channel.key(ConstantKind.DELAY)
+            drift = channel.key(ConstantKind.DRIFT, self.log.name)
             for at, key in enumerate(keys):
-                if key == channel.key(ConstantKind.SCALE):
+                if key == scale:
                     tangent[:, k, at] = simulated[:, k]
-                elif key == channel.key(ConstantKind.DRIFT, self.log.name):
+                elif key == drift:
                     tangent[:, k, at] = self.since_middle
-                elif key == channel.key(ConstantKind.DELAY):
+                elif key == delay:
                     tangent[:, k, at] = -scales[k] * differentiate_rows(simulated[:, k], row_time)
             for key, slope in self._mount_slopes(channel, motion, values, keys).items():
                 tangent[:, k, keys.index(key)] = scales[k] * slope
