@@ -238,7 +238,7 @@ class LinearRecord(Dataset):
     def n(self) -> int:
         return int(self.table.shape[2])
 
-    def linearised(
+    def linearise(
         self,
         values: Mapping[tuple[str, int | None], float],
         local: FloatArray,

@@ -90,7 +90,7 @@ class Observation:
         """Whether each channel clearly exceeds its noise."""
         return tuple((np.std(self.measured, axis=0) > _MIN_SIGNAL_TO_NOISE * self.noise).tolist())
 
-    def simulated(self, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
+    def simulate(self, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
 
         The bias of an accelerometer is unknown, so the simulated mean is set to the measured one.
@@ -168,7 +168,7 @@ def predict_closed_loop(
     `NumericalFailure` if the simulated motion is not finite.
     """
     observed = observe(log, arm, cutoff_hz)
-    return build_prediction(observed, observed.simulated(arm, values))
+    return build_prediction(observed, observed.simulate(arm, values))
 
 
 def build_prediction(observation: Observation, predicted: FloatArray) -> Prediction:

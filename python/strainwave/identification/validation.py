@@ -187,7 +187,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     needs.
     """
     values, observed = dict(model.values), observe(log, arm)
-    motion = observed.simulated(arm, values)
+    motion = observed.simulate(arm, values)
     prediction = build_prediction(observed, motion)
     elastic = [n for n, joint in enumerate(arm.joints, start=1) if joint.elastic]
     effects = {n: _stiffness_effect(prediction, observed, n, values, arm) for n in elastic}
@@ -196,7 +196,7 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     def varied() -> Iterator[FloatArray]:
         for other in _variations(model):
             try:
-                yield observed.simulated(arm, other) - motion
+                yield observed.simulate(arm, other) - motion
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
@@ -216,7 +216,7 @@ def _by_voltage(observed: Observation, values: Values, arm: Arm) -> Prediction:
     """The same prediction with the recorded voltages instead of the servo."""
     driven, drive = driven_by_voltage(arm, observed.log)
     by_voltage = replace(observed, drive=drive)
-    return build_prediction(by_voltage, by_voltage.simulated(driven, values))
+    return build_prediction(by_voltage, by_voltage.simulate(driven, values))
 
 
 def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
@@ -266,7 +266,7 @@ def _stiffness_effect(
         * (_STIFFNESS_FACTOR if number == joint and family_of(name) == "stiffness" else 1.0)
         for (name, number), value in values.items()
     }
-    stiffer_motion = observed.simulated(arm, stiffer)
+    stiffer_motion = observed.simulate(arm, stiffer)
     has_fit = np.isfinite([prediction.fit_percent[name] for name in prediction.channels])
     change = np.sqrt(np.mean((stiffer_motion - prediction.predicted) ** 2, axis=0))
     motion_std = np.std(prediction.measured, axis=0)

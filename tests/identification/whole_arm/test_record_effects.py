@@ -202,7 +202,7 @@ def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> Non
     record = replace(has.record(), begins_in_motion=moving)
     values, local = has.records.known | has.sizes, record.start()
     keys: list[Key] = [*has.sizes, (COULOMB, has.joint), ("motor_inertia", has.joint)]
-    _, tangent = record.linearised(values, local, keys)
+    _, tangent = record.linearise(values, local, keys)
     assert tangent.shape[2] == len(keys) + len(local)
     for k, key in enumerate(keys):
         if key[0] not in (base_name(key[0]), of_record(base_name(key[0]), record.log.name)):
@@ -210,7 +210,7 @@ def test_derivatives_are_those_of_differences(name: str, *, moving: bool) -> Non
             continue
         step = 1e-5 * max(abs(values[key]), 1e-3)
         ends = [
-            record.linearised(values | {key: values[key] + change}, local, ())[0]
+            record.linearise(values | {key: values[key] + change}, local, ())[0]
             for change in (step, -step)
         ]
         slope = (ends[0] - ends[1]) / (2.0 * step)

@@ -20,7 +20,7 @@ from strainwave.identification.whole_arm.problem.arm_unknowns import (
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD, Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.prior import Prior
-from strainwave.identification.whole_arm.problem.weighted_rows import Weights
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows, Weights
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import (
@@ -93,6 +93,11 @@ def near_truth(spring: str) -> tuple[Objective, FloatArray]:
     )
 
 
+def scaled_columns(rows: Rows) -> FloatArray:
+    """Derivatives in standard deviations, by the record's own unknowns, then by the shared ones."""
+    return np.asarray(rows.evaluated.columns / rows.stds[:, None])
+
+
 @pytest.mark.parametrize("spring", ["linear", "three-slope"])
 def test_the_gradient_is_that_of_the_cost(spring: str) -> None:
     two_records, z = near_truth(spring)
@@ -121,7 +126,7 @@ def test_rows_are_differences_in_deviations(spring: str) -> None:
                 simulated(record, objective.space.values(z + s), local) for s in (step, -step)
             )
             expected = (up - down) / (2.0 * h) / objective.weights[k].stds
-            error = np.max(np.abs(rows.shared[..., i] - expected))
+            error = np.max(np.abs(scaled_columns(rows)[..., rows.evaluated.n_own + i] - expected))
             assert error < 1e-3 * np.max(np.abs(expected)) + 1e-3, parameter
 
 
@@ -132,11 +137,11 @@ def test_the_least_squares_problem_is_that_of_all_unknowns_together() -> None:
     rows = objective.rows(z)
     factor = factor_of(objective, z)
     n = len(z)
-    widths = [part.local.shape[2] for part in rows]
+    widths = [part.evaluated.n_own for part in rows]
     tables, residuals = [], []
     for k, part in enumerate(rows):
-        local = (part.local * part.root[..., None]).reshape(-1, widths[k])
-        shared = (part.shared * part.root[..., None]).reshape(-1, n)
+        columns = scaled_columns(part) * part.root[..., None]
+        local, shared = np.split(columns.reshape(-1, columns.shape[2]), [widths[k]], axis=1)
         before, after = sum(widths[:k]), sum(widths[k + 1 :])
         parts = [np.zeros((len(local), before)), local, np.zeros((len(local), after)), shared]
         tables.append(np.column_stack(parts))

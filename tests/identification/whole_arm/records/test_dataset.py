@@ -275,7 +275,7 @@ def test_derivatives_are_those_of_the_rows(spring: str) -> None:
         directions.append(("gear_stiffness", 1))
     else:
         directions += [("gear_stiffness_k2", 1), ("gear_knee_t1", 1), ("gear_knee_t2", 2)]
-    rows, tangent = record.linearised(values, local, directions)
+    rows, tangent = record.linearise(values, local, directions)
     np.testing.assert_allclose(rows, simulated(record, values, local), rtol=1e-9, atol=1e-9)
     assert tangent.shape == (*rows.shape, len(directions) + len(local))
     for k, key in enumerate(directions):

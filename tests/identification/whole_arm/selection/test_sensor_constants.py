@@ -132,9 +132,9 @@ def test_derivatives_are_those_of_the_difference() -> None:
     ]
 
     def difference(changed: Values) -> np.ndarray:
-        return record.linearised(changed, np.zeros(0), [])[0] - record.observed(changed)
+        return record.linearise(changed, np.zeros(0), [])[0] - record.advance_measured(changed)
 
-    _, tangent = record.linearised(values, np.zeros(0), keys)
+    _, tangent = record.linearise(values, np.zeros(0), keys)
     for k, key in enumerate(keys):
         h = {"gear_stiffness": 5.0}.get(key[0], 2e-5)
         ends = [difference({**values, key: values[key] + sign * h}) for sign in (1.0, -1.0)]
@@ -204,10 +204,10 @@ def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
     assert keys[0] in record.sensor_constants()
     assert keys[1] not in record.sensor_constants()
     values = {**true_values, keys[0]: 0.7, keys[1]: 9.0, keys[2]: 1.02}
-    rows, tangent = record.linearised(values, np.zeros(0), keys)
+    rows, tangent = record.linearise(values, np.zeros(0), keys)
     assert not tangent[..., 1].any()
     for k in (0, 2):
-        more = record.linearised({**values, keys[k]: values[keys[k]] + 1.0}, np.zeros(0), [])[0]
+        more = record.linearise({**values, keys[k]: values[keys[k]] + 1.0}, np.zeros(0), [])[0]
         np.testing.assert_allclose(more - rows, tangent[..., k], atol=1e-9)
     (channel,) = np.flatnonzero(tangent[..., 0].any(axis=0))
     assert record.channels[channel].name == "a1"

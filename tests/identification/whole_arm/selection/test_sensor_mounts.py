@@ -147,12 +147,12 @@ def test_derivatives_are_those_of_the_difference() -> None:
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     values = true_values | {names(1)[0]: 70.0, names(1)[1]: 0.05, ("accelerometer_scale", 1): 1.03}
     keys: list[Key] = [*names(1), ("gear_stiffness", 1), ("accelerometer_scale", 1), *names(2)]
-    rows, tangent = record.linearised(values, np.zeros(0), keys)
+    rows, tangent = record.linearise(values, np.zeros(0), keys)
     assert not tangent[..., 4:].any()
     for k, key in enumerate(keys[:4]):
         h = {"gear_stiffness": 5.0, "accelerometer_mount_frequency": 1e-3}.get(key[0], 1e-6)
         ends = [
-            record.linearised({**values, key: values[key] + sign * h}, np.zeros(0), [])[0]
+            record.linearise({**values, key: values[key] + sign * h}, np.zeros(0), [])[0]
             for sign in (1.0, -1.0)
         ]
         slope = (ends[0] - ends[1]) / (2.0 * h)
@@ -171,10 +171,10 @@ def test_the_tested_column_is_the_contribution_of_a_mount() -> None:
     record = dataset_of(logs[0], Arm.of(study.arm), CUTOFF)
     mounts = {names(2): [MountResonance(50.0, 0.05), MountResonance(90.0, 0.02)]}
     added = record.mount_tangent(true_values, np.zeros(0), mounts)
-    without_mount = record.linearised(true_values, np.zeros(0), [])[0]
+    without_mount = record.linearise(true_values, np.zeros(0), [])[0]
     for k, mount in enumerate(mounts[names(2)]):
         values = true_values | dict(zip(names(2), (mount.frequency, mount.damping), strict=True))
-        with_mount = record.linearised(values, np.zeros(0), [])[0]
+        with_mount = record.linearise(values, np.zeros(0), [])[0]
         np.testing.assert_allclose(
             added[..., k], with_mount - without_mount, atol=1e-6 * np.ptp(without_mount)
         )

@@ -209,7 +209,7 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
         record = objective.records[k]
         initial = evaluated.record_parameters[: len(record.initial_states)]
         ends = [
-            replace(record, arm=record.arm.with_joint(number, origin=scaled(factor))).linearised(
+            replace(record, arm=record.arm.with_joint(number, origin=scaled(factor))).linearise(
                 values, initial, ()
             )[0]
             for factor in (1.0 + LENGTH_STEP, 1.0 - LENGTH_STEP)

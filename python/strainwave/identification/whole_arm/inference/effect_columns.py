@@ -70,7 +70,7 @@ class _Pass:
     def columns(self, k: int, record_parameters: FloatArray) -> FloatArray:
         """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
         record, keys = self.records[k], [key for sizes in self.sizes.values() for key in sizes]
-        tangent = record.linearised(
+        tangent = record.linearise(
             self.values, record_parameters[: len(record.initial_states)], keys
         )[1]
         return tangent[..., : len(keys)]

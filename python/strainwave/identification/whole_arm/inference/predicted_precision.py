@@ -94,7 +94,7 @@ def _information_of(
     record: Dataset, values: Values, keys: Sequence[Key], scale: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Fisher information of one record, and covariance of its gradient due to sensor noise."""
-    channels, tangent = record.linearised(values, record.start(), keys)
+    channels, tangent = record.linearise(values, record.start(), keys)
     n_rows, n_channels = channels.shape
     n_initial, n = len(record.initial_states), len(keys)
     biased = [k for k, channel in enumerate(record.channels) if channel.shifted]

@@ -56,10 +56,12 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     )
 
 
-def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray) -> ResidualTest:
+def _test_channel(
+    record: Dataset, k: int, residual: FloatArray, inputs: FloatArray
+) -> ResidualTest:
     channel, kernels = record.channels[k], record.kernels
     T = record.log.sample_time
-    frequency, density = spectral_density(left, kernels.step * T)
+    frequency, density = spectral_density(residual, kernels.step * T)
     taps = kernels.taps(rate=channel.rate)
     # response of the low-pass on the frequency grid of the density; its taps have the period T
     gain = np.abs(np.fft.rfft(taps, round(1.0 / (frequency[1] * T))))[: len(frequency)]
@@ -67,24 +69,24 @@ def _test_channel(record: Dataset, k: int, left: FloatArray, inputs: FloatArray)
     noise_density = 2.0 * T * raw**2 * gain**2
     band = (frequency > 0.0) & (frequency < _MAX_BAND_SHARE * record.cutoff_hz)
     ratio = density[band] / np.maximum(noise_density[band], 1e-300)
-    by_input = correlate_with_inputs(left, inputs, kernels.step * T)
+    by_input = correlate_with_inputs(residual, inputs, kernels.step * T)
     return ResidualTest(
         experiment=record.log.name,
-        channel=channel.channel.replace("theta", "omega"),
-        deviation=float(np.std(left)),
+        channel=record.channel_names[k],
+        deviation=float(np.std(residual)),
         noise=float(record.noise[k]),
         frequency_hz=frequency,
         density=density,
         noise_density=noise_density,
         worst_hz=float(frequency[band][np.argmax(ratio)]),
         whiteness=has_noise_spectrum(
-            left, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
+            residual, kernels.step * T, taps, T, _MAX_BAND_SHARE * record.cutoff_hz
         ),
         input_joint=by_input.joint,
         input_correlation=by_input.correlation,
         input_delay=by_input.delay,
         input_probability=by_input.probability,
-        correlation=correlate_residuals(left, inputs, kernels.step * T),
+        correlation=correlate_residuals(residual, inputs, kernels.step * T),
     )
 
 
@@ -100,20 +102,20 @@ def spectral_density(x: FloatArray, sample_time: float) -> tuple[FloatArray, Flo
 
 
 def has_noise_spectrum(
-    left: FloatArray, row_time: float, taps: FloatArray, sample_time: float, below_hz: float
+    residual: FloatArray, row_time: float, taps: FloatArray, sample_time: float, below_hz: float
 ) -> float:
     """Test whether a residual has the spectrum of low-pass filtered white noise.
 
     Bartlett's test: the Kolmogorov-Smirnov statistic of the cumulative periodogram, divided by the
     power response of the low-pass, against a straight line.
 
-    `left`, (n_rows,), is the residual with period `row_time` [s]; `taps`, (n_taps,), are those of
-    the low-pass, with period `sample_time` [s]. Only frequencies below `below_hz` are used. Returns
+    `residual`, (n_rows,), has the period `row_time` [s]; `taps`, (n_taps,), are those of the
+    low-pass, with period `sample_time` [s]. Only frequencies below `below_hz` are used. Returns
     the p-value.
     """
-    frequency = np.fft.rfftfreq(len(left), row_time)
+    frequency = np.fft.rfftfreq(len(residual), row_time)
     band = (frequency > 0.0) & (frequency < below_hz)
-    power = np.abs(np.fft.rfft(left - left.mean()))[band] ** 2
+    power = np.abs(np.fft.rfft(residual - residual.mean()))[band] ** 2
     gain = np.abs(np.fft.rfft(taps, 8192))
     gain = np.interp(frequency[band], np.fft.rfftfreq(8192, sample_time), gain)
     power = power / np.maximum(gain**2, 1e-300)
@@ -140,19 +142,18 @@ class InputCorrelation:
 
 
 def correlate_with_inputs(
-    left: FloatArray, inputs: FloatArray, row_time: float
+    residual: FloatArray, inputs: FloatArray, row_time: float
 ) -> InputCorrelation:
     """Find the input and delay with the most significant correlation with a residual.
 
     For independent signals, the cross-correlation at one delay has the variance (1/n) times the sum
     of the products of both autocorrelations (Bartlett).
 
-    `left`, (n_rows,), is the residual and `inputs` is (n_rows, n_joints), both with period
-    `row_time` [s].
+    `residual` is (n_rows,) and `inputs` is (n_rows, n_joints), both with period `row_time` [s].
     """
-    n = len(left)
+    n = len(residual)
     delays = min(n // 4, max(1, round(_MAX_INPUT_DELAY / row_time)))
-    residual_spectrum, residual_products = spectrum_and_autocovariance(left)
+    residual_spectrum, residual_products = spectrum_and_autocovariance(residual)
     best = InputCorrelation(1, 0.0, 0.0, 1.0)
     for j in range(inputs.shape[1]):
         input_spectrum, input_products = spectrum_and_autocovariance(inputs[:, j])

@@ -150,7 +150,7 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
         extended = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.initial_states), len(rows.step)
         initial_states = (rows.evaluated.record_parameters + rows.step)[:n_begin]
-        readings, tangent = extended.linearised(
+        readings, tangent = extended.linearise(
             values, initial_states, [keys[k] for k in parameter_places]
         )
         scale = np.sqrt(_MEAN_ROBUST_WEIGHT / filtered_rows_per_error(extended))

@@ -17,6 +17,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
 from strainwave.domain.distributions import STD_PER_MEDIAN
+from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
@@ -253,11 +254,11 @@ class Objective:
         """
         percentages = {}
         for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
-            difference = np.linalg.norm(rows.residual * weights.stds, axis=0)
-            spread = np.linalg.norm(record.measured - record.measured.mean(axis=0), axis=0)
-            is_at_rest = spread < _MIN_SIGNAL_TO_NOISE * record.noise * np.sqrt(len(record.time))
-            fits = 100.0 * (1.0 - difference / np.where(is_at_rest, np.nan, spread))
-            names = [channel.channel.replace("theta", "omega") for channel in record.channels]
+            residual = rows.residual * weights.stds
+            fits = fit_percent(record.measured, record.measured + residual)
+            std = np.std(record.measured, axis=0)
+            fits[std < _MIN_SIGNAL_TO_NOISE * record.noise] = np.nan
+            names = record.channel_names
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
 
@@ -307,19 +308,21 @@ class Objective:
         n_begin, n = len(record.initial_states), len(self.space.unknowns)
         n_own = len(record_parameters)
         values = self.space.values(z)
-        channels, tangent = record.linearised(values, record_parameters[:n_begin], self.space.keys)
+        channels, tangent = record.linearise(values, record_parameters[:n_begin], self.space.keys)
         shifts = _shifts(record)
         columns = np.empty((*channels.shape, n_own + n))
         columns[..., :n_begin] = tangent[..., n:]
         columns[..., n_begin:n_own] = shifts
         columns[..., n_own:] = tangent[..., :n] @ self.space.slope(z)
-        difference = channels + shifts @ record_parameters[n_begin:] - record.observed(values)
+        difference = (
+            channels + shifts @ record_parameters[n_begin:] - record.advance_measured(values)
+        )
         if record.is_counted is not None:  # zero rows carry no information
             difference = difference * record.is_counted
             columns *= record.is_counted[..., None]
         return Evaluation(difference, columns, record_parameters.copy())
 
-    def simulated(self, z: FloatArray) -> list[FloatArray]:
+    def simulate(self, z: FloatArray) -> list[FloatArray]:
         """Simulated channels (n_rows, n_channels) of every record at z.
 
         They exclude scale factors, biases and drifts.
@@ -329,7 +332,10 @@ class Objective:
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
             shift = _shifts(record) @ evaluated.record_parameters[len(record.initial_states) :]
             channels = (
-                evaluated.difference - shift + record.observed(values) - record.drifts(values)
+                evaluated.difference
+                - shift
+                + record.advance_measured(values)
+                - record.drifts(values)
             )
             simulated.append(channels / record.sensor_scales(values))
         return simulated

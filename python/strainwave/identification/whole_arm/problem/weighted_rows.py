@@ -42,20 +42,17 @@ class Evaluation:
         return len(self.record_parameters)
 
     @property
-    def local(self) -> FloatArray:
+    def record_columns(self) -> FloatArray:
         """Derivatives with respect to the record parameters: (n_rows, n_channels, n_own)."""
         return self.columns[..., : self.n_own]
-
-    @property
-    def shared(self) -> FloatArray:
-        """Derivatives with respect to the coordinates: (n_rows, n_channels, n_unknowns)."""
-        return self.columns[..., self.n_own :]
 
     def initial_state_problem(self, weights: Weights) -> Linearised:
         """Cost and least squares problem in the record parameters only."""
         residual = self.difference / weights.stds
         root = np.sqrt(_robust_weight(residual, weights))
-        table = np.concatenate([self.local / weights.stds[:, None], residual[..., None]], axis=2)
+        table = np.concatenate(
+            [self.record_columns / weights.stds[:, None], residual[..., None]], axis=2
+        )
         table = table * root[..., None]
         factor = triangular_factor(table.reshape(-1, table.shape[2]))
         return Linearised(_loss(residual, weights), factor)
@@ -63,7 +60,7 @@ class Evaluation:
     def weigh(self, weights: Weights) -> Rows:
         """Weighted rows, with optimal record parameters."""
         initial_residual = self.difference / weights.stds
-        columns = (self.local / weights.stds[:, None]).reshape(initial_residual.size, -1)
+        columns = (self.record_columns / weights.stds[:, None]).reshape(initial_residual.size, -1)
         residual, weight = initial_residual, _robust_weight(initial_residual, weights)
         step = np.zeros(self.n_own)
         is_separable = bool(self.n_own) and int(np.count_nonzero(columns, axis=1).max()) == 1
@@ -90,16 +87,6 @@ class Rows:
     evaluated: Evaluation
     stds: FloatArray  # (n_channels,)
     step: FloatArray  # (n_own,) of the record parameters to their optimum
-
-    @property
-    def local(self) -> FloatArray:
-        """Scaled derivatives by the record parameters: (n_rows, n_channels, n_own)."""
-        return np.asarray(self.evaluated.local / self.stds[:, None])
-
-    @property
-    def shared(self) -> FloatArray:
-        """Scaled derivatives by the coordinates: (n_rows, n_channels, n_unknowns)."""
-        return np.asarray(self.evaluated.shared / self.stds[:, None])
 
     def factor(self, min_curvature_ratio: float) -> FloatArray:
         """R of [shared, residual] after elimination of the record parameters.

@@ -74,6 +74,11 @@ class Dataset:
             return ()
         return tuple((name, i) for name in INITIAL_STATES for i in range(1, self.arm.n_joints + 1))
 
+    @property
+    def channel_names(self) -> tuple[str, ...]:
+        """Names of the channels in results; angles are compared as velocities."""
+        return tuple(channel.channel.replace("theta", "omega") for channel in self.channels)
+
     def start(self) -> FloatArray:
         """Starting values (n_initial,) of the initial states, with unloaded gears."""
         if not self.begins_in_motion:
@@ -103,7 +108,7 @@ class Dataset:
         )
         return {name: run[0] for name, run in runs.items()}
 
-    def linearised(
+    def linearise(
         self,
         values: Mapping[Key, float],
         initial: FloatArray,
@@ -162,7 +167,7 @@ class Dataset:
         joints = enumerate(self.arm.joints, start=1)
         return self.arm.with_joints(with_bandwidths(joint, i, values) for i, joint in joints)
 
-    def observed(self, values: Mapping[Key, float]) -> FloatArray:
+    def advance_measured(self, values: Mapping[Key, float]) -> FloatArray:
         """Measured channels (n_rows, n_channels), advanced by the delays of their sensors.
 
         The first and the last sample extend the record.
@@ -338,7 +343,7 @@ class Dataset:
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
     def store_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:
-        """Store the step error for a record whose `lacking` already contains it."""
+        """Store the step error for a record whose correction already contains it."""
         return replace(self, step_error=self._step_error(values, initial)[1])
 
     def _step_error(

@@ -305,7 +305,7 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
 def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
     """R of [sensor constants, residual] after projection on the complement of the unknowns."""
     objective = fit.objective
-    values, simulated = objective.space.values(fit.z), objective.simulated(fit.z)
+    values, simulated = objective.space.values(fit.z), objective.simulate(fit.z)
 
     def tangent(k: int, _: Evaluation) -> FloatArray:
         record = objective.records[k]
