@@ -8,11 +8,11 @@ effect of the springs, a few percent, is left to the whole-arm fit.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log
+from strainwave.domain import FloatArray, Joint, Log
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
@@ -29,6 +29,7 @@ _MIN_PERIODS = 5.0  # minimum number of periods of the cutoff frequency in a rec
 _EDGE_PERIODS = 1.0  # excluded edge of a record, in periods of the cutoff (low-pass transient)
 _MIN_SAMPLES = 64  # minimum number of samples of a record
 _MIN_COLUMN_NORM = 1e-6  # minimum norm of a column relative to the largest one
+_MIN_SQUARED_SHARE = 0.1  # of the rate about the axis in the gyros of an IMU
 _MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
 
 
@@ -164,7 +165,13 @@ def substitute_equivalent_sensors(
         if not is_long_enough:  # an inaccurate position is worse than no sensor
             logs_then = _without_accelerometer(logs_then, joint)
             continue
-        logs_then, arm_then = _with_equivalent_sensor(logs_then, arm_then, axes, linear)
+        sensor = _equivalent_sensor(arm_then, axes, linear)
+        if sensor is None:
+            logs_then = _without_accelerometer(logs_then, joint)
+            continue
+        logs_then = [sensor.added_to(log, arm_then) for log in logs_then]
+        before, after = arm_then.joints[: joint - 1], arm_then.joints[joint:]
+        arm_then = arm_then.with_joints((*before, sensor.description, *after))
     return logs_then, arm_then
 
 
@@ -176,52 +183,60 @@ def _without_accelerometer(logs: Sequence[Log], joint: int) -> list[Log]:
     ]
 
 
-def _with_equivalent_sensor(
-    logs: list[Log], arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
-) -> tuple[list[Log], Arm]:
-    """Logs and arm with the equivalent accelerometer or gyro of one link."""
-    joint = axes[0].joint
-    drive = arm.joints[joint - 1]
-    gyros = [k for k, axis in enumerate(axes) if isinstance(axis.sensor, ImuGyros)]
-    accelerometers = [k for k in range(len(axes)) if k not in gyros]
-    weights, distance = _tangential_weights([linear[k] for k in accelerometers], arm, joint)
-    if accelerometers and abs(distance) > _MIN_DISTANCE:
-        selected, name = [axes[k] for k in accelerometers], f"a{joint}"
-        hz = selected[0].sensor.hz
-        changed_joint = replace(drive, accelerometer_distance=distance, accelerometer_hz=hz)
-    else:
-        selected = [axes[k] for k in gyros]
-        shares = np.array(
-            [f[0] for a, f in zip(axes, linear, strict=True) if isinstance(a.sensor, ImuGyros)]
+@dataclass(frozen=True, slots=True)
+class _EquivalentSensor:
+    """Weighted sum of axes on one link that equals a tangential accelerometer or a gyro."""
+
+    channel: str
+    description: Joint  # with the constants of the equivalent sensor
+    axes: tuple[Axis, ...]
+    weights: FloatArray  # (n_axes,)
+    # factors (4,) of other quantities in the sum, which the motors give; None: not subtracted
+    others: FloatArray | None = None
+
+    def added_to(self, log: Log, arm: Arm) -> Log:
+        """The log with the equivalent sensor, if it has all axes."""
+        names = [axis.channel for axis in self.axes]
+        if not all(name in log.channels for name in names):
+            return log
+        reading = self.weights @ np.array([log.channels[name] for name in names])
+        if self.others is not None:
+            motion, i = _motion_from_motors(log, arm), self.axes[0].joint - 1
+            reading -= accelerometer_quantities(arm, motion)[:, i] @ self.others
+        channels = {**log.channels, self.channel: reading}
+        return replace(
+            log, channels=channels, masked={**log.masked, self.channel: unmeasured(log, names)}
         )
-        if not selected or not float(shares @ shares) > 0.1:
-            return _without_accelerometer(logs, joint), arm
-        # equal delay of the first-order and the second-order low-pass
-        hz = selected[0].sensor.hz
-        changed_joint = replace(drive, gyro_hz=hz / np.sqrt(2.0) if hz else None)
-        weights, name = shares / float(shares @ shares), f"gyro{joint}"
-    new_logs = []
-    for log in logs:
-        channels, masked = dict(log.channels), dict(log.masked)
-        if all(axis.channel in channels for axis in selected):
-            parts = (w * channels[a.channel] for w, a in zip(weights, selected, strict=True))
-            channels[name] = np.asarray(sum(parts))
-            masked[name] = unmeasured(log, (axis.channel for axis in selected))
-            counts = sum(
-                w * f for w, f in zip(weights, [linear[k] for k in accelerometers], strict=True)
-            )
-            if isinstance(selected[0].sensor, ImuAccelerometers):
-                channels[name] = channels[name] - _other_contributions(
-                    log, arm, joint, counts, distance
-                )
-        new_logs.append(replace(log, channels=channels, masked=masked))
-    joints = tuple(changed_joint if i == joint - 1 else j for i, j in enumerate(arm.joints))
-    return new_logs, arm.with_joints(joints)
 
 
-def _tangential_weights(
-    linear: Sequence[FloatArray], arm: Arm, joint: int
-) -> tuple[FloatArray, float]:
+def _equivalent_sensor(
+    arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
+) -> _EquivalentSensor | None:
+    """The equivalent accelerometer or gyro of one link; None if no sum of axes is one."""
+    joint = axes[0].joint
+    description, pairs = arm.joints[joint - 1], list(zip(axes, linear, strict=True))
+    gyros = [(a, f) for a, f in pairs if isinstance(a.sensor, ImuGyros)]
+    accelerometers = [(a, f) for a, f in pairs if not isinstance(a.sensor, ImuGyros)]
+    factors = [f for _, f in accelerometers]
+    weights, distance = _tangential_weights(factors, joint)
+    if accelerometers and abs(distance) > _MIN_DISTANCE:
+        used = tuple(axis for axis, _ in accelerometers)
+        hz, others = used[0].sensor.hz, None
+        if isinstance(used[0].sensor, ImuAccelerometers):
+            others = weights @ np.array(factors) - np.array([0.0, 1.0, distance, 0.0])
+        changed = replace(description, accelerometer_distance=distance, accelerometer_hz=hz)
+        return _EquivalentSensor(f"a{joint}", changed, used, weights, others)
+    shares = np.array([factor[0] for _, factor in gyros])
+    if not float(shares @ shares) > _MIN_SQUARED_SHARE:
+        return None
+    hz = gyros[0][0].sensor.hz
+    # equal delay of the first-order and the second-order low-pass
+    changed = replace(description, gyro_hz=hz / np.sqrt(2.0) if hz else None)
+    used, weights = tuple(axis for axis, _ in gyros), shares / float(shares @ shares)
+    return _EquivalentSensor(f"gyro{joint}", changed, used, weights)
+
+
+def _tangential_weights(linear: Sequence[FloatArray], joint: int) -> tuple[FloatArray, float]:
     """Weights of a sum of axes with factor one of f_y and zero of f_x, and its factor of alpha.
 
     On the first link, where f is small, the sum has factor one of alpha and zero of w^2. The factor
@@ -238,11 +253,3 @@ def _tangential_weights(
     if abs(achieved[1] - 1.0) > 0.1 or abs(achieved[0]) > 0.1:
         return weights, 0.0
     return weights, float(matrix[2] @ weights)
-
-
-def _other_contributions(
-    log: Log, arm: Arm, joint: int, counts: FloatArray, distance: float
-) -> FloatArray:
-    """Contribution of the other quantities to a sum, from the motors: (n_samples,)."""
-    basis = accelerometer_quantities(arm, _motion_from_motors(log, arm))[:, joint - 1]
-    return np.asarray(basis @ (counts - np.array([0.0, 1.0, distance, 0.0])))
