@@ -65,6 +65,11 @@ class Joint:
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
 
     @property
+    def torque_per_command(self) -> float:
+        """Motor torque per unit of the input: e [N m/V]; 1 if the input is a torque."""
+        return self.torque_per_volt or 1.0
+
+    @property
     def law(self) -> GearLaw:
         """Elastic law of the gear."""
         return gear_law(self.spring)

@@ -94,7 +94,7 @@ class Arm(ArmDescription):
     @cached_property
     def torque_per_volt(self) -> FloatArray:
         """Torque per volt e [N m/V], motor side: (n_joints,). One if the input is a torque."""
-        return _constant([joint.torque_per_volt or 1.0 for joint in self.joints])
+        return _constant([joint.torque_per_command for joint in self.joints])
 
     @cached_property
     def parameter_names(self) -> tuple[Key, ...]:

@@ -178,7 +178,7 @@ def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
         name=f"drive{number}",
         joint=f"joint{number}" if rigid else f"motor_joint{number}",
         gear=numbers(1.0 / joint.gear_ratio if rigid else 1.0),
-        gainprm=numbers(joint.torque_per_volt or 1.0),
+        gainprm=numbers(joint.torque_per_command),
         biastype="affine",
         biasprm=numbers(-arm.values.get(("friction_offset", number), 0.0), 0, 0),
     )

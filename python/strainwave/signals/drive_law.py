@@ -30,7 +30,7 @@ class DriveLaw:
     @classmethod
     def of(cls, joint: Joint) -> Self:
         """Law of a joint; without `torque_per_volt`, commands are torques."""
-        return cls(joint.torque_per_volt or 1.0, joint.current_loop_hz)
+        return cls(joint.torque_per_command, joint.current_loop_hz)
 
     @property
     def current_loop(self) -> tuple[Lag, ...]:

@@ -74,7 +74,7 @@ class OwnPlant:
         plant, parameters = arm, dict(values)
         factor = cause.sizes.get("gain", cause.sizes.get(f"factor_{self.record}", 1.0))
         if cause.name in ("drive-gain", "drive-gain-by-record"):
-            per_volt = factor * (arm.joints[joint - 1].torque_per_volt or 1.0)
+            per_volt = factor * arm.joints[joint - 1].torque_per_command
             plant = arm.with_joint(joint, torque_per_volt=per_volt)
         elif cause.name == "friction-by-record":
             parameters["motor_coulomb_friction", joint] *= factor

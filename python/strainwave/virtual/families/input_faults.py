@@ -120,7 +120,7 @@ def _distance(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> F
 
 def _torque_constant(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> Fault:
     factor = float(rng.choice([0.9, 1.1]))
-    e = float(study.arm.joints[joint - 1].torque_per_volt or 1.0)
+    e = study.arm.joints[joint - 1].torque_per_command
     changed = _with_joint(study, joint, torque_per_volt=factor * e)
     return Fault("torque-constant", f"x {factor}", ("wrong-torque-constant",), logs, changed)
 

@@ -54,7 +54,7 @@ def with_short_records(rig: Rig, *, upright: bool, rng: np.random.Generator) -> 
         first = values["alpha", None] / length * rng.uniform(0.8, 1.2)
         second = values["gamma", None] / length
         limits = [
-            _MAX_GRAVITY_SHARE * (j.torque_per_volt or 1.0) * servo.limit / j.gear_ratio
+            _MAX_GRAVITY_SHARE * j.torque_per_command * servo.limit / j.gear_ratio
             for j in arm.joints
         ]
         gravity = min(_STANDARD_GRAVITY, limits[0] / (first + second), limits[1] / second)

@@ -45,7 +45,7 @@ def space_of(
     start = starts_of(model, joints, arm).values
     pairs = zip(arm.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
-        torque = _MIN_COULOMB_SHARE * voltage * (joint.torque_per_volt or 1.0)
+        torque = _MIN_COULOMB_SHARE * voltage * joint.torque_per_command
         start[COULOMB, i] = max(start[COULOMB, i], torque)
     sizes = reference_sizes(start)
     unknowns = []
