@@ -280,7 +280,7 @@ def _make_consistent(
 
     def parts(row: Row) -> list[tuple[float, Parameter | None]]:
         known = (
-            (w, joint_estimates.get(k) if k[1] else _accepted_estimate(table, k))
+            (w, joint_estimates[k] if k in joint_estimates else _accepted_estimate(table, k))
             for k, w in row.items()
         )
         return list(known)

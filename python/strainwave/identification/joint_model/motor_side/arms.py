@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from strainwave.domain import FloatArray, RigidModel
-from strainwave.domain.combinations import inertias_of_links
+from strainwave.domain.combinations import LINK_INERTIA, inertias_of_links
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.interaction_torque import base_parameters, total_inertias
 from strainwave.dynamics.two_inertia import TwoInertia
@@ -148,10 +148,13 @@ class Family:
         base = np.broadcast_to(self.base, (*link_inertia.shape[:-1], len(self.base))).copy()
         at = {key: k for k, key in enumerate(self.arm.base_names)}
         for key, row in inertias_of_links(self.arm):
-            base[..., at[key]] = sum(
-                weight * (link_inertia[..., of - 1] if of else base[..., at[name, of]])
-                for (name, of), weight in row.items()
-            )
+            total = np.zeros(link_inertia.shape[:-1])
+            for part, weight in row.items():
+                if part[0] == LINK_INERTIA and part[1] is not None:
+                    total += weight * link_inertia[..., part[1] - 1]
+                else:
+                    total += weight * base[..., at[part]]
+            base[..., at[key]] = total
         return base
 
 
