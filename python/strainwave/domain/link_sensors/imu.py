@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 
@@ -43,29 +43,17 @@ IMU_START_ATTITUDE = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
 """Starting attitude, fixed in a fit."""
 
 _K = ConstantKind
+_OWN_AXIS = "link, from the link's own axis"
+_IN_FRAME = "of the IMU in its link's frame, as in URDF"
 _MOUNTING_CONSTANTS = (
-    SensorConstant(
-        "imu",
-        _K.POSITION_X,
-        "m",
-        "position of the IMU along its link, from the link's own axis",
-        "x",
-    ),
-    SensorConstant(
-        "imu",
-        _K.POSITION_Y,
-        "m",
-        "position of the IMU across its link, from the link's own axis",
-        "y",
-    ),
+    SensorConstant("imu", _K.POSITION_X, "m", f"position of the IMU along its {_OWN_AXIS}", "x"),
+    SensorConstant("imu", _K.POSITION_Y, "m", f"position of the IMU across its {_OWN_AXIS}", "y"),
     SensorConstant("imu", _K.DISTANCE, "m", "distance of the IMU from its link's own axis"),
-    SensorConstant("imu", _K.ROLL, "rad", "roll of the IMU in its link's frame, as in URDF"),
-    SensorConstant("imu", _K.PITCH, "rad", "pitch of the IMU in its link's frame, as in URDF"),
-    SensorConstant("imu", _K.YAW, "rad", "yaw of the IMU in its link's frame, as in URDF"),
-    *(
-        SensorConstant("imu", kind, "1")
-        for kind in (_K.BEARING, _K.ROTATION_X, _K.ROTATION_Y, _K.ROTATION_Z)
-    ),
+    SensorConstant("imu", _K.ROLL, "rad", f"roll {_IN_FRAME}"),
+    SensorConstant("imu", _K.PITCH, "rad", f"pitch {_IN_FRAME}"),
+    SensorConstant("imu", _K.YAW, "rad", f"yaw {_IN_FRAME}"),
+    SensorConstant("imu", _K.BEARING, "1"),
+    *(SensorConstant("imu", kind, "1") for kind in (_K.ROTATION_X, _K.ROTATION_Y, _K.ROTATION_Z)),
     *(SensorConstant("imu", kind, "rad") for kind in (_K.START_ROLL, _K.START_PITCH, _K.START_YAW)),
 )
 
@@ -78,15 +66,24 @@ class ImuSensor(LinkSensor):
 
     keys = ("imu",)
     axis_name: ClassVar[str]
+    case_key: ClassVar[str]  # of the bandwidth [Hz] in the table of the IMU
     symbols = False
+    group = Group.MOUNTED
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self | None:
         return cls(joint.imu) if joint.motion == "revolute" else None
 
     @property
-    def group(self) -> Group:
-        return Group.MOUNTED
+    def hz(self) -> float | None:
+        return None if self.case is None else getattr(self.case, self.case_key)
+
+    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
+        changes: dict[str, Any] = {self.case_key: hz}
+        return replace(joint, imu=joint.imu and replace(joint.imu, **changes))
+
+    def low_passes(self) -> Mapping[str, float | None]:
+        return {} if self.case is None else {f"imu_{self.case_key}": self.hz}
 
     @property
     def xyz(self) -> Sequence[float] | None:
@@ -173,19 +170,10 @@ class ImuAccelerometers(ImuSensor):
     name = "imu_accelerometer"
     noun = "IMU's accelerometers"
     axis_name = "accelerometer"
+    case_key = "accelerometer_hz"
     channel_kinds = ("ax", "ay", "az")
     unit = "m/s^2"
     measurand = "specific force"
-
-    @property
-    def hz(self) -> float | None:
-        return None if self.case is None else self.case.accelerometer_hz
-
-    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
-        return replace(joint, imu=joint.imu and replace(joint.imu, accelerometer_hz=hz))
-
-    def low_passes(self) -> Mapping[str, float | None]:
-        return {} if self.case is None else {"imu_accelerometer_hz": self.hz}
 
     def quantities(self) -> tuple[Quantity, ...]:
         return ACCELEROMETER_QUANTITIES
@@ -210,19 +198,10 @@ class ImuGyros(ImuSensor):
     name = "imu_gyro"
     noun = "IMU's gyros"
     axis_name = "gyro"
+    case_key = "gyro_hz"
     channel_kinds = ("gx", "gy", "gz")
     unit = "rad/s"
     measurand = "angular rate"
-
-    @property
-    def hz(self) -> float | None:
-        return None if self.case is None else self.case.gyro_hz
-
-    def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
-        return replace(joint, imu=joint.imu and replace(joint.imu, gyro_hz=hz))
-
-    def low_passes(self) -> Mapping[str, float | None]:
-        return {} if self.case is None else {"imu_gyro_hz": self.hz}
 
     def quantities(self) -> tuple[Quantity, ...]:
         return GYRO_QUANTITIES
