@@ -311,16 +311,16 @@ class _FlexibleLink(_FaultyArm):
         root = ET.fromstring(mjcf)
         link = _find(root, f".//body[@name='link{self.joint}']")
         inertial = _find(link, "inertial")
-        mass, inertia = float(inertial.attrib["mass"]), _first(inertial.attrib["diaginertia"])
+        mass, inertia = float(inertial.attrib["mass"]), _first(inertial.attrib["fullinertia"])
         place = _first(inertial.attrib["pos"])
         away = _HINGE_POSITION * self._length()
         moved = [element for element in link if element.tag not in ("inertial", "joint")]
         name = f"beyond{self.joint}"
         beyond = ET.SubElement(link, "body", name=name, pos=f"{_text(away)} 0 0")
         attributes = {"pos": f"{_text(place - away)} 0 0", "mass": _text(_OUTER_MASS * mass)}
-        ET.SubElement(beyond, "inertial", attributes | _diagonal_inertia(_OUTER_MASS * inertia))
+        ET.SubElement(beyond, "inertial", attributes | _spherical_inertia(_OUTER_MASS * inertia))
         inertial.attrib |= {"mass": _text((1.0 - _OUTER_MASS) * mass)}
-        inertial.attrib |= _diagonal_inertia((1.0 - _OUTER_MASS) * inertia)
+        inertial.attrib |= _spherical_inertia((1.0 - _OUTER_MASS) * inertia)
         stiffness = self.sizes["stiffness"] * self._gear()
         carried = self.values["beta", None] if self.joint == 2 else self._carried()
         damping = 2.0 * self.sizes["damping_ratio"] * math.sqrt(stiffness * carried)
@@ -360,7 +360,7 @@ class _SoftBase(_FaultyArm):
         base = ET.SubElement(world, "body", name="base")
         base.set("pos", "0 0 0")
         ET.SubElement(
-            base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _diagonal_inertia(turning)
+            base, "inertial", {"pos": "0 0 0", "mass": _text(mass)} | _spherical_inertia(turning)
         )
         held = mass * (math.tau * self.sizes["sliding_frequency"]) ** 2
         kinds = (
@@ -392,8 +392,8 @@ def _first(numbers: str) -> float:
     return float(numbers.split(maxsplit=1)[0])
 
 
-def _diagonal_inertia(inertia: float) -> dict[str, str]:
-    return {"diaginertia": " ".join([_text(inertia)] * 3)}
+def _spherical_inertia(inertia: float) -> dict[str, str]:
+    return {"fullinertia": " ".join([_text(inertia)] * 3 + ["0"] * 3)}
 
 
 def _shift(element: ET.Element, away: float) -> None:

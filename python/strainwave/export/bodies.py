@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 from strainwave.domain import Diagnostic
 from strainwave.domain.combinations import is_rigid_drive
-from strainwave.domain.kinds import kind_of
+from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.errors import InvalidInput
 from strainwave.export.source import IdentifiedArm
@@ -47,7 +47,7 @@ def _source_in_message(arm: IdentifiedArm) -> Iterator[None]:
 
 
 def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
-    """A warning if bodies under the gravity of the study miss the gravity torque of link 2."""
+    """A warning if bodies under the gravity of the study miss a measured gravity torque."""
     gravity = arm.study.arm.gravity_size
     if not gravity:
         return ()
@@ -55,8 +55,8 @@ def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     if abs(error) < _MAX_GRAVITY_ERROR:
         return ()
     message = (
-        f"gravity_torque_2 differs by {100.0 * error:+.1f} % from g gamma/link_length, the value "
-        "of rigid bodies; check gravity, link_length and torque_per_volt"
+        f"gravity is {kind_of(arm.study.arm).gravity_note}, which differs by {100.0 * error:+.1f} %"
+        f" from that of the study; check {', '.join(arm_keys(arm.study.arm))} and torque_per_volt"
     )
     return (Diagnostic("gravity-torque", arm.source, message),)
 

@@ -46,12 +46,14 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
     mujoco = root("mujoco", "model", notes)
-    ET.SubElement(mujoco, "compiler", angle="radian")
+    ET.SubElement(mujoco, "compiler", angle="radian", eulerseq="XYZ")  # as rpy in URDF
     note = kind_of(arm.study.arm).gravity_note
     if gravity and note:
         comment(mujoco, f"Gravity is {note}, which gives the measured gravity torques.")
     option = ET.SubElement(mujoco, "option", timestep=numbers(_STEP_S), integrator="RK4")
-    option.set("gravity", numbers(0, -gravity, 0))
+    direction = arm.study.arm.gravity or (0.0, 0.0, 0.0)
+    size = arm.study.arm.gravity_size or 1.0
+    option.set("gravity", numbers(*(gravity / size * part for part in direction)))
     world = ET.SubElement(mujoco, "worldbody")
     comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
@@ -77,9 +79,11 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
 
 def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
     """One link and its joint, which includes the motor if the gear is rigid."""
-    origins = [joint.origin.xyz for joint in arm.study.arm.joints]
-    element = ET.SubElement(parent, "body", name=f"link{number}", pos=numbers(*origins[number - 1]))
-    _inertial(element, body.mass, body.centre, body.inertia)
+    origin = arm.joint(number).origin
+    element = ET.SubElement(parent, "body", name=f"link{number}", pos=numbers(*origin.xyz))
+    if any(origin.rpy):
+        element.set("euler", numbers(*origin.rpy))
+    _inertial(element, body)
     attributes = {"name": f"joint{number}", **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)
     joint = arm.joint(number)
@@ -96,13 +100,13 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
         ET.SubElement(element, "site", name=f"accelerometer{number}", pos=distance)
     if joint.gyro_hz:
         ET.SubElement(element, "site", name=f"gyroscope{number}")
-    is_last = number == len(origins)
-    drawn_length = (2.0 * body.centre if is_last else origins[number][0]) or 10.0 * _LINK_RADIUS
+    following = arm.study.arm.joints[number:]
+    end = following[0].origin.xyz if following else tuple(2.0 * part for part in body.centre)
     ET.SubElement(
         element,
         "geom",
         type="capsule",
-        fromto=numbers(0, 0, 0, drawn_length, 0, 0),
+        fromto=numbers(0, 0, 0, *(end if any(end) else (10.0 * _LINK_RADIUS, 0, 0))),
         size=numbers(_LINK_RADIUS),
         contype="0",
         conaffinity="0",
@@ -114,7 +118,9 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     """A motor with its friction; its axis passes through its centre of mass."""
     inertia = arm.need("motor_inertia", number)
     element = ET.SubElement(world, "body", name=f"motor{number}")
-    _inertial(element, inertia, 0.0, inertia)  # a slide uses the mass, a hinge the inertia
+    _inertial(
+        element, Body.in_plane(inertia, 0.0, inertia)
+    )  # a slide uses the mass, a hinge the inertia
     ET.SubElement(
         element,
         "joint",
@@ -124,21 +130,16 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     )
 
 
-def _inertial(element: ET.Element, mass: float, centre: float, inertia: float) -> None:
-    """Mass and inertia; the motion of a planar arm depends on the inertia about z only."""
-    ET.SubElement(
-        element,
-        "inertial",
-        pos=numbers(centre, 0.0, 0.0),
-        mass=numbers(mass),
-        diaginertia=numbers(inertia, inertia, inertia),
-    )
+def _inertial(element: ET.Element, body: Body) -> None:
+    mass, centre = numbers(body.mass), numbers(*body.centre)
+    inertia = numbers(*body.inertia)
+    ET.SubElement(element, "inertial", pos=centre, mass=mass, fullinertia=inertia)
 
 
 def _kind(arm: IdentifiedArm, number: int) -> dict[str, str]:
-    if arm.joint(number).motion == "prismatic":
-        return {"type": "slide", "axis": "1 0 0"}
-    return {"type": "hinge", "axis": "0 0 1"}
+    joint = arm.joint(number)
+    kind = "slide" if joint.motion == "prismatic" else "hinge"
+    return {"type": kind, "axis": numbers(*joint.axis)}
 
 
 def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from enum import Enum
 
-from strainwave.domain import Joint
+from strainwave.domain import ArmDescription, Parameter
+from strainwave.domain.base_parameters import link_inertia
+from strainwave.domain.combinations import change_from
 from strainwave.domain.effects import effect_named
+from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import sensor_constants
-from strainwave.domain.parameter_table import base_name
+from strainwave.domain.parameter_table import base_name, family_of
 from strainwave.export.source import IdentifiedArm
 
 
@@ -32,18 +35,12 @@ class Part(Enum):
 
 _PART_OF = {
     "motor_inertia": Part.MOTOR_INERTIA,
-    "beta": Part.COUPLING,
-    "gamma": Part.COUPLING,
-    "gravity_torque_1": Part.GRAVITY,
-    "gravity_torque_2": Part.GRAVITY,
     "motor_viscous_friction": Part.VISCOUS,
     "link_viscous_friction": Part.VISCOUS,
     "motor_coulomb_friction": Part.COULOMB,
     "friction_offset": Part.OFFSET,
     "friction_settling_time": Part.SETTLING,
 }
-_REDUNDANT = ("alpha", "link_inertia", "rigid_inertia", "inertia", "total_viscous_friction")
-"""Held by every format: bodies or matrices have them, or they follow from other parameters."""
 _DRIVE_KEYS = ("torque_per_volt", "current_loop_hz")
 _SENSOR_KEYS = (
     "encoder_counts",
@@ -87,9 +84,8 @@ def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
         joints.setdefault(part, []).extend([] if joint is None else [joint])
 
     for p in arm.parameters:
-        joint = None if p.joint is None else arm.joint(p.joint)
-        part = _part_of(base_name(p.name), joint)
-        effects = joint.named_effects if joint is not None else ()
+        part = _part_of(arm, p)
+        effects = () if p.joint is None else arm.joint(p.joint).named_effects
         is_named = any(
             base_name(p.name) in effect_named(effect_name).names for effect_name in effects
         )
@@ -110,14 +106,27 @@ def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
     return {part: _list_with_joints(names[part], joints[part]) for part in names}
 
 
-def _part_of(name: str, joint: Joint | None) -> Part | None:
-    if name in _REDUNDANT:
-        return None
-    if name in _PART_OF:
-        return _PART_OF[name]
-    if joint is not None and name in (*joint.law.names, "gear_stiffness", "gear_damping"):
+def _part_of(arm: IdentifiedArm, p: Parameter) -> Part | None:
+    """None if every format holds it: in bodies or matrices, or with other parameters."""
+    name = base_name(p.name)
+    if name in _PART_OF or name == "total_viscous_friction":
+        return _PART_OF.get(name)
+    if family_of(name) == "gravity":
+        return Part.GRAVITY
+    if family_of(name) == "inertia":
+        return Part.COUPLING if _is_coupling((name, p.joint), arm.study.arm) else None
+    gear_names = () if p.joint is None else arm.joint(p.joint).law.names
+    if name in (*gear_names, "gear_stiffness", "gear_damping"):
         return Part.GEAR
     return Part.SENSORS if name in sensor_constants() else Part.EFFECTS
+
+
+def _is_coupling(key: Key, arm: ArmDescription) -> bool:
+    """Whether a parameter of the links couples joints: it moves several, or depends on posture."""
+    joints = range(1, arm.n_joints + 1)
+    posture = [float(joint) for joint in joints]  # any
+    n_moved = sum(key in link_inertia(arm, joint) for joint in joints)
+    return n_moved > 1 or any(key in change_from(arm, joint, posture) for joint in joints)
 
 
 def _list_with_joints(names: Iterable[str], joints: Iterable[int]) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
+from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
 from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput
@@ -91,14 +92,14 @@ class IdentifiedArm:
             for number in self._joints_with_total_friction()
             if self.joint(number).elastic
         ]
-        parts = {("alpha", None), ("link_inertia", 1), ("motor_inertia", 1)}
-        identified = self._identified()
-        if ("rigid_inertia", 1) in identified and not identified.keys() & parts:
-            message = (
-                "only the sum of alpha and motor_inertia, rigid_inertia, is identified; the split "
-                "is arbitrary"
-            )
-            assumptions.append(Diagnostic("assumed", "joint 1", message))
+        identified, arm = self._identified(), self.study.arm
+        lumped = {} if is_rigid_drive(arm) else lumped_inertias(arm)  # its link has the sum
+        for (name, number), row in lumped.items():
+            parts = {*row, ("link_inertia", number)}
+            if (name, number) in identified and not identified.keys() & parts:
+                text = " and ".join(part for part, _ in row)
+                message = f"only the sum of {text}, {name}, is identified; the split is arbitrary"
+                assumptions.append(Diagnostic("assumed", f"joint {number}", message))
         return tuple(assumptions)
 
     def _identified(self) -> Values:

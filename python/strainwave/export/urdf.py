@@ -21,7 +21,7 @@ _OMISSIONS = {
     Part.SETTLING: "URDF friction is viscous and Coulomb friction",
     Part.EFFECTS: "URDF has no element for them",
     Part.GRAVITY: "gravity is set in the simulator; masses have the measured gravity torques if it "
-    "acts along -y",
+    "acts as in the study",
     Part.DRIVE: "the effort of a URDF joint is the torque at the link",
     Part.SENSORS: "URDF has no sensors",
     Part.SERVO: "URDF has no controllers",
@@ -51,11 +51,10 @@ def to_urdf(arm: IdentifiedArm) -> Export:
 def _link(robot: ET.Element, number: int, body: Body) -> None:
     link = ET.SubElement(robot, "link", name=f"link{number}")
     inertial = ET.SubElement(link, "inertial")
-    ET.SubElement(inertial, "origin", xyz=numbers(body.centre, 0.0, 0.0), rpy="0 0 0")
+    ET.SubElement(inertial, "origin", xyz=numbers(*body.centre), rpy="0 0 0")
     ET.SubElement(inertial, "mass", value=numbers(body.mass))
-    # the motion of a planar arm depends on izz only
-    diagonal = dict.fromkeys(("ixx", "iyy", "izz"), numbers(body.inertia))
-    ET.SubElement(inertial, "inertia", {**diagonal, "ixy": "0", "ixz": "0", "iyz": "0"})
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    ET.SubElement(inertial, "inertia", dict(zip(names, map(numbers, body.inertia), strict=True)))
 
 
 def _joint(robot: ET.Element, arm: IdentifiedArm, number: int) -> None:

@@ -37,10 +37,10 @@ from strainwave.io.logs.in_memory import Data
 from strainwave.io.results import to_document, to_json
 from strainwave.io.study import read_study, with_options
 from strainwave.numerics.parallel import limited, one_blas_thread
+from strainwave.pipeline.elastic_arm import ElasticStages, fit_elastic_arm
 from strainwave.pipeline.inputs import Inputs
 from strainwave.pipeline.reporter import Reporter
 from strainwave.pipeline.rigid_joints import RigidStage, fit_rigid_joints
-from strainwave.pipeline.whole_arm import ElasticStages, fit_elastic_arm
 from strainwave.presentation.matplotlib_backend import images
 from strainwave.signals import consistency, hygiene
 from strainwave.signals.activity import activity_of

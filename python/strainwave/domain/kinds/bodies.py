@@ -5,17 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from strainwave.domain.arm import Vector
+
 ASSUMED_LENGTH = 1.0
 """Length [m] of a link if the study gives none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """One link as a rigid body with its centre of mass on its x axis."""
+    """One link as a rigid body, in the frame of its joint."""
 
     mass: float  # [kg]
-    centre: float  # [m] from the link's own axis along x
-    inertia: float  # [kg m^2] about the centre of mass
+    centre: Vector  # of mass [m]
+    # Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2]
+    inertia: tuple[float, float, float, float, float, float]
+
+    @classmethod
+    def in_plane(cls, mass: float, centre: float, inertia: float) -> Body:
+        """Body whose motion in the xy plane depends on Izz only, with its centre on the x axis."""
+        return cls(mass, (centre, 0.0, 0.0), (inertia,) * 3 + (0.0,) * 3)
 
 
 class ParameterLookup(Protocol):
@@ -35,4 +43,4 @@ def about_axis(inertia: float, moment: float, length: float) -> Body:
     """
     rod_mass = 3.0 * inertia / length**2
     mass = rod_mass + moment**2 / inertia
-    return Body(mass, moment / mass, inertia * rod_mass / mass)
+    return Body.in_plane(mass, moment / mass, inertia * rod_mass / mass)

@@ -181,7 +181,7 @@ class PlanarTwoLink(Kind[PlanarTable]):
         kappa = gamma**2 / (alpha * beta)
         mass = alpha * (1.0 + kappa) / (2.0 * length**2)
         moment = gamma / length
-        second = Body(mass, moment / mass, beta * (1.0 - kappa) / (1.0 + kappa))
+        second = Body.in_plane(mass, moment / mass, beta * (1.0 - kappa) / (1.0 + kappa))
         first_moment = need("gravity_torque_1") / gravity - mass * length if gravity else 0.0
         return about_axis(alpha * (1.0 - kappa) / 2.0, first_moment, length), second
 

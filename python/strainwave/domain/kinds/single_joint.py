@@ -121,6 +121,6 @@ class SingleJoint(Kind[SingleJointTable]):
             )
         if joint.motion == "prismatic":
             # it does not rotate: the rotational inertia has no effect
-            return (Body(inertia, 0.0, inertia * ASSUMED_LENGTH**2),)
+            return (Body.in_plane(inertia, 0.0, inertia * ASSUMED_LENGTH**2),)
         moment = need("gravity_torque_1") / gravity if gravity else 0.0
         return (about_axis(inertia, moment, ASSUMED_LENGTH),)

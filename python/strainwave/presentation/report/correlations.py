@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Parameter
+from strainwave.domain import ArmDescription, FloatArray, Identification, Parameter
+from strainwave.domain.combinations import reported
 from strainwave.presentation.figures import (
     MEASURED_COLOUR,
     MODEL_COLOUR,
@@ -20,8 +21,6 @@ from strainwave.presentation.figures import (
 
 MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
 _MAX_LISTED_PAIRS = 8
-# derived parameters are omitted: they are correlated with their parts by definition
-_COMPONENTS = {"total_viscous_friction": "motor_viscous_friction", "link_inertia": "beta"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +34,13 @@ class Correlations:
 def correlations(identification: Identification) -> Correlations | None:
     """Of the whole-arm fit, else of the last stage before; None with fewer than two parameters."""
     whole_arm, joints, rigid = identification.whole_arm, identification.joints, identification.rigid
+    arm = identification.study.arm
     if whole_arm is not None:
-        return _of(whole_arm.parameters, whole_arm.covariance)
+        return _of(arm, whole_arm.parameters, whole_arm.covariance)
     if len(joints) == 1:
         size = len(joints[0].parameters)
-        return _of(joints[0].parameters, joints[0].covariance[:size, :size])
-    return _of(rigid.parameters, rigid.covariance) if rigid is not None else None
+        return _of(arm, joints[0].parameters, joints[0].covariance[:size, :size])
+    return _of(arm, rigid.parameters, rigid.covariance) if rigid is not None else None
 
 
 class StrongPair(NamedTuple):
@@ -82,16 +82,20 @@ def heat_map(errors: Correlations) -> Figure:
     return Figure(Axis(""), (Panel(Axis(""), (mark,)),))
 
 
-def _of(parameters: Sequence[Parameter], covariance: FloatArray) -> Correlations | None:
+def _of(
+    arm: ArmDescription, parameters: Sequence[Parameter], covariance: FloatArray
+) -> Correlations | None:
+    """Without sums of other parameters, which are correlated with these by definition."""
     variance = np.diag(covariance)
-    names = {p.name for p in parameters}
+    keys = {(p.name, p.joint) for p in parameters}
+    sums = {key for key, parts in reported(arm).items() if not keys.isdisjoint(parts)}
     rows = [
         k
         for k, p in enumerate(parameters)
         if p.value is not None
         and np.isfinite(variance[k])
         and variance[k] > 0.0
-        and _COMPONENTS.get(p.name) not in names
+        and (p.name, p.joint) not in sums
     ]
     if len(rows) < 2:
         return None
