@@ -1,16 +1,14 @@
-"""Parameters of a whole-arm fit with confidence intervals, and their warnings."""
+"""Parameters of a whole-arm fit with confidence intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from strainwave.domain import (
-    FloatArray,
-    Parameter,
-)
+from strainwave.domain import FloatArray, Parameter
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
@@ -24,7 +22,7 @@ from strainwave.identification.whole_arm.search.fit import Fit
 
 # maximum relative standard deviation of a published viscous friction, slope or knee
 _MAX_RELATIVE_STD = 0.3
-_MOUNTING_STEP = 1e-6  # step of mounting unknowns for central differences [m or rad]
+_MOUNTING_STEPS = (1e-6, -1e-6)  # of mounting unknowns for central differences [m or rad]
 
 
 def parameters_of(
@@ -35,90 +33,78 @@ def parameters_of(
     `largest_torque` [N m] is the largest torque of each gear in the records. The covariance is
     (n_parameters, n_parameters).
     """
-    space = fit.space
-    keys = space.keys
-    names = list(keys)
-    units = [unknown.unit for unknown in space.unknowns]
-    identified = _identified_curves(fit, confidence_of(fit).combined, arm, largest_torque)
-    weights = [combination(keys, {identified.get(key) or key: 1.0}) for key in keys]
-    constants = [0.0] * len(keys)
-    for (name, number), parts in arm.reported.items():
-        if number is None or not any(key in keys for key in parts):
-            continue  # all parts are fixed
-        names.append((name, number))
-        units.append(unit_of(name, arm.joints[number - 1]))
-        weights.append(combination(keys, parts))
-        constants.append(sum(w * space.fixed.get(key, 0.0) for key, w in parts.items()))
-    for name, number in vanished_parameters(fit, arm):
-        names.append((name, number))
-        units.append(unit_of(name, arm.joints[number - 1]))
-        weights.append(combination(keys, {}))
-        constants.append(0.0)
-        identified[name, number] = None
-    W = np.array(weights)
-    values = W @ space.parameters(fit.z) + np.array(constants)
-    mountings = mountings_of(fit)
-    if mountings.names:
-        names += mountings.names
-        units += mountings.units
-        W = np.vstack([W, mountings.slopes])
-        values = np.concatenate([values, mountings.values])
-    covariance = W @ confidence_of(fit).combined @ W.T
+    combined = confidence_of(fit).combined
+    quantities = [
+        *_unknowns(fit, _identified_curves(fit, combined, arm, largest_torque)),
+        *_combinations(fit, arm),
+        *_vanished(fit, arm),
+        *_mountings(fit),
+    ]
+    W = np.array([quantity.slope for quantity in quantities])
+    covariance = W @ combined @ W.T
     variance = np.diag(covariance)
     stds = np.sqrt(np.where(variance >= 0.0, variance, np.inf))  # negative only by rounding
-    stds[[identified.get(name, name) is None for name in names]] = np.inf
-    parameters = tuple(
-        _parameter(name, joint, unit, float(value), float(std))
-        for (name, joint), unit, value, std in zip(names, units, values, stds, strict=True)
-    )
-    return parameters, covariance
+    pairs = zip(quantities, stds.tolist(), strict=True)
+    return tuple(_parameter(quantity, std) for quantity, std in pairs), covariance
 
 
 @dataclass(frozen=True, slots=True)
-class Mountings:
-    """Positions and attitudes of IMUs, as functions of the unknowns."""
+class _Quantity:
+    """A parameter of the result as a function of the unknowns, linearised at the minimum."""
 
-    names: list[Key]
-    units: list[str]
-    values: FloatArray  # (n,)
-    slopes: FloatArray  # (n, n_unknowns)
+    key: Key
+    unit: str
+    value: float | None  # None: not identified
+    slope: FloatArray  # (n_unknowns,)
 
 
-def mountings_of(fit: Fit) -> Mountings:
-    """Position and attitude of IMUs with unknown mounting, linearised at the minimum.
+def _unknowns(fit: Fit, identified: Mapping[Key, Key | None]) -> Iterator[_Quantity]:
+    """The unknowns; `identified` maps curve parameters to the unknowns that have their values."""
+    keys, values = fit.space.keys, fit.values
+    for unknown in fit.space.unknowns:
+        source = identified.get(unknown.key, unknown.key)
+        slope = combination(keys, {source or unknown.key: 1.0})
+        value = None if source is None else values[source]
+        yield _Quantity(unknown.key, unknown.unit, value, slope)
 
-    Empty without such an IMU.
-    """
-    space = fit.space
-    keys, fitted_values = space.keys, space.values(fit.z)
+
+def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
+    """Reported combinations with at least one unknown."""
+    keys, values = fit.space.keys, fit.values
+    for (name, number), parts in arm.reported.items():
+        if number is not None and any(key in keys for key in parts):
+            value = sum(weight * values.get(key, 0.0) for key, weight in parts.items())
+            unit = unit_of(name, arm.joints[number - 1])
+            yield _Quantity((name, number), unit, value, combination(keys, parts))
+
+
+def _vanished(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
+    for name, number in vanished_parameters(fit, arm):
+        unit = unit_of(name, arm.joints[number - 1])
+        yield _Quantity((name, number), unit, None, np.zeros(len(fit.z)))
+
+
+def _mountings(fit: Fit) -> Iterator[_Quantity]:
+    """Position and attitude of IMUs with unknown mounting."""
+    keys, values = fit.space.keys, fit.values
     channels = (channel for record in fit.objective.records for channel in record.channels)
     axes = dict.fromkeys(channel for channel in channels if channel.is_mounted)
     hidden = [k for k, key in enumerate(keys) if (one := constant_of(key)) and one.is_mounting]
-    mountings = Mountings([], [], np.zeros(0), np.zeros((0, len(keys))))
     for joint in dict.fromkeys(axis.joint for axis in axes):
         sensor_axes = [axis for axis in axes if axis.joint == joint]
-        sensor = sensor_axes[0].sensor
-        positions = sensor.report(sensor_axes, fitted_values)
-        slopes = np.zeros((len(positions), len(keys)))
-        for k in hidden:
-            ends = [
-                sensor.report(
-                    sensor_axes, {**fitted_values, keys[k]: fitted_values[keys[k]] + step}
-                )
-                for step in (_MOUNTING_STEP, -_MOUNTING_STEP)
-            ]
-            for row, (name, (_, unit)) in enumerate(positions.items()):
-                difference = ends[0][name][0] - ends[1][name][0]
+        report = partial(sensor_axes[0].sensor.report, sensor_axes)
+        ends = {
+            k: [report({**values, keys[k]: values[keys[k]] + step}) for step in _MOUNTING_STEPS]
+            for k in hidden
+        }
+        for name, (value, unit) in report(values).items():
+            slope = np.zeros(len(keys))
+            for k, (upper, lower) in ends.items():
+                difference = upper[name][0] - lower[name][0]
                 if unit == "rad":
                     difference = float(np.arctan2(np.sin(difference), np.cos(difference)))
-                slopes[row, k] = difference / (2.0 * _MOUNTING_STEP)
-        mountings = Mountings(
-            [*mountings.names, *((name, joint) for name in positions)],
-            [*mountings.units, *(unit for _, unit in positions.values())],
-            np.concatenate([mountings.values, [value for value, _ in positions.values()]]),
-            np.vstack([mountings.slopes, slopes]),
-        )
-    return mountings
+                slope[k] = difference / (_MOUNTING_STEPS[0] - _MOUNTING_STEPS[1])
+            yield _Quantity((name, joint), unit, value, slope)
 
 
 def vanished_parameters(fit: Fit, arm: Arm) -> Iterator[tuple[str, int]]:
@@ -151,12 +137,11 @@ def _identified_curves(
     return identified
 
 
-def _parameter(name: str, joint: int | None, unit: str, value: float, std: float) -> Parameter:
+def _parameter(quantity: _Quantity, std: float) -> Parameter:
+    (name, joint), value, unit = quantity.key, quantity.value, quantity.unit
     may_be_vague = name in VISCOUS or is_by_load(name)
-    is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value)
-    if is_vague or not np.isfinite(std):
+    is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value or 0.0)
+    if value is None or is_vague or not np.isfinite(std):
         return Parameter(name, joint, None, None, unit, "tuned")
-    half_width = CI95_STDS * std
-    return Parameter(
-        name, joint, value, std, unit, "tuned", (value - half_width, value + half_width)
-    )
+    interval = (value - CI95_STDS * std, value + CI95_STDS * std)
+    return Parameter(name, joint, value, std, unit, "tuned", interval)
