@@ -151,6 +151,17 @@ def test_signed_parameters_pass_zero() -> None:
     assert min(lowest[key] for key in positive) > 0.0
 
 
+def test_a_first_moment_may_be_negative() -> None:
+    """gamma is negative if the centre of link 2 lies behind its axis."""
+    study, values, _ = mixed()
+    values["gamma", None] = -0.5 * values["gamma", None]
+    known = derived({k: v for k, v in values.items() if k[0] != "link_inertia"}, study.arm)
+    space = started(study, known, rigid_model(study, known, 0.01))
+    start = space.start_values
+    assert start["gamma", None] == pytest.approx(known["gamma", None])
+    np.testing.assert_allclose(space.coordinates(start), 0.0, atol=1e-12)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_the_second_knee_lies_above_the_first(seed: int) -> None:
     _, _, space = mixed()
