@@ -245,6 +245,7 @@ class LinkSensor(ABC):
         return (*common, *of_axes, *cls.extra_constants())
 
     @classmethod
+    @cache
     def constant(cls, kind: ConstantKind, number: int = 0) -> SensorConstant | None:
         """Constant of a kind of one axis; None if it has none."""
         owners = (cls.owner(number), cls.name)

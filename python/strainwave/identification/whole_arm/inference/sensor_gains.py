@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter, SensorGain
+from strainwave.domain.gear_laws import gear_parameters
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, Group, TypicalSensor, all_types, constant_of
 from strainwave.dynamics.arm import Arm
@@ -32,8 +33,7 @@ from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import run_parallel
 
 _MEAN_ROBUST_WEIGHT = 0.79  # mean weight (1 + r^2)^(-1/2) of the soft L1 loss, r standard normal
-# prefixes of the reported parameters
-_REPORTED_PREFIXES = ("gear_", "motor_inertia", "link_inertia")
+_REPORTED = ("gear_damping", "motor_inertia", "link_inertia")  # in addition to those of gear laws
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,8 @@ def sensor_gains(fit: Fit, arm: Arm, parameters: Sequence[Parameter]) -> list[Se
     in any record. The list is empty if there is no candidate or the simulation fails.
     """
     candidates = list(_candidates(fit.objective.records, arm))
-    reported = [
-        p for p in parameters if p.name.startswith(_REPORTED_PREFIXES) and p.value and p.std
-    ]
+    names = (*gear_parameters(), *_REPORTED)
+    reported = [p for p in parameters if p.name in names and p.value and p.std]
     if not candidates or not reported:
         return []
     try:
