@@ -19,7 +19,7 @@ from strainwave.domain.core_arm import core_arm, transmission
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import RigidColumn, kind_of
 from strainwave.domain.parameter_table import grouped_name
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in
 
 MOTOR_INERTIA = "motor_inertia"
 
@@ -178,12 +178,7 @@ def _named_column(
         if declared.keys() == row.keys():
             factors = [declared[part] / weight for part, weight in row.items()]
             if np.ptp(factors) < _MAX_DEPENDENT_NORM * abs(factors[0]):
-                return RigidColumn(*key, _unit(key, arm), declared)
+                return RigidColumn(*key, unit_in(arm, key), declared)
     name, joint = leading
     key = (grouped_name(name) if len(row) > 1 else name, joint)
-    return RigidColumn(*key, _unit(key, arm), row)
-
-
-def _unit(key: Key, arm: ArmDescription) -> str:
-    name, joint = key
-    return unit_of(name, arm.joints[(joint or 1) - 1])
+    return RigidColumn(*key, unit_in(arm, key), row)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from strainwave.domain.arm import Joint
+from strainwave.domain.arm import ArmDescription, Joint
+from strainwave.domain.keys import Key
 from strainwave.domain.parameter_table import base_name, parameter_table
 
 
@@ -14,3 +15,9 @@ def unit_of(name: str, joint: Joint | None = None) -> str:
     return parameter_table()[base_name(name)].units[
         joint is not None and joint.motion == "prismatic"
     ]
+
+
+def unit_in(arm: ArmDescription, key: Key) -> str:
+    """SI unit of a parameter of an arm, by name and joint, from 1."""
+    name, joint = key
+    return unit_of(name, None if joint is None else arm.joints[joint - 1])

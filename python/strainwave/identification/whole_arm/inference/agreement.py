@@ -22,7 +22,7 @@ from strainwave.domain import (
 from strainwave.domain.distributions import chi_square_tail
 from strainwave.domain.effects import effect_named
 from strainwave.domain.parameter_table import family_of
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.inference.covariance import confidence_of, with_variances
@@ -72,7 +72,7 @@ def stage_differences(fit: Fit, arm: Arm) -> tuple[StageDifference, ...]:
     for k, (name, joint) in enumerate(prior.names):
         if std[k] <= _MIN_STD_RATIO * rigid_std[k]:
             continue
-        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
+        unit = unit_in(arm, (name, joint))
         rigid = float(prior.mean[k])
         whole_arm = rigid + float(difference[k])
         differences.append(StageDifference(name, joint, rigid, whole_arm, float(std[k]), unit))

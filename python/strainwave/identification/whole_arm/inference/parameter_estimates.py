@@ -14,7 +14,7 @@ from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import constant_of
 from strainwave.domain.parameter_table import VISCOUS
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.prior import combination
@@ -74,13 +74,13 @@ def _combinations(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
     for (name, number), parts in arm.reported.items():
         if number is not None and any(key in keys for key in parts):
             value = sum(weight * values.get(key, 0.0) for key, weight in parts.items())
-            unit = unit_of(name, arm.joints[number - 1])
+            unit = unit_in(arm, (name, number))
             yield _Quantity((name, number), unit, value, combination(keys, parts))
 
 
 def _vanished(fit: Fit, arm: Arm) -> Iterator[_Quantity]:
     for name, number in vanished_parameters(fit, arm):
-        unit = unit_of(name, arm.joints[number - 1])
+        unit = unit_in(arm, (name, number))
         yield _Quantity((name, number), unit, None, np.zeros(len(fit.z)))
 
 

@@ -13,7 +13,7 @@ from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.inference.covariance import (
@@ -143,6 +143,6 @@ def _parameters(
         weights = combination(keys, parts)
         value = float(weights @ np.array([values[key] for key in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
-        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
+        unit = unit_in(arm, (name, joint))
         interval = (value - CI95_STDS * std, value + CI95_STDS * std)
         yield Parameter(name, joint, value, std, unit, "tuned", interval)

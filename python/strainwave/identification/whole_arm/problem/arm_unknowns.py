@@ -10,7 +10,7 @@ import numpy as np
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import reference_sizes, rigid_prior
@@ -56,7 +56,7 @@ def space_of(
         reach = _FRICTION_LOG_RANGE
         if described.family in ("inertia", "stiffness"):
             reach = float(np.expm1(_INERTIA_LOG_RANGE)) if signed else _INERTIA_LOG_RANGE
-        unit = unit_of(name, None if number is None else arm.joints[number - 1])
+        unit = unit_in(arm, (name, number))
         unknowns.append(Unknown(name, number, unit, value, scale, signed, reach))
     keys = [unknown.key for unknown in unknowns]
     return ParameterSpace(tuple(unknowns), {}, rigid_prior(model, keys, arm, floor))

@@ -17,7 +17,7 @@ from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.starts import StageInertias, is_positive
 from strainwave.domain.parameter_table import COULOMB, OFFSET, VISCOUS
-from strainwave.domain.units import unit_of
+from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 
@@ -68,9 +68,8 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
         damping = min(
             max(damping, _DAMPING_RATIO_RANGE[0] * critical), _DAMPING_RATIO_RANGE[1] * critical
         )
-        friction = _friction(model, models[number], arm, number)
-        for name, value in friction.items():
-            start[name, number] = value
+        friction = _friction(rigid, models[number], arm.joints[number - 1].gear_ratio)
+        start |= {(name, number): value for name, value in friction.items()}
         start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping
     return Starts(start, rejected)
 
@@ -79,7 +78,7 @@ def warn_rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
     """Warn of each estimate that a typical value replaces."""
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
-        unit = unit_of(name, None if joint is None else arm.joints[joint - 1])
+        unit = unit_in(arm, (name, joint))
         text = (
             f"the estimate of the earlier stages, {value:.3g} {unit}, is physically impossible; the"
         )
@@ -95,13 +94,13 @@ def _link_inertia(joint: JointModel, rigid: Mapping[Key, float | None], arm: Arm
 
 
 def _friction(
-    model: RigidModel | None, joint: JointModel, arm: Arm, number: int
+    rigid: Mapping[Key, float | None], joint: JointModel, gear_ratio: float
 ) -> dict[str, float]:
     """Viscous friction of the joint model; Coulomb friction and offset of the rigid model."""
-    values = _split_friction(joint.values, arm.joints[number - 1].gear_ratio)
+    values = _split_friction(joint.values, gear_ratio)
     friction = {name: values[name] for name in VISCOUS}
-    friction[OFFSET] = _rigid_estimate(model, OFFSET, number) or 0.0
-    coulomb = _rigid_estimate(model, COULOMB, number)  # some joint models have no Coulomb friction
+    friction[OFFSET] = rigid.get((OFFSET, joint.joint)) or 0.0
+    coulomb = rigid.get((COULOMB, joint.joint))  # some joint models have no Coulomb friction
     return friction | {COULOMB: values.get(COULOMB, 0.0) if coulomb is None else coulomb}
 
 
@@ -129,11 +128,3 @@ def _models_by_joint(joints: Sequence[JointModel], arm: Arm) -> dict[int, JointM
                 ' has none: record it with use = "frequency"'
             )
     return models
-
-
-def _rigid_estimate(model: RigidModel | None, name: str, joint: int) -> float | None:
-    """Estimate of the rigid model; None if there is none."""
-    for parameter in model.parameters if model is not None else ():
-        if (parameter.name, parameter.joint) == (name, joint):
-            return parameter.value
-    return None
