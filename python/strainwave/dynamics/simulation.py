@@ -65,6 +65,7 @@ class SensorNoise:
     accelerometer_range: float = 5.0 * 9.81  # [m/s^2]
     accelerometer_bits: int = 16
     gyro_std: float = 2e-3  # [rad/s] standard deviation per sample
+    torque_std: float = 0.05  # [N m] standard deviation per sample
 
 
 def simulate(
@@ -207,7 +208,7 @@ def common_step(clocks: Sequence[float], longest: float = MAX_TIME_STEP) -> floa
 def measure(
     trajectory: Trajectory, noise: SensorNoise | None, rng: np.random.Generator
 ) -> dict[Quantity, FloatArray]:
-    """Sensor readings of a trajectory: bias, noise and quantisation of accelerometers and gyros.
+    """Sensor readings of a trajectory: bias and quantisation of accelerometers, and noise.
 
     Without `noise` the sensors are ideal.
     """
@@ -223,7 +224,7 @@ def measure(
         noisy = clean + bias + rng.normal(0.0, std, clean.shape)
         limited = np.clip(noisy, -noise.accelerometer_range, noise.accelerometer_range)
         measured["accelerometer"] = count * np.round(limited / count)
-    if "gyro" in measured:
-        clean = measured["gyro"]
-        measured["gyro"] = clean + rng.normal(0.0, noise.gyro_std, clean.shape)
+    stds: dict[Quantity, float] = {"gyro": noise.gyro_std, "gear_torque": noise.torque_std}
+    for name in (name for name in stds if name in measured):
+        measured[name] = measured[name] + rng.normal(0.0, stds[name], measured[name].shape)
     return measured
