@@ -33,9 +33,8 @@ from strainwave.signals.recorded_input import driven_by_voltage
 _MAX_SEGMENT_SECONDS = 8.0  # [s] maximum duration of a Welch segment
 _FIRST_LINE = 3.0  # first line; the window spreads a constant over the lines below
 _MAX_DAMPING_RATIO = 0.5  # maximum damping ratio of a visible dip or peak
-_MIN_FREQUENCY_SHARE = (
-    1e-6  # share of the highest frequency below which a frequency is a rounding error
-)
+# share of the highest frequency below which a frequency is a rounding error
+_MIN_FREQUENCY_SHARE = 1e-6
 # minimum share of the largest torque density; lines without excitation are left out
 _MIN_POWER_SHARE = 1e-4
 

@@ -23,9 +23,8 @@ Between = Literal["smooth", "held", "straight"]
 # below 4 times its mean.
 _MIN_SIGNAL_TO_FLOOR = 4.0
 _MIN_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
-_SETTLING_PERIODS = (
-    14.0  # periods of the cut-off frequency after which a transient is below rounding
-)
+# periods of the cut-off frequency after which a transient is below rounding
+_SETTLING_PERIODS = 14.0
 _MAX_TRANSFORM_SAMPLES = (
     1 << 17
 )  # samples per transform; longer transforms do not fit the processor cache

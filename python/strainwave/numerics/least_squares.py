@@ -19,9 +19,8 @@ would cut the heavy tails of friction residuals on one side of each velocity rev
 PRIOR_GROUP = -1
 """Group of rows with prior knowledge, each divided by its standard deviation."""
 
-_MIN_SINGULAR_VALUE_TO_NOISE = (
-    3.0  # smallest ratio of a singular value to the noise of the regressor
-)
+# smallest ratio of a singular value to the noise of the regressor
+_MIN_SINGULAR_VALUE_TO_NOISE = 3.0
 # Largest standard deviation of an identifiable parameter, as a share of the total torque.
 _MAX_STD_SHARE_OF_TORQUE = 0.3
 # Smallest share of its error that remains in a residual used for the scale estimate.

@@ -20,9 +20,8 @@ Second = TypeVar("Second")
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # options of mallopt in glibc's malloc.h
 _KEPT_BYTES = 2**28  # bytes below which freed memory is kept and arrays are not mapped separately
 _COLLECTOR_THRESHOLD = 100_000  # allocations between two runs of the garbage collector
-_SWITCH_INTERVAL = (
-    1e-3  # [s] maximum time before a thread releases the interpreter to another thread
-)
+# [s] maximum time before a thread releases the interpreter to another thread
+_SWITCH_INTERVAL = 1e-3
 
 
 def one_blas_thread() -> AbstractContextManager[object]:

@@ -266,39 +266,24 @@ def _model(
 
 
 def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
-    warnings = []
+    texts, left = {}, f"{fit.predicted_decrease:.2g} of log-likelihood"
     if fit.status == "iteration-limit":
-        warnings.append(
-            Diagnostic(
-                "pem-iteration-limit",
-                "state-space model",
-                f"not converged after {fit.iterations} steps; {fit.predicted_decrease:.2g} of "
-                "log-likelihood "
-                "seems left. Raise max_iterations, or lower the order",
-            )
+        texts["pem-iteration-limit"] = (
+            f"not converged after {fit.iterations} steps; {left} seems left. Raise max_iterations,"
+            " or lower the order"
         )
     if fit.status == "stalled":
-        warnings.append(
-            Diagnostic(
-                "pem-stalled",
-                "state-space model",
-                f"the search stopped {fit.predicted_decrease:.2g} of "
-                "log-likelihood short of an optimum, "
-                "mostly because that lies where the predictor is unstable. Take off means and "
-                "drifts, lower the order, or "
-                + ("fit an output-error model" if options.disturbance != "none" else "estimate K"),
-            )
+        other = "fit an output-error model" if options.disturbance != "none" else "estimate K"
+        texts["pem-stalled"] = (
+            f"the search stopped {left} short of an optimum, mostly because that lies where the"
+            " predictor is unstable. Take off means and drifts, lower the order, or " + other
         )
     if fit.covariance is None:
-        warnings.append(
-            Diagnostic(
-                "pem-not-determined",
-                "state-space model",
-                "the data leave a direction of the model open, so no covariance is given. Lower "
-                "the order, or excite every input",
-            )
+        texts["pem-not-determined"] = (
+            "the data leave a direction of the model open, so no covariance is given. Lower the"
+            " order, or excite every input"
         )
-    return tuple(warnings)
+    return tuple(Diagnostic(code, "state-space model", text) for code, text in texts.items())
 
 
 def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:

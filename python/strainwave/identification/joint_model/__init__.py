@@ -12,7 +12,7 @@ Three methods return a `JointModel`:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -21,7 +21,6 @@ import numpy as np
 from strainwave.domain import (
     Decoupled,
     Diagnostic,
-    FloatArray,
     JointModel,
     LinearOptions,
     LinkSignals,
@@ -33,16 +32,10 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
 from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band
-from strainwave.identification.joint_model.grey_box import (
-    GreyBoxFit,
-    Solved,
-    solve,
-)
-from strainwave.identification.joint_model.joint_estimate import JointEstimate
+from strainwave.identification.joint_model.grey_box import Solved, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
     fit_linear,
@@ -111,7 +104,7 @@ class JointFit:
         if self.model.experiments == (name,):
             return self.model
         with one_blas_thread():
-            return _joint_model(self.solved.of_record(self.model.experiments.index(name)))
+            return self.solved.of_record(self.model.experiments.index(name)).model()
 
 
 def identify_joint(
@@ -149,28 +142,7 @@ def fit_joint(
         known = RigidKnowledge(None, None, None, known.errors)
     with one_blas_thread():  # many small systems: several threads are slower
         solved = solve(records, arm, known, chosen.band_hz, search_from_hz)
-        return JointFit(_joint_model(solved), solved)
-
-
-def _joint_model(solved: Solved) -> JointModel:
-    fit, (_, decoupled) = solved.fit(), solved.records[0]
-    number = decoupled.joint
-    values, covariance = _values(fit), fit.covariance[:6, :6]
-    estimate = JointEstimate(
-        joint=solved.arm.joints[number - 1],
-        number=number,
-        experiments=tuple(signals.experiment.name for signals, _ in solved.records),
-        values=values,
-        covariance=_with_delay(fit.covariance, values, solved.records, number),
-        determined=fit.determined,
-        posture=decoupled.posture,
-    )
-    return estimate.to_model(
-        "grey-box",
-        (anti_resonance(fit.joint, covariance), resonance(fit.joint, covariance)),
-        fit.band_hz,
-        {"torque": fit.torque_fit_percent, "torsion": fit.torsion_fit_percent},
-    )
+        return JointFit(solved.model(), solved)
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,28 +298,3 @@ def _in_other_bands(
         except (StrainwaveError, np.linalg.LinAlgError):
             continue
     return models
-
-
-def _with_delay(
-    covariance: FloatArray,
-    values: Mapping[str, float],
-    records: Sequence[tuple[LinkSignals, Decoupled]],
-    number: int,
-) -> FloatArray:
-    """Add the variance of the gear damping that an uncertain sensor delay causes.
-
-    A link sensor delayed by D measures the torsion n theta_M - theta_L + D dtheta_L, so the gear
-    damping changes by about k D. The variance is (k std_D)^2, the same in all records.
-    """
-    delays = [s.removed_delay[number - 1] for s, _ in records if s.removed_delay]
-    if not delays or not delays[0].value:
-        return covariance
-    index = list(values).index("gear_damping")
-    enlarged = covariance.copy()
-    enlarged[index, index] += (values["gear_stiffness"] * delays[0].std) ** 2
-    return enlarged
-
-
-def _values(fit: GreyBoxFit) -> dict[str, float]:
-    values = [*fit.joint.vector.tolist(), fit.coulomb_friction]
-    return dict(zip((*NAMES, "motor_coulomb_friction"), values, strict=True))

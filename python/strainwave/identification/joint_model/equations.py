@@ -30,15 +30,8 @@ COLUMNS = (*NAMES[:2], "motor_coulomb_friction", *NAMES[2:4], "compliance", "rel
 
 _MOTOR, _MOTOR_VISCOUS, _COULOMB, _LINK, _LINK_VISCOUS, _COMPLIANCE, _RELAXATION = range(7)
 
-PHYSICAL_COLUMNS = [
-    _MOTOR,
-    _MOTOR_VISCOUS,
-    _LINK,
-    _LINK_VISCOUS,
-    _COMPLIANCE,
-    _RELAXATION,
-    _COULOMB,
-]
+_MECHANICAL = (_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS)
+PHYSICAL_COLUMNS = (*_MECHANICAL, _COMPLIANCE, _RELAXATION, _COULOMB)
 """Unknowns in the order of `NAMES`, then the Coulomb friction."""
 
 _MAX_ITERATIONS = 8  # maximum number of iterations of weights and linearisation in one band
@@ -150,16 +143,18 @@ class WeightedEquations:
         """The joint with the current values."""
         return joint_of(self.physical[:6], self.pieces[0].ratio)
 
-    def fit_percent(self, factor: ls.Factor) -> tuple[float, float]:
-        """Fit of (S6) and of (S7)."""
+    def fit_percent(self, factor: ls.Factor) -> dict[str, float]:
+        """Fit of (S6), the torque, and of (S7), the torsion."""
         residual, group = ls.residual_of(self.equations, factor), self.equations.group
         torque = np.concatenate([p.torque for p in self.pieces])
         torsion = np.concatenate([p.torsion[:, 0] for p in self.pieces])
-        fits = [
-            100.0 * (1.0 - np.linalg.norm(residual[(group >= 0) & (group % 2 == k)]) / size)
-            for k, size in enumerate((np.linalg.norm(torque), np.linalg.norm(torsion)))
-        ]
-        return float(fits[0]), float(fits[1])
+        fits = {}
+        for parity, (name, side) in enumerate((("torque", torque), ("torsion", torsion))):
+            rows = (group != ls.PRIOR_GROUP) & (group % 2 == parity)
+            fits[name] = float(
+                100.0 * (1.0 - np.linalg.norm(residual[rows]) / np.linalg.norm(side))
+            )
+        return fits
 
 
 def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> Piece:
@@ -321,5 +316,5 @@ def physical_values(x: FloatArray) -> FloatArray:
     """Physical parameters in the order of `NAMES`, then the Coulomb friction."""
     k = 1.0 / x[_COMPLIANCE]
     gear = [k, k * x[_RELAXATION]]
-    inertia_and_friction = x[[_MOTOR, _MOTOR_VISCOUS, _LINK, _LINK_VISCOUS]]
+    inertia_and_friction = x[list(_MECHANICAL)]
     return np.concatenate([inertia_and_friction, gear, x[[_COULOMB]]])

@@ -24,9 +24,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from strainwave.domain import Decoupled, FloatArray, LinkSignals
+from strainwave.domain import Decoupled, FloatArray, JointModel, LinkSignals
+from strainwave.domain.parameter_table import COULOMB
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.two_inertia import TwoInertia, anti_resonance, jacobian, resonance
+from strainwave.dynamics.two_inertia import NAMES, anti_resonance, jacobian, resonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.joint_model.bands import (
     FIRST_BAND_HZ,
@@ -42,6 +43,7 @@ from strainwave.identification.joint_model.equations import (
     equations_in,
     physical_values,
 )
+from strainwave.identification.joint_model.joint_estimate import JointEstimate
 from strainwave.identification.joint_model.rigid_knowledge import RigidKnowledge
 from strainwave.numerics import least_squares as ls
 
@@ -63,21 +65,6 @@ _MODEL_ERROR_TOLERANCE = 0.5  # the same tolerance for the fits that measure the
 
 
 @dataclass(frozen=True, slots=True)
-class GreyBoxFit:
-    """Parameters of one joint with their covariance."""
-
-    joint: TwoInertia
-    coulomb_friction: float
-    covariance: FloatArray  # (7, 7) in the order of `NAMES`, then the Coulomb friction
-    determined: tuple[bool, ...]  # (7,) in the same order
-    band_hz: Band
-    torque_fit_percent: float  # of (S6)
-    torsion_fit_percent: float  # of (S7)
-    condition_number: float
-    n_rows: int
-
-
-@dataclass(frozen=True, slots=True)
 class Solved:
     """Solved equations of one joint in its band and in two neighbouring bands."""
 
@@ -89,19 +76,51 @@ class Solved:
     # in a narrower and a wider band; empty if the band is given
     in_other_bands: tuple[WeightedEquations, ...]
 
-    def fit(self) -> GreyBoxFit:
-        """Estimates, with the model error added to the covariance.
+    def model(self) -> JointModel:
+        """The joint model, with the model error added to the covariance.
 
         The model error consists of the changes of the estimates with the treatment of friction near
         zero velocity and with the band: an exact model gives the same estimates in all bands.
         """
-        fit, own = _result(self.in_band), self.in_band.physical
-        friction_change = self.with_sign_friction.physical - own
-        covariance = fit.covariance + np.outer(friction_change, friction_change)
+        own, first = self.in_band, self.records[0][1]
+        factor = ls.factorise(own.equations, own.root)
+        covariance, _ = ls.jackknife(own.equations, factor)
+        determined = ls.determined(own.equations, factor, covariance)
+        # tau is computed from the rigid model; its error does not appear in the residuals
+        errors, J = own.rigid_errors(factor), jacobian(physical_values, own.x)
+        covariance = J @ (covariance + errors @ errors.T) @ J.T
+        friction_change = self.with_sign_friction.physical - own.physical
+        covariance = covariance + np.outer(friction_change, friction_change)
         if self.in_other_bands:
-            changes = [other.physical - own for other in self.in_other_bands]
+            changes = [other.physical - own.physical for other in self.in_other_bands]
             covariance = covariance + np.mean([np.outer(move, move) for move in changes], axis=0)
-        return replace(fit, covariance=covariance)
+        of_modes = covariance[:6, :6]
+        modes = anti_resonance(own.joint, of_modes), resonance(own.joint, of_modes)
+        estimate = JointEstimate(
+            self.arm.joints[first.joint - 1],
+            first.joint,
+            tuple(signals.experiment.name for signals, _ in self.records),
+            dict(zip((*NAMES, COULOMB), own.physical.tolist(), strict=True)),
+            self._with_delay(covariance),
+            [bool(determined[k]) for k in PHYSICAL_COLUMNS],
+            first.posture,
+        )
+        return estimate.to_model("grey-box", modes, own.band, own.fit_percent(factor))
+
+    def _with_delay(self, covariance: FloatArray) -> FloatArray:
+        """Add the variance of the gear damping that an uncertain sensor delay causes.
+
+        A link sensor delayed by D measures the torsion n theta_M - theta_L + D dtheta_L, so the
+        gear damping changes by about k D. The variance is (k std_D)^2, the same in all records.
+        """
+        number = self.records[0][1].joint
+        delays = [s.removed_delay[number - 1] for s, _ in self.records if s.removed_delay]
+        if not delays or not delays[0].value:
+            return covariance
+        k = NAMES.index("gear_damping")
+        enlarged = covariance.copy()
+        enlarged[k, k] += (self.in_band.joint.gear_stiffness * delays[0].std) ** 2
+        return enlarged
 
     def of_record(self, k: int) -> Solved:
         """Fit record `k` alone, starting from the solution of all records in the same bands.
@@ -212,25 +231,3 @@ def _band_around(equations: WeightedEquations, records: Records) -> Band:
     low, high = anti_resonance(joint).frequency_hz, resonance(joint).frequency_hz
     edges = low / _ANTI_RESONANCE_TO_LOW_EDGE, high * _HIGH_EDGE_TO_RESONANCE
     return _limit_band(edges, records)
-
-
-def _result(weighted: WeightedEquations) -> GreyBoxFit:
-    equations = weighted.equations
-    factor = ls.factorise(equations, weighted.root)
-    covariance, _ = ls.jackknife(equations, factor)
-    identified = ls.determined(equations, factor, covariance)
-    # tau is computed from the rigid model; its error does not appear in the residuals
-    errors = weighted.rigid_errors(factor)
-    J = jacobian(physical_values, weighted.x)
-    torque_fit_percent, torsion_fit_percent = weighted.fit_percent(factor)
-    return GreyBoxFit(
-        joint=weighted.joint,
-        coulomb_friction=float(weighted.physical[-1]),
-        covariance=J @ (covariance + errors @ errors.T) @ J.T,
-        determined=tuple(bool(identified[k]) for k in PHYSICAL_COLUMNS),
-        band_hz=weighted.band,
-        torque_fit_percent=torque_fit_percent,
-        torsion_fit_percent=torsion_fit_percent,
-        condition_number=factor.condition_number,
-        n_rows=int(np.count_nonzero(equations.group != ls.PRIOR_GROUP)),
-    )

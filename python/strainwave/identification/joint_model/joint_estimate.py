@@ -12,9 +12,8 @@ from strainwave.domain import Diagnostic, FloatArray, Joint, JointModel, Mode, P
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.units import unit_of
 
-_MAX_VISCOUS_RELATIVE_STD = (
-    0.3  # relative standard deviation up to which a viscous friction is reported
-)
+# relative standard deviation up to which a viscous friction is reported
+_MAX_VISCOUS_RELATIVE_STD = 0.3
 # only the sum of these is well determined in fast records
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 

@@ -50,9 +50,8 @@ from strainwave.statespace import (
 _FIT_SHARE = 0.75  # share of a stretch used to fit; the rest is used to check the model
 _MAX_BANDS = 5  # maximum number of bands in the search
 _BAND_TOLERANCE = 0.1  # relative difference of the edges up to which the search has converged
-_REFIT_BAND_DIFFERENCE = (
-    0.25  # relative difference of the edges above which the model is fitted again
-)
+# relative difference of the edges above which the model is fitted again
+_REFIT_BAND_DIFFERENCE = 0.25
 PHYSICAL_ORDER = 3  # torsion and two velocities; the common angle is not observable
 _ORDERS = (3, 4, 5, 6)  # three states of the joint and up to three of the filters
 # samples used to select the order: about 100 per parameter of a model with three states

@@ -45,9 +45,8 @@ _HIGH_PASS_ORDER, _LOW_PASS_ORDER = 2, 6
 # share of the new sampling rate up to which inputs are divided by sinc^2, which is 0.1 there
 _MAX_COMPENSATED_RATE_SHARE = 0.75
 _CUTOFF_TO_NYQUIST = 0.8  # cut-off over the new Nyquist frequency, as in MATLAB's `decimate`
-_MIN_CUTOFF_PERIODS = (
-    10.0  # minimum number of periods of the cut-off in one period of the slowest motion
-)
+# minimum number of periods of the cut-off in one period of the slowest motion
+_MIN_CUTOFF_PERIODS = 10.0
 _BAND_CHANGE = 1.2  # factor on the band edges for the estimate of the model error
 
 

@@ -47,15 +47,12 @@ from strainwave.statespace import (
 )
 
 _MAX_RELATIVE_STD = 1.0  # relative standard deviation above which the sign is not determined
-_MAX_LAG_TO_ANTI_RESONANCE = (
-    0.1  # maximum of c_0/c_1 relative to the anti-resonance, an assumption of (18)
-)
-_MAX_INERTIA_DIFFERENCE = (
-    0.1  # relative difference of c_1 between the two models that causes a warning
-)
-_MIN_RECIPROCITY_PERCENT = (
-    70.0  # [percent] minimum agreement of G12 and G21; good records give above 90
-)
+# maximum of c_0/c_1 relative to the anti-resonance, an assumption of (18)
+_MAX_LAG_TO_ANTI_RESONANCE = 0.1
+# relative difference of c_1 between the two models that causes a warning
+_MAX_INERTIA_DIFFERENCE = 0.1
+# [percent] minimum agreement of G12 and G21; good records give above 90
+_MIN_RECIPROCITY_PERCENT = 70.0
 _RECIPROCITY_LINES = 25  # number of frequencies at which G12 and G21 are compared
 
 

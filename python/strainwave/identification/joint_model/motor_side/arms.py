@@ -33,9 +33,8 @@ _DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
 # minimum relative standard deviation of a motor inertia from the rigid model
 _MIN_RELATIVE_STD = 0.02
 _START_DECAY_RATE = 0.5  # [1/s] starting value of c_0 / c_1
-_MOTOR_VISCOUS_SHARE = (
-    0.5  # motor's share of the viscous friction, which motor signals do not determine
-)
+# motor's share of the viscous friction, which motor signals do not determine
+_MOTOR_VISCOUS_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,9 +24,8 @@ from strainwave.identification.joint_model.motor_side.impedance import velocitie
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch, replaced
 
-_N_ANTI_RESONANCES = (
-    14  # number of anti-resonances per joint on the grid, within the band of the records
-)
+# number of anti-resonances per joint on the grid, within the band of the records
+_N_ANTI_RESONANCES = 14
 _MOTOR_SHARES = (0.15, 0.35, 0.55, 0.75)  # motor's share of a joint's inertia on the grid
 _DAMPING_RATIO = 0.05  # damping ratio of the anti-resonances on the grid
 _N_INERTIAS = 10  # number of total inertias on the grid for a joint without a rigid model

@@ -17,9 +17,8 @@ MAX_PIECE_SECONDS = 4.1
 _MAX_PIECES = 8  # maximum number of pieces of a record
 _FIRST_LINE = 3.0  # first line; the window spreads a constant and slow drift over the lines below
 _MAX_RATE_SHARE = 0.2  # share of the sampling rate up to which differences approximate velocities
-_MIN_SLIDING_SHARE = (
-    0.5  # minimum share of a piece in which a motor slides, so that its friction is known
-)
+# minimum share of a piece in which a motor slides, so that its friction is known
+_MIN_SLIDING_SHARE = 0.5
 
 
 @dataclass(frozen=True, slots=True)
