@@ -25,9 +25,10 @@ from strainwave.signals.drive_law import DriveLaw
 
 @dataclass(frozen=True)
 class PreparedRecord:
-    """Motor motion and motor inputs of a log; arrays are (n_samples, n_joints), unfiltered.
+    """Motor motion and motor inputs of a log; arrays are (n_samples, n_joints) and unfiltered.
 
-    A quantity is computed when it is first used. Raises InvalidInput if its channels are missing.
+    A quantity is computed when it is first used, and read-only. Raises InvalidInput if its channels
+    are missing.
     """
 
     log: Log
@@ -37,7 +38,7 @@ class PreparedRecord:
     def motor_angle(self) -> FloatArray:
         """Motor angles [rad]."""
         numbers = range(1, self.arm.n_joints + 1)
-        return np.column_stack([channel_of(self.log, f"theta_m{i}") for i in numbers])
+        return _read_only([channel_of(self.log, f"theta_m{i}") for i in numbers])
 
     @cached_property
     def angle_noise(self) -> FloatArray:
@@ -77,7 +78,7 @@ class PreparedRecord:
             self.law_of(each).torque(each.values, T) if each.is_voltage else each.values
             for each in self.inputs
         ]
-        return np.column_stack(columns)
+        return _read_only(columns)
 
     @cached_property
     def voltage(self) -> FloatArray:
@@ -90,7 +91,7 @@ class PreparedRecord:
             each.values if each.is_voltage else DriveLaw.of(joint).voltage(each.values, T)
             for each, joint in zip(self.driving_inputs, self.arm.joints, strict=True)
         ]
-        return np.column_stack(columns)
+        return _read_only(columns)
 
     @cached_property
     def saturation(self) -> Saturation:
@@ -130,3 +131,10 @@ def prepare_record(log: Log, arm: Arm) -> PreparedRecord:
     prepared = log.prepared[arm]
     assert isinstance(prepared, PreparedRecord)
     return prepared
+
+
+def _read_only(columns: Sequence[FloatArray]) -> FloatArray:
+    """An array that stages share, from one column per joint."""
+    array = np.column_stack(columns)
+    array.setflags(write=False)
+    return array
