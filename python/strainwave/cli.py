@@ -33,6 +33,17 @@ StudyFile = Annotated[Path, typer.Argument(help="The study file.", metavar="STUD
 Figures = Annotated[
     bool, typer.Option("--figures", help="Also write every figure as SVG and PNG to DIR/figures.")
 ]
+Stages = Annotated[
+    str | None, typer.Option("--stages", help="Run only the first stages, for example: rigid.")
+]
+Overrides = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        help="An option of a stage, which overrides the study: links.order=1.",
+        metavar="STAGE.KEY=VALUE",
+    ),
+]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the sensor noise and of the motions.")]
 
 DONE, INPUT_AT_FAULT, NOT_DETERMINED, CHANGED = 0, 2, 3, 4
@@ -85,18 +96,8 @@ def init(
 def identify(
     study: StudyFile,
     out: Out,
-    stages: Annotated[
-        str | None,
-        typer.Option("--stages", help="Run only the first stages, for example: rigid."),
-    ] = None,
-    options: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="An option of a stage, which overrides the study: links.order=1.",
-            metavar="STAGE.KEY=VALUE",
-        ),
-    ] = None,
+    stages: Stages = None,
+    options: Overrides = None,
     figures: Figures = False,
     quiet: Quiet = False,
 ) -> None:
@@ -406,18 +407,8 @@ def campaign(
     out: Annotated[
         str, typer.Option("--out", help="The store: a folder, or a URL.", metavar="STORE")
     ],
-    stages: Annotated[
-        str | None,
-        typer.Option("--stages", help="Run only the first stages, for example: rigid."),
-    ] = None,
-    options: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="An option of a stage, which overrides the studies.",
-            metavar="STAGE.KEY=VALUE",
-        ),
-    ] = None,
+    stages: Stages = None,
+    options: Overrides = None,
     workers: Annotated[
         int | None,
         typer.Option("--workers", min=1, help="Number of worker processes; default: one per core."),

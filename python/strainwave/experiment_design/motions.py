@@ -14,7 +14,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, run
+from strainwave.experiment_design.predicted_motion import predicted_motion, run, servo_drive
 from strainwave.experiment_design.rigid_motion import (
     N_HARMONICS,
     Fourier,
@@ -124,20 +124,10 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
         if search.within(lead_in) and search.within(lead_out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
-    ratio = arm.gear_ratios
-    angle = np.concatenate([lead_in[0], steady[0], lead_out[0]]) / ratio
+    angle = np.concatenate([lead_in[0], steady[0], lead_out[0]]) / arm.gear_ratios
     # the servo differentiates the encoder reading, so its reference is the difference of the angle
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
-    start = tuple(0.0 for _ in ratio)
-    drive = Drive(
-        tick=tick,
-        voltage=np.zeros_like(angle),
-        reference=reference,
-        servo=(True,) * arm.n_joints,
-        motor_angle=start,
-        initial_voltage=arm.holding_voltage(values, start),
-    )
-    return _PlannedDrive(drive, angle, float(lead))
+    return _PlannedDrive(servo_drive(arm, values, reference), angle, float(lead))
 
 
 def _ticks(duration: float, tick: float) -> FloatArray:

@@ -9,7 +9,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, Trajectory, simulate
-from strainwave.experiment_design.plan import PredictedMotion
+from strainwave.experiment_design.plan import PredictedMotion, clock_of
 
 _QUANTITIES: tuple[Quantity, ...] = (
     "link_angle",
@@ -19,6 +19,19 @@ _QUANTITIES: tuple[Quantity, ...] = (
     "sliding",
     "accelerometer",
 )
+
+
+def servo_drive(arm: Arm, values: Values, reference: FloatArray) -> Drive:
+    """Drive of servos that follow references (n_ticks, n_joints), from rest at zero angles."""
+    start = (0.0,) * arm.n_joints
+    return Drive(
+        tick=clock_of(arm),
+        voltage=np.zeros_like(reference),
+        reference=reference,
+        servo=(True,) * arm.n_joints,
+        motor_angle=start,
+        initial_voltage=arm.holding_voltage(values, start),
+    )
 
 
 def run(arm: Arm, values: Values, drive: Drive, sample_time: float) -> Trajectory:

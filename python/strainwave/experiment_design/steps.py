@@ -11,7 +11,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.experiment_design.excitation_band import ExcitationBand
 from strainwave.experiment_design.plan import HELD_CONTROL, LimitBroken, Limits, Planned, clock_of
-from strainwave.experiment_design.predicted_motion import predicted_motion, run
+from strainwave.experiment_design.predicted_motion import predicted_motion, run, servo_drive
 
 _HOLD_PERIODS = 6.0  # of the anti-resonance per level, in which the vibration decays
 _MIN_HOLD, _MAX_HOLD = 0.2, 2.0  # [s] per level
@@ -102,13 +102,4 @@ def _drive(
     reference = np.zeros((len(steps), arm.n_joints))
     reference[:, joint - 1] = steps
     angle = tick * np.concatenate([np.zeros((1, arm.n_joints)), np.cumsum(reference, axis=0)[:-1]])
-    start = (0.0,) * arm.n_joints
-    drive = Drive(
-        tick=tick,
-        voltage=np.zeros_like(reference),
-        reference=reference,
-        servo=(True,) * arm.n_joints,
-        motor_angle=start,
-        initial_voltage=arm.holding_voltage(values, start),
-    )
-    return drive, angle
+    return servo_drive(arm, values, reference), angle

@@ -117,7 +117,6 @@ class ParsedName:
     commanded: bool = False  # whether the name has a word of a command
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
-    is_channel_name: bool = False  # whether the name is a channel name
     placed: bool = True  # False: the joint is a guess
 
 
@@ -158,9 +157,7 @@ def parse(name: str) -> ParsedName:
     )
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
-    return ParsedName(
-        quantity, number, label, unknown_word, unit, side, commanded, word, sure, is_channel
-    )
+    return ParsedName(quantity, number, label, unknown_word, unit, side, commanded, word, sure)
 
 
 def _tokens(text: str) -> list[str]:

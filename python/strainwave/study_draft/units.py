@@ -16,19 +16,18 @@ class UnitPair(NamedTuple):
     """Units of an angle and its velocity."""
 
     ratio: float  # change of the angle per integral of the velocity
-    angle_scale: float  # SI factors
-    velocity_scale: float
+    angle_scale: float  # SI factor
     text: str
 
 
 _UNIT_PAIRS = (
-    UnitPair(1.0, 1.0, 1.0, "in matching units"),
-    UnitPair(180.0 / pi, pi / 180.0, 1.0, "the angle in degrees, the velocity in rad/s"),
-    UnitPair(pi / 180.0, 1.0, pi / 180.0, "the angle in rad, the velocity in deg/s"),
-    UnitPair(pi / 30.0, 1.0, pi / 30.0, "the angle in rad, the velocity in rpm"),
-    UnitPair(6.0, pi / 180.0, pi / 30.0, "the angle in degrees, the velocity in rpm"),
-    UnitPair(0.5 / pi, 2.0 * pi, 1.0, "the angle in turns, the velocity in rad/s"),
-    UnitPair(1.0 / 60.0, 2.0 * pi, pi / 30.0, "the angle in turns, the velocity in rpm"),
+    UnitPair(1.0, 1.0, "in matching units"),
+    UnitPair(180.0 / pi, pi / 180.0, "the angle in degrees, the velocity in rad/s"),
+    UnitPair(pi / 180.0, 1.0, "the angle in rad, the velocity in deg/s"),
+    UnitPair(pi / 30.0, 1.0, "the angle in rad, the velocity in rpm"),
+    UnitPair(6.0, pi / 180.0, "the angle in degrees, the velocity in rpm"),
+    UnitPair(0.5 / pi, 2.0 * pi, "the angle in turns, the velocity in rad/s"),
+    UnitPair(1.0 / 60.0, 2.0 * pi, "the angle in turns, the velocity in rpm"),
 )
 
 

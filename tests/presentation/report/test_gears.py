@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from elastic_results import CURVE, curve_parameters, elastic_identification, joint_model
+from elastic_results import curve_parameters, elastic_identification, joint_model
 from figure_parts import line, marks
 from strainwave.domain import FloatArray
 from strainwave.presentation.figures import Bars, Markers
@@ -23,23 +23,12 @@ def curve() -> StiffnessCurve:
 
 def test_the_torsion_integrates_the_compliance() -> None:
     torque: FloatArray = np.linspace(0.0, 60.0, 6001)
-    torsion, _ = gears.torsion_at(curve(), torque)
+    gear = curve()
+    torsion = gear.law.torsion(gear.values, torque)
     slope = np.gradient(torque, torsion)
     for low, high, expected in ((0.0, 6.9, 16000.0), (7.1, 24.9, 25000.0), (25.1, 60.0, 29000.0)):
         inside = (torque > low) & (torque < high)
         assert slope[inside] == pytest.approx(expected, rel=1e-9)
-
-
-def test_the_torsion_scatters_as_its_standard_deviation_states() -> None:
-    rng = np.random.default_rng(5)
-    torque = np.array([3.0, 15.0, 50.0])
-    figure, gear = [], curve()
-    for _ in range(4000):
-        values = [v + s * rng.standard_normal() for v, s in CURVE.values()]
-        one = replace(gear, values=dict(zip(CURVE, values, strict=True)))
-        figure.append(gears.torsion_at(one, torque)[0])
-    _, std = gears.torsion_at(gear, torque)
-    assert std == pytest.approx(np.std(figure, axis=0), rel=0.05)  # 4000 draws: 1.1 %
 
 
 def test_unidentified_parameters_are_not_drawn() -> None:

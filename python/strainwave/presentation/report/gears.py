@@ -136,16 +136,6 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
 
 
-def torsion_at(curve: StiffnessCurve, torque: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Torsion [rad] at torques [N m], and its standard deviation by the delta method.
-
-    ddelta/dp = -(dT/dp) / (dT/ddelta) at constant torque.
-    """
-    torsion = curve.law.torsion(curve.values, torque)
-    std = _std(curve, curve.law.jacobian(curve.values, torsion))
-    return torsion, np.asarray(std / curve.law.stiffness(curve.values, torsion))
-
-
 def describe(curve: StiffnessCurve) -> str:
     """Caption of the stiffness figure."""
     std = np.sqrt(np.clip(np.diag(curve.covariance), 0.0, None)).tolist()
