@@ -120,13 +120,36 @@ def predict_rigid(
             f"lasts {len(signals.time) * signals.sample_time:.3g} s, too short to be predicted"
             f" behind the rigid model's low-pass of {model.bandwidth_hz:.2g} Hz"
         )
-    band, full = band_predictions(
-        arm, model.solution, signals, model.bandwidth_hz, model.load_friction
-    )
+    prediction = _predict_torques(model, model.solution, signals, arm)
+    if not fitted:
+        return prediction
+
+    def varied() -> Iterator[FloatArray]:
+        for solution in _rigid_variations(model):
+            other = _predict_torques(model, solution, signals, arm)
+            yield other.predicted - prediction.predicted
+
+    motions = np.max([np.std(each.measured, axis=0) for each in fitted], axis=0)
+    errors = np.max([np.std(each.measured - each.predicted, axis=0) for each in fitted], axis=0)
+    typical = {
+        name: _TypicalMotion(motion, error)
+        for name, motion, error in zip(
+            prediction.channels, motions.tolist(), errors.tolist(), strict=True
+        )
+    }
+    unexplained = _unexplained_errors(prediction, np.zeros(len(typical)), typical, varied)
+    return replace(prediction, unexplained=unexplained)
+
+
+def _predict_torques(
+    model: RigidModel, solution: FloatArray, signals: Signals, arm: Arm
+) -> Prediction:
+    """Prediction of the drive signals with other values (n_parameters,) of a model."""
+    band, full = band_predictions(arm, solution, signals, model.bandwidth_hz, model.load_friction)
     names = signals.torque_channel
     is_voltage = [channel_parts(name)[0] == "u" for name in names]
     per_channel = np.where(is_voltage, arm.torque_per_volt, 1.0)
-    prediction = Prediction(
+    return Prediction(
         experiment=signals.experiment.name,
         time=band.time,
         channels=names,
@@ -144,24 +167,6 @@ def predict_rigid(
             if not np.isfinite(fit)
         ),
     )
-    if not fitted:
-        return prediction
-
-    def varied() -> Iterator[FloatArray]:
-        for solution in _rigid_variations(model):
-            other, _ = band_predictions(
-                arm, solution, signals, model.bandwidth_hz, model.load_friction
-            )
-            yield (other.predicted - band.predicted) / per_channel
-
-    motions = np.max([np.std(each.measured, axis=0) for each in fitted], axis=0)
-    errors = np.max([np.std(each.measured - each.predicted, axis=0) for each in fitted], axis=0)
-    typical = {
-        name: _TypicalMotion(motion, error)
-        for name, motion, error in zip(names, motions.tolist(), errors.tolist(), strict=True)
-    }
-    unexplained = _unexplained_errors(prediction, np.zeros(len(names)), typical, varied)
-    return replace(prediction, unexplained=unexplained)
 
 
 def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
