@@ -32,7 +32,7 @@ from strainwave.identification.whole_arm.problem.restrictions import (
     restrict_space,
 )
 from strainwave.identification.whole_arm.problem.starting_values import (
-    starts_of,
+    starting_values_of,
     warn_rejected_starts,
 )
 from strainwave.identification.whole_arm.records.dataset import Dataset
@@ -114,7 +114,7 @@ def prepare_start(
     coarse, initial = _start_search(space, records, best, starts, options)
     if placed:
         coarse = Fit.at(*select_mountings(coarse.objective, coarse.z, arm, options))
-    stages = starts_of(model, best.joints, arm)
+    stages = starting_values_of(model, best.joints, arm)
     for name, joint in stages.rejected:
         if name == STIFFNESS:
             coarse = _scan_stiffness(coarse, joint)

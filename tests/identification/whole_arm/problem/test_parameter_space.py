@@ -22,7 +22,7 @@ from strainwave.identification.whole_arm.problem.arm_unknowns import (
 )
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.starting_values import (
-    starts_of,
+    starting_values_of,
     warn_rejected_starts,
 )
 from strainwave.virtual import scara
@@ -411,7 +411,7 @@ def test_starts_that_are_missing_or_impossible() -> None:
         space_of(model, joints, Arm.of(rigid.arm), largest_voltage=voltage, floor=FLOOR)
     for name, value in [("gear_damping", -1.0), ("gear_stiffness", np.nan), ("motor_inertia", 0.0)]:
         wrong = replace(joints[1], values={**joints[1].values, name: value})
-        starts = starts_of(model, [joints[0], wrong], Arm.of(study.arm))
+        starts = starting_values_of(model, [joints[0], wrong], Arm.of(study.arm))
         assert list(starts.rejected) == [(name, 2)]
         # default values are within the range of the space, a factor of three
         assert 1.0 / 3.0 < starts.values[name, 2] / true_values[name, 2] < 3.0
@@ -419,14 +419,14 @@ def test_starts_that_are_missing_or_impossible() -> None:
         assert warning.where == f"{name} of joint 2"
     # beta + 2 gamma exceeds the inertia of joint 1
     light = replace(joints[0], values={**joints[0].values, "link_inertia": 1.0})
-    starts = starts_of(model, [light, joints[1]], Arm.of(study.arm))
+    starts = starting_values_of(model, [light, joints[1]], Arm.of(study.arm))
     assert list(starts.rejected) == [("alpha", None)]
     assert starts.values["alpha", None] == pytest.approx(true_values["alpha", None], rel=0.1)
     negative_inertia = replace(joints[1], values={**joints[1].values, "link_inertia": -1.0})
     beta = tuple(replace(p, value=-1.0) if p.name == "beta" else p for p in model.parameters)
     solution = np.array([p.value for p in beta], dtype=float)
     with pytest.raises(NotIdentifiable, match="beta = -1"):
-        starts_of(
+        starting_values_of(
             replace(model, parameters=beta, solution=solution),
             [joints[0], negative_inertia],
             Arm.of(study.arm),

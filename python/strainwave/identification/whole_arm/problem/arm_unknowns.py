@@ -14,7 +14,7 @@ from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import reference_sizes, rigid_prior
-from strainwave.identification.whole_arm.problem.starting_values import starts_of
+from strainwave.identification.whole_arm.problem.starting_values import starting_values_of
 
 SETTLING_START = 1e-4
 """Starting value [s] of a friction settling time."""
@@ -42,7 +42,7 @@ def space_of(
     the minimum Coulomb friction. `floor` is the minimum relative standard deviation of the prior.
     Raises `NotIdentifiable` if a starting value is missing.
     """
-    start = starts_of(model, joints, arm).values
+    start = starting_values_of(model, joints, arm).values
     pairs = zip(arm.joints, largest_voltage, strict=True)
     for i, (joint, voltage) in enumerate(pairs, start=1):
         torque = _MIN_COULOMB_SHARE * voltage * joint.torque_per_command

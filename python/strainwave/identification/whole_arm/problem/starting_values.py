@@ -30,14 +30,16 @@ _DAMPING_RATIO_RANGE = (0.01, 0.5)
 
 
 @dataclass(frozen=True, slots=True)
-class Starts:
+class StartingValues:
     """Starting values, and the physically impossible estimates of preceding stages."""
 
     values: Values
     rejected: Mapping[Key, float]
 
 
-def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) -> Starts:
+def starting_values_of(
+    model: RigidModel | None, joints: Sequence[JointModel], arm: Arm
+) -> StartingValues:
     """Starting values of all parameters of an arm with linear gears.
 
     `joints` has one model per joint. `model` may be None for a single joint without gravity. Raises
@@ -71,10 +73,10 @@ def starts_of(model: RigidModel | None, joints: Sequence[JointModel], arm: Arm) 
         friction = _friction(rigid, models[number], arm.joints[number - 1].gear_ratio)
         start |= {(name, number): value for name, value in friction.items()}
         start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping
-    return Starts(start, rejected)
+    return StartingValues(start, rejected)
 
 
-def warn_rejected_starts(starts: Starts, arm: Arm) -> Iterator[Diagnostic]:
+def warn_rejected_starts(starts: StartingValues, arm: Arm) -> Iterator[Diagnostic]:
     """Warn of each estimate that a typical value replaces."""
     for (name, joint), value in starts.rejected.items():
         place = name if joint is None else f"{name} of joint {joint}"
