@@ -13,6 +13,7 @@ from strainwave.domain import (
     Identification,
     Parameter,
     ParameterShift,
+    Place,
     Prediction,
     ResidualCorrelation,
     ResidualTest,
@@ -106,6 +107,8 @@ def identification(name: str = "inertia") -> Identification:
         rigid=model,
         fitted=(prediction("motion", 97.5),),
         checks=(prediction("check", 91.25, float("nan")),),
-        stage_warnings=(Diagnostic("saturated", "motion.csv", "u1 is at its limit"),),
+        stage_warnings=(
+            Diagnostic("saturated", Place.in_records("motion"), channel="u1", share=0.1),
+        ),
         timing_s={"read": 0.01, "rigid": 0.5},
     )

@@ -5,14 +5,12 @@ Examples: study files, parameter files, commands, code, links. Lists: codes, key
 
 from __future__ import annotations
 
-import ast
 import json
 import os
 import re
 import shlex
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 
 import pytest
@@ -20,9 +18,9 @@ import pytest
 from command_line import run_here
 from strainwave import cli
 from strainwave.domain.effects import all_effects
+from strainwave.domain.messages import TEMPLATES
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
-from strainwave.signals.hygiene import DETECTORS
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -185,34 +183,10 @@ def test_every_equation_number_is_unique() -> None:
     assert {f"S{k}" for k in range(1, 15)} <= set(numbers)
 
 
-@cache
-def calls() -> list[ast.Call]:
-    """Return all calls in the package."""
-    files = ROOT.glob("python/strainwave/**/*.py")
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in files]
-    return [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Call)]
-
-
-def first_arguments(*functions: str) -> list[ast.expr]:
-    """Return the first arguments of all calls of some functions in the package."""
-    return [call.args[0] for call in calls() if ast.unparse(call.func) in functions]
-
-
-def constants(*functions: str) -> set[str]:
-    arguments = first_arguments(*functions)
-    return {ast.literal_eval(node) for node in arguments if isinstance(node, ast.Constant)}
-
-
 def codes_of_warnings() -> set[str]:
-    """Return all warning codes: constants, and those of checks, stages and effects."""
-    arguments = first_arguments("Diagnostic", "Diagnostic.at")
-    computed = [node for node in arguments if not isinstance(node, ast.Constant)]
-    copied = {"first.code", "w.code"}  # from another warning
-    variable = {"check.name", "code", "kind", "effect.warning_code"} | copied
-    assert {ast.unparse(node) for node in computed} == variable
+    """Return all warning codes: those of templates and of likely effects."""
     likely = {effect.warning_code for effect in all_effects()}
-    literal = constants("Diagnostic", "Diagnostic.at", "Check", "attempt")
-    return literal | likely | set(DETECTORS)
+    return {template.split("/")[0] for template in TEMPLATES} - {"effect-likely"} | likely
 
 
 def test_every_warning_has_a_section_in_troubleshooting() -> None:

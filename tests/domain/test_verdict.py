@@ -31,6 +31,7 @@ from strainwave.domain import (
     half_width,
     is_physical,
 )
+from strainwave.domain.clauses import Clause
 from strainwave.domain.diagnostics import merge_by_cause
 from strainwave.domain.units import unit_of
 from strainwave.domain.verdict import model_defects
@@ -571,51 +572,76 @@ def test_stages_that_were_not_reached_are_reported() -> None:
 def test_warnings_of_several_records_with_one_cause_are_merged() -> None:
     records = ("prbs-j1", "prbs-j2")
     delays = [
-        Diagnostic.at(
+        Diagnostic(
             "misaligned",
             Place.in_records(name),
-            f"the link sensor of joint {j} is {ms} ms late in {name}",
+            channel=f"a{j}",
+            delay=delay,
+            std=1e-5,
+            side="behind",
         )
-        for name, ms in zip(records, (0.72, 0.5), strict=True)
+        for name, delay in zip(records, (0.72e-3, 0.5e-3), strict=True)
         for j in (1, 2)
     ]
-    other = Diagnostic("at-bounds", "beta", "ended at 0.72")
+    beta = Place(parameter="beta")
+    other = Diagnostic("at-bounds", beta, value=0.72, unit="kg m^2")
     first, second, third = merge_by_cause([*delays, other])
     assert first.where == "prbs-j1, prbs-j2"
     assert first.experiments == records
-    assert first.message == "the link sensor of joint 1 is 0.5 to 0.72 ms late in "
-    assert "joint 2" in second.message
+    assert first.message.startswith("a1 is 0.5 to 0.72 +- 0.01 ms behind the motor encoder; ")
+    assert first.observation == "a1 is 0.5 to 0.72 +- 0.01 ms behind the motor encoder"
+    assert "a2" in second.message
     assert third == other
 
 
 def test_warnings_of_joints_in_several_records_are_merged() -> None:
     records = ("prbs-j1", "prbs-j1-servo", "prbs-j2")
     spectra = [
-        Diagnostic.at(
-            "interaction-spectrum",
-            Place.in_records(name, joint=j),
-            f"in {share} % of the band of {name}",
-        )
-        for name, j, share in (("prbs-j1", 1, 20), ("prbs-j1-servo", 1, 35), ("prbs-j2", 2, 10))
+        Diagnostic("interaction-spectrum", Place.in_records(name, joint=j), share=share)
+        for name, j, share in (("prbs-j1", 1, 0.2), ("prbs-j1-servo", 1, 0.35), ("prbs-j2", 2, 0.1))
     ]
     place = Place.in_records("prbs-j2", joint=2)
-    coherence = Diagnostic.at("coherence", place, "coherence 0.4 in prbs-j2")
-    without_record = Diagnostic("interaction-spectrum", "other.csv", spectra[0].message)
-    merged, single, unmerged = merge_by_cause([*spectra, coherence, without_record])
+    amplitude = Diagnostic("interaction-amplitude", place, ratio=0.4)
+    without_record = spectra[0].at(Place(file="other.csv"))
+    merged, single, unmerged = merge_by_cause([*spectra, amplitude, without_record])
     assert merged.where == "prbs-j1 (joint 1), prbs-j1-servo (joint 1), prbs-j2 (joint 2)"
     assert merged.experiments == records
-    assert merged.message == "in 10 to 35 % of the band of "
-    assert single == replace(coherence, experiments=("prbs-j2",))
+    assert merged.observation == "tau is above its noise in 10 to 35 % of the band"
+    assert single == amplitude
     assert unmerged == without_record
 
 
+def test_nested_measurements_are_merged() -> None:
+    dependences = [Clause("follows-input", joint=1, delay=delay) for delay in (1e-3, 4e-3)]
+    warnings = [
+        Diagnostic(
+            "residual-not-noise",
+            Place.in_records(name),
+            channel="a1",
+            ratio=5.0,
+            worst_hz=20.0,
+            dependence=dependence,
+            unexplained=None,
+        )
+        for name, dependence in zip("ab", dependences, strict=True)
+    ]
+    (merged,) = merge_by_cause(warnings)
+    assert "joint 1's input by 1 to 4 ms" in merged.message
+
+
 def test_a_later_stage_supersedes_warnings_of_an_earlier_one() -> None:
-    early = Diagnostic.at("implausible", Place(joint=1, parameter="gear_damping"), "negative")
+    early = Diagnostic(
+        "implausible",
+        Place(joint=1, parameter="gear_damping"),
+        "rigid",
+        value=-1.0,
+        unit="N m s/rad",
+    )
     result = replace(run(), stage_warnings=(early,))
     assert early not in result.warnings
     assert early in replace(result, whole_arm=None).warnings
     place = Place(joint=1, parameter="gear_stiffness")
-    slope_warning = Diagnostic.at("equivalent-stiffness", place, "one slope")
+    slope_warning = Diagnostic("equivalent-stiffness", place, records="prbs", note="one slope")
     assert result.whole_arm is not None
     slope = made("gear_stiffness", 1, "tuned")
     curve = tuple(replace(slope, name=f"gear_stiffness_k{k}") for k in (1, 2, 3))

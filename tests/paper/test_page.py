@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 from results import identification
 from strainwave import cli
 from strainwave import paper as package
-from strainwave.domain import Comparison, Criterion, Diagnostic, Evidence, Tally
+from strainwave.domain import Comparison, Criterion, Diagnostic, Evidence, Place, Tally
 from strainwave.paper import Settings, run
 from strainwave.presentation.figures import curves
 from strainwave.presentation.matplotlib_backend import draw
@@ -83,7 +83,12 @@ def test_names_are_escaped(comparisons: ByFigure) -> None:
         message=script,
         criteria=(Criterion(script, 1.0, "at most", 0.0, script, script),),
         evidence=(
-            Evidence(script, script, "converged", warnings=(Diagnostic(script, script, script),)),
+            Evidence(
+                script,
+                script,
+                "converged",
+                warnings=(Diagnostic("modes-failed", Place(part=script), reason=script),),
+            ),
         ),
         plots=(plot,),
     )

@@ -20,6 +20,7 @@ from strainwave.domain import (
     Diagnostic,
     FrequencyResponse,
     JointModel,
+    Place,
     RecordModel,
     Sweep,
     SweepPoint,
@@ -157,7 +158,7 @@ def test_the_response_of_a_model_has_the_band_of_its_covariance() -> None:
 
 
 def test_a_record_without_a_model_has_its_warnings_and_no_figure() -> None:
-    warnings = (Diagnostic("grey-box-failed", "prbs", "the motor stands"),)
+    warnings = (Diagnostic("grey-box-failed", Place.in_records("prbs"), reason="the motor stands"),)
     empty = RecordModel(case(1).decoupled, None, None, None, None, warnings=warnings)
     assert "the motor stands" in empty._repr_html_()
     with pytest.raises(InvalidInput, match="no physical model to draw"):

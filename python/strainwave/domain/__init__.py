@@ -37,6 +37,14 @@ from strainwave.domain.arm_model import (
 )
 from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from strainwave.domain.base_parameters import BaseParameters
+from strainwave.domain.clauses import (
+    STATE_SPACE_MODEL,
+    WHOLE_ARM_FIT,
+    Clause,
+    Place,
+    Span,
+    Value,
+)
 from strainwave.domain.comparison import (
     OUTCOME_TEXTS,
     Comparison,
@@ -52,7 +60,6 @@ from strainwave.domain.estimates import (
     Consistency,
     Diagnostic,
     Parameter,
-    Place,
     Prediction,
     Suspicion,
 )
@@ -131,6 +138,8 @@ __all__ = [
     "CONDITION_TEXTS",
     "OUTCOME_TEXTS",
     "STAGES",
+    "STATE_SPACE_MODEL",
+    "WHOLE_ARM_FIT",
     "Activity",
     "AgreementTest",
     "ArmDescription",
@@ -140,6 +149,7 @@ __all__ = [
     "Cause",
     "Channel",
     "Check",
+    "Clause",
     "Comparison",
     "ComplexArray",
     "Condition",
@@ -211,6 +221,7 @@ __all__ = [
     "Signals",
     "SizeLimit",
     "SizedValue",
+    "Span",
     "Spring",
     "Stage",
     "StageDifference",
@@ -227,6 +238,7 @@ __all__ = [
     "TorqueHistogram",
     "Use",
     "Validation",
+    "Value",
     "Verdict",
     "WholeArmOptions",
     "channel_kinds",

@@ -10,6 +10,7 @@ from typing import Literal
 from strainwave.display import Displayed
 from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
+from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.keys import Key
 
@@ -158,11 +159,9 @@ class AgreementTest:
         return self.largest >= MIN_RELATIVE_DIFFERENCE
 
     @property
-    def subject(self) -> str:
-        """Compared values, in words."""
-        if self.scope == "friction":
-            return f"joint {self.joint}'s friction"
-        return "inertias and gravity torques" if self.scope == "inertias" else "the values"
+    def subject(self) -> Clause:
+        """Compared values."""
+        return Clause(f"subject/{self.scope}", joint=self.joint)
 
 
 def contradictions(tests: Sequence[AgreementTest]) -> tuple[AgreementTest, ...]:
@@ -190,12 +189,16 @@ class SuspectConstant:
     experiment: str = ""  # experiment that tests this cause, as a clause
 
     @property
-    def text(self) -> str:
-        """Name, explained share and experiment, as a clause."""
-        subject = self.name if self.joint is None else f"{self.name} of joint {self.joint}"
-        if self.value is not None:
-            subject = f"{subject} (then {self.value:.4g} {self.unit})"
-        return f"{subject}, which would explain {100.0 * self.share:.3g} %: {self.experiment}"
+    def clause(self) -> Clause:
+        """Name, explained share and experiment."""
+        return Clause(
+            "suspect" if self.value is None else "suspect/value",
+            subject=Place(joint=self.joint, parameter=self.name),
+            value=self.value,
+            unit=self.unit,
+            share=self.share,
+            experiment=self.experiment,
+        )
 
 
 Condition = Literal["alone", "others-free", "others-servoed"]

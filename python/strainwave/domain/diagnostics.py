@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
 
-from strainwave.domain.estimates import Diagnostic, Parameter, Place
+from strainwave.domain.clauses import Clause, Place, merge_clauses
+from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.keys import Key
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
 from strainwave.domain.verdict import Verdict, model_defects
 
-_NUMBER = re.compile(
-    r"(?<![\w.])(?<!joint )(?<!motor )(?<!link )-?\d+(?:\.\d+)?(?:e[+-]?\d+)?(?![\w])"
-)
-"""A number in a message, except joint numbers ("joint 2") and digits in names ("u1")."""
 _STAGE_CODES = frozenset({"not-identifiable", "implausible", "equivalent-stiffness"})
 """Codes of warnings about one parameter in one stage."""
 
@@ -33,100 +27,67 @@ def published_warnings(
     warnings = [*_current_warnings(results, decisions), *rejection_warnings(decisions)]
     warnings += model_defects(results)
     for size in implausible_joints(results.study.arm, [d.parameter for d in decisions]):
-        warnings.append(Diagnostic.at("implausible-size", Place(joint=size.joint), size.text))
+        warnings.append(size.warning)
     has_unpredicted = any(check.unexplained for check in results.checks if not check.of_drive)
     if results.whole_arm is not None and not verdict.validated.elastic and not has_unpredicted:
-        where = str(results.study.path)
-        warnings.append(Diagnostic("elastic-not-validated", where, missing_validation(results)))
+        warnings.append(missing_validation(results))
     return merge_by_cause(dict.fromkeys(warnings))
 
 
 def rejection_warnings(decisions: Iterable[Decision]) -> Iterator[Diagnostic]:
     """Yield one warning for each reason for rejection, with the rejected values."""
-    by_reason: dict[str, list[Decision]] = {}
+    by_reason: dict[Clause, list[Decision]] = {}
     for decision in decisions:
         if decision.rejected:
             by_reason.setdefault(decision.rejected, []).append(decision)
     for reason, rows in by_reason.items():
-        values = ", ".join(f"{d.parameter.label} = {d.raw:.4g}" for d in rows if d.raw is not None)
-        joint_numbers = {d.parameter.joint for d in rows}
-        joints = ", ".join(str(n) for n in sorted(n for n in joint_numbers if n is not None))
-        where = f"joint {joints}" if joints and None not in joint_numbers else "arm"
+        values = tuple(
+            Clause("rejected-value", label=d.parameter.label, value=d.raw)
+            for d in rows
+            if d.raw is not None
+        )
+        joints = sorted({d.parameter.joint or 0 for d in rows})
+        places = tuple(Place(joint=number) for number in joints)
+        if 0 in joints:
+            places = (Place(part="arm"),)
         if len(rows) == 1:
-            where = str(_place_of(rows[0].parameter))
-        yield Diagnostic("rejected", where, f"{reason}; rejected values: {values}")
+            places = (_place_of(rows[0].parameter),)
+        yield Diagnostic("rejected", places, reason=reason, values=values)
 
 
-def missing_validation(results: StageResults) -> str:
-    """Explain why the elastic model is not validated, and what to record.
-
-    Returns a clause without a full stop.
-    """
+def missing_validation(results: StageResults) -> Diagnostic:
+    """Warn why the elastic model is not validated, and what to record."""
     motion_checks = [check for check in results.checks if not check.of_drive]
-    record = (
-        'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage '
-        "of every motor and the servo's references"
-    )
-    if results.whole_arm is None:
-        return "the run has no whole-arm fit, which predicts the motion"
-    if not motion_checks:
-        return f"no check record can be simulated; {record}"
-    unpredicted = ", ".join(check.experiment for check in motion_checks if check.unexplained)
-    if unpredicted:
-        return f"the whole-arm fit does not predict {unpredicted}"
-    names = ", ".join(dict.fromkeys(check.experiment for check in motion_checks))
-    return f"the predictions of {names} do not depend on the gear stiffness; {record}"
+    unpredicted = [check.experiment for check in motion_checks if check.unexplained]
+    records = dict.fromkeys(unpredicted or [check.experiment for check in motion_checks])
+    reason = "not-predicted" if unpredicted else "no-effect"
+    if results.whole_arm is None or not motion_checks:
+        reason = "no-fit" if results.whole_arm is None else "no-check"
+    place = Place(file=str(results.study.path))
+    return Diagnostic("elastic-not-validated", place, reason, records=tuple(records))
 
 
 def merge_by_cause(warnings: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """Merge warnings about several records with the same cause into one.
 
-    Two warnings have the same cause if their codes and messages are equal except for numbers. The
-    merged message gives the range of each number. Only warnings whose place is one record, or one
-    joint in one record, are merged. The order is that of the first warning of each cause.
+    Two warnings have the same cause if they differ only in measurements; the merged warning has
+    the range of each. Only warnings whose place is one record, or one joint in one record, are
+    merged. The order is that of the first warning of each cause.
     """
-    groups: dict[tuple[str, ...], list[Diagnostic]] = {}
+    groups: dict[Diagnostic | tuple[str, Clause], list[Diagnostic]] = {}
     for warning in warnings:
-        record = _record(warning)
-        cause = (
-            (warning.code, warning.where, warning.message)
-            if record is None
-            else (warning.code, _NUMBER.sub("#", warning.message.replace(record, "")))
-        )
+        is_of_record = warning.place is not None and warning.place.is_one_record
+        cause = (warning.code, warning.clause.shape) if is_of_record else warning
         groups.setdefault(cause, []).append(warning)
     return tuple(_merge(group) for group in groups.values())
 
 
-def _record(warning: Diagnostic) -> str | None:
-    """Record that the warning concerns; None unless it is exactly one."""
-    place = warning.place
-    return place.experiments[0] if place is not None and place.is_one_record else None
-
-
 def _merge(group: Sequence[Diagnostic]) -> Diagnostic:
-    """Merge warnings with one cause into one that gives all places and the ranges of numbers."""
-    first = group[0]
-    joints_by_record: dict[Key, None] = {}
-    messages = []
-    for warning in group:
-        record, place = _record(warning), warning.place
-        if record is None or place is None:
-            return first
-        joints_by_record[record, place.joint] = None
-        messages.append(warning.message.replace(record, ""))
-    names = tuple(dict.fromkeys(record for record, _ in joints_by_record))
-    if len(joints_by_record) == 1:
-        return replace(first, experiments=names)
-    where = ", ".join(
-        name if joint is None else f"{name} (joint {joint})" for name, joint in joints_by_record
-    )
-    pieces = _NUMBER.split(messages[0])
-    numbers = zip(*(_NUMBER.findall(message) for message in messages), strict=True)
-    message = pieces[0]
-    for values, piece in zip(numbers, pieces[1:], strict=True):
-        smallest, largest = min(values, key=float), max(values, key=float)
-        message += (smallest if smallest == largest else f"{smallest} to {largest}") + piece
-    return Diagnostic(first.code, where, message, names)
+    """Merge warnings with one cause into one with all places and the ranges of measurements."""
+    places = tuple(dict.fromkeys(place for warning in group for place in warning.places))
+    if len(places) == 1 or len(group) == 1:
+        return group[0]
+    return Diagnostic.of(group[0].code, places, merge_clauses([w.clause for w in group]))
 
 
 def _current_warnings(results: StageResults, decisions: Sequence[Decision]) -> Iterator[Diagnostic]:

@@ -7,60 +7,71 @@ from dataclasses import dataclass, field
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
+from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
 from strainwave.domain.link_sensors import link_channel_kinds
+from strainwave.domain.messages import observation_of, places_text, text_of
 from strainwave.domain.study import channel_parts
 
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")
 """Keys of the study that affect only predictions of link sensors."""
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
-    """Place that a warning or a suspected fault concerns; decisions read its fields."""
-
-    experiments: tuple[str, ...] = ()
-    channel: str | None = None
-    joint: int | None = None  # from 1
-    parameter: str | None = None  # name of an estimated parameter
-    key: str | None = None  # key of the study file
-
-    @classmethod
-    def in_records(cls, *experiments: str, joint: int | None = None) -> Place:
-        """Place of one or more records, or of one joint in them."""
-        return cls(experiments=experiments, joint=joint)
-
-    @property
-    def is_one_record(self) -> bool:
-        """Whether the place is one record, or one joint in one record."""
-        return (
-            len(self.experiments) == 1 and (self.channel, self.parameter, self.key) == (None,) * 3
-        )
-
-    def __str__(self) -> str:
-        """Text of the place: "prbs-j1, joint 1", "beta", "gear_stiffness of joint 1"."""
-        if self.parameter is not None:
-            of_joint = "" if self.joint is None else f" of joint {self.joint}"
-            return f"{self.parameter}{of_joint}"
-        parts = [*self.experiments, self.channel, self.joint and f"joint {self.joint}"]
-        text = ", ".join(str(part) for part in parts if part)
-        return f"{text} {self.key or ''}".strip()
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Diagnostic:
     """Warning about a result."""
 
     code: str  # stable, kebab-case; index of the troubleshooting page
-    where: str  # text of the place: file, experiment, joint or parameter
-    message: str  # observation, consequence and remedy
-    experiments: tuple[str, ...] = ()  # records affected, if there are several
-    place: Place | None = field(default=None, compare=False)  # None: a file or a stage
+    places: tuple[Place, ...]
+    clause: Clause  # observation, consequence and remedy, as data
+
+    def __init__(
+        self, code: str, place: Place | tuple[Place, ...], variant: str = "", /, **values: Value
+    ) -> None:
+        """Take the values of the template `code`, or of "code/variant", in `domain.messages`."""
+        template = f"{code}/{variant}" if variant else code
+        self._set(code, place, Clause(template, **values))
 
     @classmethod
-    def at(cls, code: str, place: Place, message: str) -> Diagnostic:
-        """Warning about a record, a joint or a parameter."""
-        return cls(code, str(place), message, place=place)
+    def of(cls, code: str, place: Place | tuple[Place, ...], clause: Clause) -> Diagnostic:
+        """Warning with a given clause."""
+        warning = cls.__new__(cls)
+        warning._set(code, place, clause)
+        return warning
+
+    def _set(self, code: str, place: Place | tuple[Place, ...], clause: Clause) -> None:
+        places = (place,) if isinstance(place, Place) else place
+        for name, value in (("code", code), ("places", places), ("clause", clause)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def place(self) -> Place | None:
+        """The place; None if there are several."""
+        return self.places[0] if len(self.places) == 1 else None
+
+    @property
+    def experiments(self) -> tuple[str, ...]:
+        """Records that the warning concerns."""
+        return tuple(dict.fromkeys(name for place in self.places for name in place.experiments))
+
+    def at(self, place: Place) -> Diagnostic:
+        """The same warning about another place."""
+        return Diagnostic.of(self.code, place, self.clause)
+
+    @property
+    def where(self) -> str:
+        """Text of the places."""
+        return places_text(self.places)
+
+    @property
+    def message(self) -> str:
+        """Observation, consequence and remedy."""
+        return text_of(self.clause, record=self.experiments)
+
+    @property
+    def observation(self) -> str:
+        """The first part of the message."""
+        return observation_of(self.clause, record=self.experiments)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +90,7 @@ class Suspicion:
     def __post_init__(self) -> None:
         """Render the text of the places."""
         if self.places:
-            object.__setattr__(self, "where", ", ".join(str(place) for place in self.places))
+            object.__setattr__(self, "where", places_text(self.places))
 
 
 @dataclass(frozen=True, slots=True)

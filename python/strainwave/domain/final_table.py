@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
 from strainwave.domain.base_parameters import base_parameters, link_inertia
+from strainwave.domain.clauses import Clause
 from strainwave.domain.combinations import (
     LINK_INERTIA,
     change_from,
@@ -46,9 +47,9 @@ _MOTOR_CHANNELS = frozenset({"u", "torque", "theta_m", "omega_m", "ref"})
 _MIN_STDS_BELOW_ZERO = 2.0
 # share of a joint's rms torque below which the half-width of a confidence interval is negligible
 _MAX_NEGLIGIBLE_SHARE = 0.02
-_FAULT_REASON = "it depends on channels that contradict each other or the study"
-_CONTRADICTION_REASON = "the rigid and the whole-arm fit contradict each other"
-_IMPLAUSIBLE_REASON = "the decoupled fit of the joint contains an impossible value"
+_FAULT_REASON = Clause("reason/fault")
+_CONTRADICTION_REASON = Clause("reason/contradiction")
+_IMPLAUSIBLE_REASON = Clause("reason/implausible")
 _VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 _FIRST_ROWS = (
     "rigid_inertia",
@@ -71,14 +72,14 @@ class Decision:
 
     parameter: Parameter  # value None if not identified or rejected
     identified: bool
-    rejected: str = ""  # reason for the rejection; empty if no value was rejected
+    rejected: Clause | None = None  # reason for the rejection; None if no value was rejected
     raw: float | None = None  # rejected value
 
 
 @dataclass(frozen=True, slots=True)
 class _Entry:
     parameter: Parameter
-    rejected: str = ""
+    rejected: Clause | None = None
 
 
 _Table = dict[Key, _Entry]
@@ -170,19 +171,18 @@ def _stage_table(parameters: Sequence[Parameter], stage: str, *, spread_to_all: 
     if not impossible:
         return {_key(p): _Entry(p) for p in parameters}
     first = impossible[0]
-    reason = (
-        f"the {stage} fit gives {first.label} = {first.value:.3g} {first.unit}, which is physically"
-        " impossible"
+    reason = Clause(
+        "reason/stage", stage=stage, label=first.label, value=first.value, unit=first.unit
     )
     joints = {p.joint for p in impossible} | {None}
     is_all_rejected = spread_to_all or None in {p.joint for p in impossible}
     return {
-        _key(p): _Entry(p, reason if is_all_rejected or p.joint in joints else "")
+        _key(p): _Entry(p, reason if is_all_rejected or p.joint in joints else None)
         for p in parameters
     }
 
 
-def _reject_all(entries: Iterable[_Entry], reason: str) -> _Table:
+def _reject_all(entries: Iterable[_Entry], reason: Clause) -> _Table:
     return {_key(e.parameter): replace(e, rejected=reason) for e in entries}
 
 
@@ -192,8 +192,8 @@ def _enter_if_rejected(table: _Table, joint: JointModel, first_affected: int) ->
     if first_affected <= _DECOUPLED:
         entries = _reject_all(entries.values(), _FAULT_REASON)
     elif joint.status == "implausible":
-        reasons = {e.rejected for e in entries.values()} - {""}
-        entries = _reject_all(entries.values(), next(iter(reasons), _IMPLAUSIBLE_REASON))
+        reasons = (e.rejected for e in entries.values() if e.rejected)
+        entries = _reject_all(entries.values(), next(reasons, _IMPLAUSIBLE_REASON))
     if not any(entry.rejected for entry in entries.values()):
         return False
     for key, entry in entries.items():
@@ -215,10 +215,8 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
         return
     bounded = set(whole_arm.at_bounds)
     for p in whole_arm.parameters:
-        at_bound_reason = (
-            f"the estimate is at the limit of its range, {p.value or 0.0:.3g} {p.unit}"
-        )
-        table[_key(p)] = _Entry(p, at_bound_reason if _key(p) in bounded else "")
+        reason = Clause("reason/at-bound", value=p.value or 0.0, unit=p.unit)
+        table[_key(p)] = _Entry(p, reason if _key(p) in bounded else None)
     for key, reason in _effect_shift_reasons(whole_arm).items():
         if key in table and not table[key].rejected:
             table[key] = replace(table[key], rejected=reason)
@@ -233,13 +231,12 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
             table[key] = replace(entry, rejected=_CONTRADICTION_REASON)
 
 
-def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, str]:
+def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, Clause]:
     """Values that a likely effect would shift significantly, each with the reason for rejection."""
-    reasons: dict[Key, str] = {}
+    reasons: dict[Key, Clause] = {}
     for cause in whole_arm.criticism.causes if whole_arm.criticism else ():
-        reason = (
-            f"{cause.effect} of joint {cause.joint}, which explains part of the residuals, would"
-            f" shift it out of its interval and by more than {100.0 * MAX_EFFECT_SHIFT:.0f} %"
+        reason = Clause(
+            "reason/effect", effect=cause.effect, joint=cause.joint, limit=MAX_EFFECT_SHIFT
         )
         for shift in cause.shifts:
             is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
@@ -361,14 +358,14 @@ def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> 
         zeroed = _set_to_zero(p, study, levels)
         if zeroed is not None:
             return Decision(zeroed, identified=True)
-        reason = f"{p.value:.3g} {p.unit} is physically impossible"
+        reason = Clause("reason/impossible", value=p.value, unit=p.unit)
     if p.value is None or reason:
         without_value = replace(p, value=None, std=None, ci95=None)
         # a parameter without a value is not identified instead of rejected
         return Decision(
             without_value,
             identified=False,
-            rejected=reason if p.value is not None else "",
+            rejected=reason if p.value is not None else None,
             raw=p.value,
         )
     return Decision(p, identified=_is_identified(p, study, levels))

@@ -8,8 +8,10 @@ from typing import Literal
 
 from strainwave.display import Displayed
 from strainwave.domain.arrays import BoolArray, FloatArray
+from strainwave.domain.clauses import Clause, Value
 from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.linear_models import FrequencyResponse, Mode, ModelCheck, Modes, StateSpace
+from strainwave.domain.messages import text_of
 from strainwave.domain.signals import Fusion, Lag
 from strainwave.domain.study import Experiment
 
@@ -22,7 +24,17 @@ class Check:
     passed: bool
     value: float
     limit: float
-    message: str
+    values: tuple[tuple[str, Value], ...]  # of the message
+
+    @property
+    def clause(self) -> Clause:
+        """Observation, and the remedy if the check failed."""
+        return Clause(f"{self.name}/passed" if self.passed else self.name, **dict(self.values))
+
+    @property
+    def message(self) -> str:
+        """Observation, and the remedy if the check failed, as text."""
+        return text_of(self.clause)
 
 
 @dataclass(frozen=True, slots=True)

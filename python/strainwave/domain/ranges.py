@@ -11,7 +11,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from strainwave.domain.arm import ArmDescription, Joint
-from strainwave.domain.estimates import Parameter
+from strainwave.domain.clauses import Clause, Place
+from strainwave.domain.estimates import Diagnostic, Parameter
 from strainwave.domain.gear_laws import is_slope
 from strainwave.domain.parameter_table import Range, base_name, parameter_table
 
@@ -95,11 +96,15 @@ class SizedValue:
         return self.minimum <= self.value * factor <= self.maximum
 
     @property
-    def text(self) -> str:
+    def clause(self) -> Clause:
         """Value and range."""
-        return (
-            f"{self.label} = {self.value:.4g} {self.unit}"
-            f" (robot joints: {self.minimum:.2g} to {self.maximum:.2g})"
+        return Clause(
+            "sized-value",
+            label=self.label,
+            value=self.value,
+            unit=self.unit,
+            minimum=self.minimum,
+            maximum=self.maximum,
         )
 
 
@@ -114,26 +119,17 @@ class ImplausibleJoint:
     torque_per_volt: float | None = None  # in N m/V, if it was given in that unit
 
     @property
-    def remedy(self) -> str:
-        """Correction of the study, as a clause."""
+    def warning(self) -> Diagnostic:
+        """Observation and likely unit."""
+        cause = "unit/constant"
         if self.unit is None:
-            return (
-                f"check the units of joint {self.joint}'s torque_per_volt, gear_ratio and columns"
-            )
-        if self.of_angle:
-            return f"theta_m{self.joint} is likely in {self.unit}, and its column needs a scale"
-        if self.torque_per_volt is None:
-            return f"torque{self.joint} is likely in {self.unit}, and its column needs a scale"
-        return (
-            f"torque_per_volt is likely in {self.unit}/V and must be written as"
-            f" torque_per_volt = {self.torque_per_volt:.4g}"
-        )
-
-    @property
-    def text(self) -> str:
-        """Observation and likely unit, in one clause."""
-        values = ", ".join(value.text for value in self.values)
-        return f"{values}: these sizes are outside the range of robot joints, so {self.remedy}"
+            cause = "unit/unknown"
+        elif self.of_angle or self.torque_per_volt is None:
+            cause = "unit/angle" if self.of_angle else "unit/torque"
+        constant = self.torque_per_volt
+        remedy = Clause(cause, joint=self.joint, unit=self.unit, torque_per_volt=constant)
+        values = tuple(value.clause for value in self.values)
+        return Diagnostic("implausible-size", Place(joint=self.joint), values=values, remedy=remedy)
 
 
 def implausible_joints(

@@ -9,10 +9,12 @@ from typing import Literal
 
 from strainwave.domain.arm_model import ArmModel, ResidualTest, contradictions
 from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
-from strainwave.domain.estimates import Diagnostic, Place, Prediction, Suspicion
+from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.messages import text_of
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
 from strainwave.domain.stages import Stage
@@ -129,7 +131,8 @@ def _failure_reasons(
     yield from _missing_stages(results, required)
     yield from (f"{defect.where}: {defect.message}" for defect in model_defects(results))
     parameters = [decision.parameter for decision in decisions]
-    yield from (size.text for size in implausible_joints(results.study.arm, parameters))
+    sizes = implausible_joints(results.study.arm, parameters)
+    yield from (size.warning.message for size in sizes)
     if results.whole_arm is not None:
         yield from _contradiction_reasons(results.whole_arm)
     by_label = {decision.parameter.label: decision for decision in decisions}
@@ -147,16 +150,20 @@ def _failure_reasons(
 def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[str]:
     """Yield the disagreements of the stages, with likely causes and experiments to test them."""
     for test in contradictions(whole_arm.agreement):
-        text = f"the stages disagree by {test.deviations:.2g} standard deviations on {test.subject}"
-        yield f"{text}{_likely_causes(whole_arm)}"
+        yield text_of(
+            Clause(
+                "disagreement",
+                deviations=test.deviations,
+                subject=test.subject,
+                causes=_likely_causes(whole_arm),
+            )
+        )
 
 
-def _likely_causes(whole_arm: ArmModel | None) -> str:
+def _likely_causes(whole_arm: ArmModel | None) -> Clause:
     """Likely causes of unexplained residuals, as the end of a sentence."""
-    causes = ", or ".join(cause.text for cause in whole_arm.suspects) if whole_arm else ""
-    if not causes:
-        return ", so check the constants in the study"
-    return f", likely causes in this order: {causes}"
+    causes = tuple(cause.clause for cause in whole_arm.suspects) if whole_arm else ()
+    return Clause("suspects", causes=causes) if causes else Clause("suspects/none")
 
 
 def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[str]:
@@ -236,36 +243,36 @@ def model_defects(results: StageResults) -> Iterator[Diagnostic]:
     """
     for check in _decisive_checks(results):
         if check.unexplained:
-            place = Place.in_records(check.experiment)
-            yield Diagnostic.at("not-predicted", place, _describe_prediction_error(results, check))
+            yield _prediction_error(results, check)
     worst_residual = _worst_residual(results)
     if worst_residual is not None:
         ratio, test = worst_residual
-        text = (
-            f"the residuals of {test.channel} are {test.deviation / test.noise:.2g} times the"
-            f" sensor's noise and {100.0 * ratio:.2g} % of the signal, so the model does not"
-            f" describe the record{_hardening_advice(results) or _likely_causes(results.whole_arm)}"
+        yield Diagnostic(
+            "not-described",
+            Place.in_records(test.experiment),
+            channel=test.channel,
+            noise_ratio=test.deviation / test.noise,
+            share=ratio,
+            advice=_hardening_advice(results) or _likely_causes(results.whole_arm),
         )
-        yield Diagnostic.at("not-described", Place.in_records(test.experiment), text)
 
 
-def _describe_prediction_error(results: StageResults, check: Prediction) -> str:
-    """Describe the worst channel of a validation record, and what to do."""
+def _prediction_error(results: StageResults, check: Prediction) -> Diagnostic:
+    """Warn of the worst channel of a validation record."""
     channel = min(check.unexplained, key=lambda name: check.fit_percent[name])
-    text = (
-        f"{channel} is predicted with a fit of {check.fit_percent[channel]:.3g} %, an error of"
-        f" {check.unexplained[channel]:.2g} times what noise, friction, the intervals and the"
-        " residuals of the fit explain"
-    )
-    if check.of_drive:
-        return f"{text}, so check the payload, the voltage and the friction of that record"
-    if check.is_servo_at_fault:
-        return (
-            f"{text}, but the recorded voltages explain the motion, so correct kp, ki, period and"
-            " limit of [servo], or the references of that record"
-        )
     advice = _hardening_advice(results)
-    return f"{text}{advice or ', so check [servo], the references and the payload of that record'}"
+    cause = "elastic" if advice is None else "hardening"
+    if check.of_drive or check.is_servo_at_fault:
+        cause = "rigid" if check.of_drive else "servo"
+    return Diagnostic(
+        "not-predicted",
+        Place.in_records(check.experiment),
+        cause,
+        channel=channel,
+        fit=float(check.fit_percent[channel]),
+        ratio=float(check.unexplained[channel]),
+        advice=advice,
+    )
 
 
 def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:
@@ -281,15 +288,12 @@ def _worst_residual(results: StageResults) -> tuple[float, ResidualTest] | None:
     return max(candidates, key=lambda candidate: candidate[0], default=None)
 
 
-def _hardening_advice(results: StageResults) -> str:
-    """Advice if a sweep shows hardening of a gear that the study declares linear, or ""."""
-    hardening = [
+def _hardening_advice(results: StageResults) -> Clause | None:
+    """Advice if a sweep shows hardening of a gear that the study declares linear."""
+    hardening = tuple(
         sweep.joint
         for sweep in results.sweeps
         if sweep.verdict == "hardening"
         and not results.study.arm.joints[sweep.joint - 1].law.is_curved
-    ]
-    if not hardening:
-        return ""
-    joints = " and ".join(str(number) for number in hardening)
-    return f', and the sweep of joint {joints} shows hardening: give it spring = "three-slope"'
+    )
+    return Clause("hardening", joints=hardening) if hardening else None

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Study
+from strainwave.domain import Clause, Diagnostic, Place, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
 from strainwave.dynamics.arm import Arm
@@ -133,7 +133,12 @@ def design(
             else:
                 sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
                 records += (record, *sweep)
-                warnings += tuple(_omission(f"sweep of joint {joint}", text) for text in omissions)
+                warnings += tuple(
+                    Diagnostic(
+                        "limit-broken", Place(part="sweep", joint=joint), reason=text, remedy=None
+                    )
+                    for text in omissions
+                )
         if band and arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
             try:
@@ -143,7 +148,13 @@ def design(
     if not records:
         raise failures[0]
     warnings += tuple(
-        _omission(error.where or "", f"{error.problem}; {error.remedy}") for error in failures
+        Diagnostic(
+            "limit-broken",
+            Place.in_records(error.where or ""),
+            reason=error.problem,
+            remedy=Clause("and-remedy", remedy=error.remedy),
+        )
+        for error in failures
     )
     known = complete_values(values, arm)
     warnings += tuple(c for record in records for c in _record_warnings(arm, known, record))
@@ -155,10 +166,6 @@ def design(
     return Design(replace(study, experiments=experiments), limits, records, warnings, precision)
 
 
-def _omission(where: str, reason: str) -> Diagnostic:
-    return Diagnostic("limit-broken", where, f"not planned: {reason}")
-
-
 def _warn_slow_clocks(
     bands: Mapping[int, ExcitationBand | None], records: Sequence[Planned]
 ) -> tuple[Diagnostic, ...]:
@@ -167,9 +174,11 @@ def _warn_slow_clocks(
     for joint, band in bands.items():
         first = next((r for r in records if r.experiment.joint == joint), None)
         if band and first and first.band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
-            text = f"the servo's clock limits the excitation to {first.band_hz[1]:.3g} Hz, but the"
-            text += f" joint needs {band.high_hz:.3g} Hz; output the voltages with a faster clock"
-            warnings.append(Diagnostic("slow-clock", first.experiment.name, text))
+            place = Place.in_records(first.experiment.name)
+            needed = band.high_hz
+            warnings.append(
+                Diagnostic("slow-clock", place, limit_hz=first.band_hz[1], needed_hz=needed)
+            )
     return tuple(warnings)
 
 
@@ -182,12 +191,14 @@ def _warn_unlimited_torques(
         if np.isfinite(limits.gear_torque[i]) or not arm.joints[i].elastic:
             continue
         worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
-        text = (
-            f"the gear torque of joint {i + 1} reaches {worst.predicted.gear_torque[i]:.3g} N m in "
-            f"{worst.experiment.name}, and no limit is set: compare it with the peak torque in the "
-            "data sheet, or set --limit-torque"
+        warning = Diagnostic(
+            "no-torque-limit",
+            Place(joint=i + 1),
+            joint=i + 1,
+            torque=float(worst.predicted.gear_torque[i]),
+            experiment=worst.experiment.name,
         )
-        warnings.append(Diagnostic("no-torque-limit", f"joint {i + 1}", text))
+        warnings.append(warning)
     return tuple(warnings)
 
 
@@ -210,40 +221,28 @@ def _check_servo(
         raise InvalidInput(
             f"{reason}, but the study describes no servo", where=str(study.path), remedy=ADD_SERVO
         )
-    text = (
-        "the study describes no servo, so the design contains only open-loop voltages; it lacks "
-        "the motion that the rigid step needs and the steps that validate the elastic model: "
-        f"{ADD_SERVO}; or record a slow motion of all joints by other means and add it with "
-        'use = "motion"'
-    )
-    return (Diagnostic("no-servo", study.path.name, text),)
+    return (Diagnostic("no-servo", Place(file=study.path.name), remedy=ADD_SERVO),)
 
 
 def _record_warnings(arm: Arm, known: Values, record: Planned) -> tuple[Diagnostic, ...]:
     """Warnings about one planned record."""
-    name, motion = record.experiment.name, record.predicted
+    place, motion = Place.in_records(record.experiment.name), record.predicted
     warnings = []
-    if record.condition_number and record.condition_number > _MAX_CONDITION_NUMBER:
-        text = f"condition number {record.condition_number:.0f}: the motion separates the rigid "
-        text += "parameters poorly; allow more voltage, velocity or angle"
-        warnings.append(Diagnostic("poor-excitation", name, text))
+    condition = record.condition_number
+    if condition and condition > _MAX_CONDITION_NUMBER:
+        warnings.append(Diagnostic("poor-excitation", place, "planned", condition=condition))
     for i in range(arm.n_joints):
         joint = i + 1
         is_excited = record.experiment.joint in (None, joint)
         is_step = record.experiment.joint is not None and record.motor_angle is not None
-        if is_excited and not is_step and motion.rest_share[i] > _MAX_STICTION_SHARE:
-            text = f"the motor of joint {joint} sticks for {100.0 * motion.rest_share[i]:.0f} % of "
-            text += "the record, which then gives no information; allow more voltage or velocity"
-            warnings.append(Diagnostic("standing", name, text))
+        share, torque = float(motion.rest_share[i]), float(motion.gear_torque[i])
+        if is_excited and not is_step and share > _MAX_STICTION_SHARE:
+            warnings.append(Diagnostic("standing", place, "planned", joint=joint, share=share))
         law = arm.joints[i].law
-        knees = law.knees(law.of_joint(known, joint))
-        unreached = [knee for knee in knees if knee > motion.gear_torque[i]]
+        knees = tuple(law.knees(law.of_joint(known, joint)))
         is_strongest = record.experiment.use == "frequency" and record.experiment.joint == joint
-        if is_strongest and unreached:
-            text = f"the gear torque of joint {joint} reaches {motion.gear_torque[i]:.3g} N m, and "
-            text += (
-                f"the knees are at {', '.join(f'{knee:.3g}' for knee in knees)} N m: the stiffness "
+        if is_strongest and any(knee > torque for knee in knees):
+            warnings.append(
+                Diagnostic("knee-not-reached", place, joint=joint, torque=torque, knees=knees)
             )
-            text += "above is not identifiable; allow more voltage, velocity or angle"
-            warnings.append(Diagnostic("knee-not-reached", name, text))
     return tuple(warnings)

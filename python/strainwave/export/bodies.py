@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from strainwave.domain import Diagnostic
+from strainwave.domain import Diagnostic, Place
 from strainwave.domain.combinations import is_rigid_drive
 from strainwave.domain.kinds import arm_keys, kind_of
 from strainwave.domain.kinds.bodies import Body
@@ -54,11 +54,9 @@ def gravity_warnings(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     error = effective_gravity(arm) / gravity - 1.0
     if abs(error) < _MAX_GRAVITY_ERROR:
         return ()
-    message = (
-        f"gravity is {kind_of(arm.study.arm).gravity_note}, which differs by {100.0 * error:+.1f} %"
-        f" from that of the study; check {', '.join(arm_keys(arm.study.arm))} and torque_per_volt"
-    )
-    return (Diagnostic("gravity-torque", arm.source, message),)
+    law, keys = kind_of(arm.study.arm).gravity_note, tuple(arm_keys(arm.study.arm))
+    place = Place(file=arm.source)
+    return (Diagnostic("gravity-torque", place, law=law, error=error, keys=keys),)
 
 
 def holds_motor(arm: IdentifiedArm) -> bool:

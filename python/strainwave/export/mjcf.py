@@ -12,7 +12,7 @@ import math
 from functools import partial
 from xml.etree import ElementTree as ET
 
-from strainwave.domain import Diagnostic, Joint
+from strainwave.domain import Diagnostic, Joint, Place
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.export.bodies import (
@@ -231,11 +231,10 @@ def _approximations(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     warnings = []
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.elastic and joint.law.parallel_springs(partial(arm.need, joint=number)) is None:
-            warnings.append(Diagnostic("linearised", f"joint {number}", joint.law.linearised_note))
-        if joint.current_loop_hz and _lag(joint) is None:
-            message = (
-                f"the lag of the current loop ({joint.current_loop_hz:g} Hz) is shorter than the "
-                f"time step of {_STEP_S:g} s; the model has none"
-            )
-            warnings.append(Diagnostic("left-out", f"joint {number}", message))
+            note = joint.law.linearised_note
+            warnings.append(Diagnostic("linearised", Place(joint=number), note=note))
+        hz = joint.current_loop_hz
+        if hz and _lag(joint) is None:
+            place = Place(joint=number)
+            warnings.append(Diagnostic("left-out", place, bandwidth_hz=hz, step=_STEP_S))
     return tuple(warnings)

@@ -9,7 +9,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from strainwave.domain import Diagnostic, Joint, Parameter, Study, is_physical, physical_range
+from strainwave.domain import (
+    Diagnostic,
+    Joint,
+    Parameter,
+    Place,
+    Study,
+    is_physical,
+    physical_range,
+)
 from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
 from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
@@ -83,23 +91,21 @@ class IdentifiedArm:
 
     def assumed(self) -> tuple[Diagnostic, ...]:
         """Assumptions where only the sum of two parameters is identified."""
-        message = (
-            "link_viscous_friction is not identified; the model has total_viscous_friction at the "
-            "motor"
-        )
         assumptions = [
-            Diagnostic("assumed", f"joint {number}", message)
+            Diagnostic("assumed", Place(joint=number), "friction")
             for number in self._joints_with_total_friction()
             if self.joint(number).elastic
         ]
         identified, arm = self._identified(), self.study.arm
         lumped = {} if is_rigid_drive(arm) else lumped_inertias(arm)  # its link has the sum
         for (name, number), row in lumped.items():
-            parts = {*row, ("link_inertia", number)}
-            if (name, number) in identified and not identified.keys() & parts:
-                text = " and ".join(part for part, _ in row)
-                message = f"only the sum of {text}, {name}, is identified; the split is arbitrary"
-                assumptions.append(Diagnostic("assumed", f"joint {number}", message))
+            if (name, number) in identified and not identified.keys() & {
+                *row,
+                ("link_inertia", number),
+            }:
+                parts = tuple(part for part, _ in row)
+                place = Place(joint=number)
+                assumptions.append(Diagnostic("assumed", place, "inertia", parts=parts, sum=name))
         return tuple(assumptions)
 
     def _identified(self) -> Values:
@@ -166,11 +172,8 @@ def _study_from_file(
     study = read_study(study_file, logs_exist=False)
     if study.sha256 == sha256:
         return study, ()
-    message = (
-        f"{study_file} has changed since it was identified; gear ratios, lengths and torques per "
-        "volt are the present ones"
-    )
-    return study, (Diagnostic("study-changed", str(study_file), message),)
+    place = Place(file=str(study_file))
+    return study, (Diagnostic("study-changed", place, file=str(study_file)),)
 
 
 def _drop_rejected(

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray
+from strainwave.domain import Diagnostic, FloatArray, Place
 from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.keys import Key
 from strainwave.dynamics import two_inertia
@@ -137,7 +137,7 @@ def linearised(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:
     for number, joint in enumerate(arm.study.arm.joints, start=1):
         if joint.law.is_curved:
             note = joint.law.linearised_note
-            warnings += (Diagnostic("linearised", f"joint {number}", note),)
+            warnings += (Diagnostic("linearised", Place(joint=number), note=note),)
     return warnings
 
 

@@ -189,10 +189,9 @@ def _warnings_at_rest(observation: Observation) -> Iterator[Diagnostic]:
     """Warn about channels without a fit."""
     for name, moves in zip(observation.channels, observation.moves, strict=True):
         if not moves:
-            message = f"no fit is reported for {name}: the signal is less than"
-            message += f" {_MIN_SIGNAL_TO_NOISE:g} times its noise"
-            yield Diagnostic.at(
-                "nothing-to-predict", Place.in_records(observation.log.name), message
+            place = Place.in_records(observation.log.name)
+            yield Diagnostic(
+                "nothing-to-predict", place, "noise", channel=name, ratio=_MIN_SIGNAL_TO_NOISE
             )
 
 

@@ -18,6 +18,7 @@ from strainwave.domain import (
     LinkSignals,
     Place,
     RigidModel,
+    Value,
 )
 from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.dynamics.arm import Arm
@@ -191,17 +192,14 @@ def _richness(density: ComplexArray) -> FloatArray:
     return np.asarray(smallest / np.maximum(largest, 1e-300))
 
 
-def _check(name: str, value: float, least: float, text: str, remedy: str) -> Check:
-    """Check that a value is not below its limit; otherwise the message ends with the remedy."""
-    passed = value >= least
-    return Check(name, passed, value, least, text if passed else text + remedy)
+def _check(name: str, value: float, least: float, **values: Value) -> Check:
+    """Check that a value is not below its limit."""
+    return Check(name, value >= least, value, least, tuple(values.items()))
 
 
 def _check_sliding(signals: LinkSignals, i: int) -> Check:
     share = float(np.mean(np.abs(signals.direction[:, i]) > 0.5))
-    text = f"the motor slides in {100.0 * share:.0f} % of the record"
-    remedy = "; stiction biases the inertia of a linear model: raise the amplitude"
-    return _check("sliding", share, _MIN_SLIDING_SHARE, text, remedy)
+    return _check("sliding", share, _MIN_SLIDING_SHARE, share=share)
 
 
 def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> Check:
@@ -213,37 +211,29 @@ def _check_inertia(signals: LinkSignals, arm: Arm, base: FloatArray, i: int) -> 
     static_torque = arm.link_torques(base, q, zero, zero)
     inertia = (arm.link_torques(base, q, zero, unit_acceleration) - static_torque)[:, i]
     change, limit = float(np.ptp(inertia) / np.mean(inertia)), _MAX_INERTIA_CHANGE
-    message = f"the link's own inertia changes by {100.0 * change:.2g} %"
-    if change > limit:
-        message += f", all of it in tau; keep the swing of joint {i + 2} small"
-    return Check("constant-inertia", change <= limit, change, limit, message)
+    values = (("change", change), ("joint", i + 2))
+    return Check("constant-inertia", change <= limit, change, limit, values)
 
 
 def _check_amplitude(inputs: FloatArray, gear_ratio: float) -> Check:
     """Interaction torque over the torque of the motor."""
     u, tau = inputs.std(axis=0)
     ratio = float(gear_ratio * tau / max(u, 1e-300))
-    text, remedy = f"n tau is {ratio:.3g} times u", "; too small to estimate its effect"
-    return _check("interaction-amplitude", ratio, _MIN_INTERACTION_RATIO, text, remedy)
+    return _check("interaction-amplitude", ratio, _MIN_INTERACTION_RATIO, ratio=ratio)
 
 
 def _check_spectrum(frequency: FloatArray, power: FloatArray, inside: BoolArray) -> Check:
     """Share of the band in which the power density of tau exceeds its noise level."""
     noise = float(np.median(power[frequency >= 0.5 * frequency[-1]]))
     share = float(np.mean(power[inside] > _NOISE_FACTOR * noise)) if inside.any() else 0.0
-    text = f"tau is above its noise in {100.0 * share:.0f} % of the band"
-    return _check("interaction-spectrum", share, _MIN_BAND_SHARE, text, "; raise the amplitude")
+    return _check("interaction-spectrum", share, _MIN_BAND_SHARE, share=share)
 
 
 def _check_richness(richness: FloatArray, band: tuple[float, float]) -> Check:
     """Whether the effects of u and tau are separable."""
-    ratio, limit = float(np.median(richness)) if richness.size else 0.0, _MIN_EIGENVALUE_RATIO
-    text = f"u and tau differ: eigenvalue ratio {ratio:.3g}, median of {band[0]:.1f} to"
-    text += f" {band[1]:.1f} Hz"
-    if ratio < limit:
-        text = f"tau is nearly a linear function of u (eigenvalue ratio {ratio:.1g}); excite all"
-        text += " joints at once with independent sequences"
-    return Check("input-richness", ratio >= limit, ratio, limit, text)
+    ratio, (low, high) = float(np.median(richness)) if richness.size else 0.0, band
+    least = _MIN_EIGENVALUE_RATIO
+    return _check("input-richness", ratio, least, ratio=ratio, low_hz=low, high_hz=high)
 
 
 def _warnings(
@@ -256,4 +246,4 @@ def _warnings(
         if not check.passed:
             joint = i + 1 if arm.n_joints > 1 else None
             place = Place.in_records(signals.experiment.name, joint=joint)
-            yield Diagnostic.at(check.name, place, check.message)
+            yield Diagnostic.of(check.name, place, check.clause)

@@ -158,10 +158,11 @@ def _predict_torques(
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
         unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
         warnings=tuple(
-            Diagnostic.at(
+            Diagnostic(
                 "nothing-to-predict",
                 Place.in_records(signals.experiment.name),
-                f"no fit is reported for {name}: the motor rests or its torque is constant",
+                "rest",
+                channel=name,
             )
             for name, fit in zip(names, band.fit_percent, strict=True)
             if not np.isfinite(fit)

@@ -20,6 +20,7 @@ from strainwave.domain import (
     JointModel,
     LinearOptions,
     Mode,
+    Place,
     StateSpace,
 )
 from strainwave.dynamics.two_inertia import TwoInertia, state_space
@@ -71,7 +72,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
     try:
         model = state_space_of(records, options)
     except (StrainwaveError, np.linalg.LinAlgError) as error:
-        warning = Diagnostic("state-space-failed", name, str(error))
+        warning = Diagnostic("state-space-failed", Place(part=name), reason=str(error))
         return JointEstimate(Evidence(name, options.method, "failed", warnings=(warning,)), None)
     evidence = Evidence(
         name,
@@ -86,7 +87,7 @@ def estimate(records: Sequence[Decoupled], options: LinearOptions, name: str) ->
         continuous = to_continuous(remove_alternating_poles(model))
         response = frequency_response(continuous, LINES_HZ)
     except (StrainwaveError, NumericalFailure, np.linalg.LinAlgError) as error:
-        warning = Diagnostic("modes-failed", name, str(error))
+        warning = Diagnostic("modes-failed", Place(part=name), reason=str(error))
         return JointEstimate(replace(evidence, warnings=(*model.warnings, warning)), model)
     return JointEstimate(
         evidence, model, continuous, response, modes.anti_resonance, modes.resonance

@@ -119,7 +119,7 @@ def _fit_whole_arm(
                 progress=count,
             )
         except NotIdentifiable as failure:
-            return inputs.warning("not-tuned", failure)
+            return Diagnostic("not-tuned", inputs.place, reason=str(failure))
 
 
 def _predict_checks(

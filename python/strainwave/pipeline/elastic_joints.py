@@ -18,6 +18,7 @@ from strainwave.domain import (
     LinkSummary,
     Log,
     Options,
+    Place,
     RecordModel,
     RigidModel,
     StateSpace,
@@ -63,10 +64,7 @@ def fit_elastic_joints(
     """
     excited = inputs.logs_of("frequency", "sweep")
     if not excited:
-        text = 'the study has no record with use = "frequency" or "sweep": without one the gears'
-        text += " start from typical values in the whole-arm fit, if there are step records; record"
-        text += " a PRBS on each joint"
-        return JointStage(warnings=(inputs.warning("no-frequency-record", text),))
+        return JointStage(warnings=(Diagnostic("no-frequency-record", inputs.place),))
     if rigid_model is None and not is_uncoupled(inputs.arm):
         return JointStage()  # the rigid stage gives the reason
     with reporter.time_part("decoupled", "decoupling the joints"):
@@ -120,7 +118,9 @@ def _fit_alternatives(
     try:
         joints, *others = fit(rigid_model, inputs.arm)
     except NotIdentifiable as failure:
-        return JointStage(warnings=(inputs.warning("not-identifiable", failure),))
+        place, reason = inputs.place, str(failure)
+        warning = Diagnostic("not-identifiable", place, "reason", reason=reason)
+        return JointStage(warnings=(warning,))
     return JointStage(joints, tuple(others))
 
 
@@ -154,7 +154,8 @@ def _fit_joints(
                 [d for _, d in records], model, arm, record_options
             ), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
-            return Diagnostic("not-identifiable", f"joint {joint}", str(failure)), response
+            place, reason = Place(joint=joint), str(failure)
+            return Diagnostic("not-identifiable", place, "reason", reason=reason), response
 
     numbers = sorted(records_by_joint)
     results = run_parallel([partial(fit_joint, n) for n in numbers])

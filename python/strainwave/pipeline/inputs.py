@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from strainwave.domain import Diagnostic, Log, Stage, Study, Use
+from strainwave.domain import Log, Place, Stage, Study, Use
 from strainwave.dynamics.arm import Arm
 
 
@@ -21,6 +21,7 @@ class Inputs:
         """Records of the given uses, in the order of the study."""
         return [log for log in self.logs if log.experiment.use in uses]
 
-    def warning(self, code: str, message: object) -> Diagnostic:
-        """Warning about the study."""
-        return Diagnostic(code, str(self.study.path), str(message))
+    @property
+    def place(self) -> Place:
+        """The study file."""
+        return Place(file=str(self.study.path))

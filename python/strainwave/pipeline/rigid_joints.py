@@ -41,7 +41,7 @@ def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
             model = rigid.fit_rigid(motion, arm, inputs.study.options.rigid)
         except NotIdentifiable as failure:
             if _is_optional(inputs):
-                warning = inputs.warning("no-rigid-model", failure)
+                warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
                 return RigidStage(warnings=(*warnings, warning))
             return RigidStage(warnings=warnings, failures=(str(failure),))
         warnings += model.warnings
@@ -63,8 +63,8 @@ def _predict(
         try:
             return validation.predict_rigid(model, record, arm, fitted)
         except NotIdentifiable as failure:
-            name = record.experiment.name
-            return Diagnostic.at("nothing-to-predict", Place.in_records(name), f"{name} {failure}")
+            place = Place.in_records(record.experiment.name)
+            return Diagnostic("nothing-to-predict", place, "reason", reason=str(failure))
 
     outcomes = run_parallel([partial(predict, record) for record in records])
     predictions = tuple(each for each in outcomes if isinstance(each, Prediction))

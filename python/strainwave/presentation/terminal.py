@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -99,8 +98,7 @@ def _warning_table(warnings: Sequence[Diagnostic]) -> Table:
     table.add_column(no_wrap=True)
     table.add_column()
     for warning in warnings:
-        observation = re.split(r"; |\. ", warning.message, maxsplit=1)[0]
-        table.add_row("  observed", Text(f"{warning.where}: {observation}"))
+        table.add_row("  observed", Text(f"{warning.where}: {warning.observation}"))
     known_advice = advice().get(warnings[0].code)
     if known_advice is not None:
         table.add_row("  meaning", Text(known_advice.meaning))

@@ -119,9 +119,8 @@ def detect_saturation(log: Log, arm: Arm, inputs: Sequence[MotorInput]) -> Satur
         )
         share = float(saturated[:, i].mean())
         if share > _MAX_SATURATED_SHARE:
-            text = f"{motor.channel} is at its limit for {100.0 * share:.1f} % of the record; these"
-            text += " samples are not used. Record a slower motion"
-            warnings.append(Diagnostic.at("saturated", Place.in_records(log.name), text))
+            place, channel = Place.in_records(log.name), motor.channel
+            warnings.append(Diagnostic("saturated", place, channel=channel, share=share))
     return Saturation(saturated, tuple(warnings))
 
 

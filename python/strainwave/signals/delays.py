@@ -61,11 +61,18 @@ def build_misalignment_warnings(
     """Yield a warning if a channel is significantly delayed relative to the motor encoder."""
     if delay is None or abs(delay.value) < _MIN_SIGNIFICANCE * delay.std:
         return
-    side = "behind" if delay.value > 0.0 else "ahead of"
-    text = f"{channel} is {1e3 * abs(delay.value):.3g} +- {1e3 * delay.std:.2g} ms {side} the motor"
-    text += " encoder; the channel was not shifted. Check the time stamps of the logger, and the"
-    text += " bandwidths in the study (accelerometer_hz, gyro_hz, current_loop_hz)"
-    yield Diagnostic.at("misaligned", place, text)
+    yield Diagnostic(
+        "misaligned",
+        place,
+        channel=channel,
+        delay=abs(delay.value),
+        std=delay.std,
+        side=_side(delay),
+    )
+
+
+def _side(delay: Delay) -> str:
+    return "behind" if delay.value > 0.0 else "ahead of"
 
 
 def list_removed_delays(
@@ -86,10 +93,5 @@ def build_delay_warnings(delays: Sequence[Delay]) -> Iterator[Diagnostic]:
     for joint, delay in enumerate(delays, start=1):
         if not delay.value:
             continue
-        side = "behind" if delay.value > 0.0 else "ahead of"
-        half_width_ms = 1e3 * CI95_STDS * delay.std
-        text = f"the link sensor is {1e3 * abs(delay.value):.3g} ± {half_width_ms:.2g} ms {side}"
-        text += " the motor encoder; its channel was shifted by this delay. Likely causes: a"
-        text += " missing sensor bandwidth in the study, latency of its converter or bus, wrong"
-        text += " time stamps"
-        yield Diagnostic.at("sensor-delay", Place(joint=joint), text)
+        half, size, side = CI95_STDS * delay.std, abs(delay.value), _side(delay)
+        yield Diagnostic("sensor-delay", Place(joint=joint), delay=size, half=half, side=side)

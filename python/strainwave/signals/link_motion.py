@@ -385,18 +385,12 @@ def _find_valid_samples(view: _FilteredLog) -> tuple[BoolArray, list[Diagnostic]
     warnings = list(saturation.warnings)
     for i, source in enumerate(view.sources, start=1):
         if source == "motor":
-            text = (
-                f"link {i} has no sensor: only the response of motor {i} determines its gear. Add"
-            )
-            text += " an accelerometer, a link encoder or the deflection for narrower intervals"
-            warnings.append(Diagnostic.at("no-link-sensor", Place.in_records(view.log.name), text))
-    prbs = view.log.experiment.prbs
-    if prbs and prbs.clock < 0.999 * view.log.sample_time:
-        text = f"the voltage changes every {prbs.clock:g} s but is logged every"
-        text += (
-            f" {view.log.sample_time:g} s: the log misses changes. Log at the PRBS clock or faster"
-        )
-        warnings.append(Diagnostic.at("sub-sampled", Place.in_records(view.log.name), text))
+            place = Place.in_records(view.log.name)
+            warnings.append(Diagnostic("no-link-sensor", place, joint=i))
+    prbs, sample_time = view.log.experiment.prbs, view.log.sample_time
+    if prbs and prbs.clock < 0.999 * sample_time:
+        place = Place.in_records(view.log.name)
+        warnings.append(Diagnostic("sub-sampled", place, clock=prbs.clock, sample_time=sample_time))
     return valid, warnings
 
 

@@ -7,7 +7,13 @@ from math import factorial
 
 import numpy as np
 
-from strainwave.domain import ContinuousStateSpace, Diagnostic, FloatArray, StateSpace
+from strainwave.domain import (
+    STATE_SPACE_MODEL,
+    ContinuousStateSpace,
+    Diagnostic,
+    FloatArray,
+    StateSpace,
+)
 from strainwave.errors import NotIdentifiable
 from strainwave.numerics.linalg import exponential
 from strainwave.statespace.propagation import propagate
@@ -118,8 +124,8 @@ def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
     return (
         Diagnostic(
             "pole-near-nyquist",
-            "state-space model",
-            f"a pole at {fastest / (2.0 * np.pi):.3g} Hz, with samples at {1.0 / T:.3g} Hz, may be "
-            "the alias of a faster one. Lower the order, or sample faster",
+            STATE_SPACE_MODEL,
+            frequency_hz=fastest / (2.0 * np.pi),
+            rate_hz=1.0 / T,
         ),
     )

@@ -13,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, StateSpace
+from strainwave.domain import STATE_SPACE_MODEL, Clause, Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.statespace._entries import Matrices, balance, n_entries, rescale
@@ -266,24 +266,22 @@ def _model(
 
 
 def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
-    texts, left = {}, f"{fit.predicted_decrease:.2g} of log-likelihood"
+    warnings = []
     if fit.status == "iteration-limit":
-        texts["pem-iteration-limit"] = (
-            f"not converged after {fit.iterations} steps; {left} seems left. Raise max_iterations,"
-            " or lower the order"
+        decrease, iterations = fit.predicted_decrease, fit.iterations
+        warnings.append(
+            Diagnostic(
+                "pem-iteration-limit", STATE_SPACE_MODEL, iterations=iterations, decrease=decrease
+            )
         )
     if fit.status == "stalled":
-        other = "fit an output-error model" if options.disturbance != "none" else "estimate K"
-        texts["pem-stalled"] = (
-            f"the search stopped {left} short of an optimum, mostly because that lies where the"
-            " predictor is unstable. Take off means and drifts, lower the order, or " + other
+        variant = "" if options.disturbance != "none" else "output-error"
+        warnings.append(
+            Diagnostic("pem-stalled", STATE_SPACE_MODEL, variant, decrease=fit.predicted_decrease)
         )
     if fit.covariance is None:
-        texts["pem-not-determined"] = (
-            "the data leave a direction of the model open, so no covariance is given. Lower the"
-            " order, or excite every input"
-        )
-    return tuple(Diagnostic(code, "state-space model", text) for code, text in texts.items())
+        warnings.append(Diagnostic("pem-not-determined", STATE_SPACE_MODEL))
+    return tuple(warnings)
 
 
 def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
@@ -297,11 +295,8 @@ def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     negative = [(name, fit) for name, fit in pairs if fit < 0.0]
     if not negative:
         return ()
-    fits = ", ".join(f"{name} {fit:.0f} %" for name, fit in negative)
-    text = f"simulated from the inputs alone it is worse than a constant ({fits}), though it "
-    text += "predicts one step ahead: its response to the inputs is not to be trusted. Take off "
-    text += "drifts, change the order, or estimate an output-error model"
-    return (Diagnostic("negative-fit", "state-space model", text),)
+    fits = tuple(Clause("fit", channel=name, fit=float(fit)) for name, fit in negative)
+    return (Diagnostic("negative-fit", STATE_SPACE_MODEL, fits=fits),)
 
 
 def _covariance(

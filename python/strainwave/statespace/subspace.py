@@ -19,7 +19,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, StateSpace
+from strainwave.domain import STATE_SPACE_MODEL, Diagnostic, FloatArray, StateSpace
 from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.statespace._entries import Matrices, balance
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
@@ -37,11 +37,7 @@ MAX_HORIZON = 40
 MAX_ORDER = 10
 
 
-_DIVERGENCE_WARNING = Diagnostic(
-    "subspace-not-determined",
-    "state-space model",
-    "the predictor diverges on its own data. Take off means and drifts, or change the order",
-)
+_DIVERGENCE_WARNING = Diagnostic("subspace-not-determined", STATE_SPACE_MODEL)
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ import pytest
 
 from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response, sampled
 from figure_parts import marks, names
-from strainwave.domain import Diagnostic
+from strainwave.domain import Diagnostic, Place
 from strainwave.identification.joint_model.agreement import motor_response
 from strainwave.presentation.figures import (
     MEASURED_COLOUR,
@@ -171,7 +171,9 @@ def test_a_state_space_model_has_the_band_of_its_covariance() -> None:
 
 
 def test_the_caption_repeats_the_warning_that_model_and_response_differ() -> None:
-    apart = Diagnostic("response-apart", "joint 1", "they differ near 7 Hz")
+    apart = Diagnostic(
+        "response-apart", Place(joint=1), share=0.5, difference_db=3.0, frequency_hz=7.0
+    )
     caption = bode.describe(replace(joint_model(), warnings=(apart,)), measured())
-    assert caption.endswith("Warning: they differ near 7 Hz.")
+    assert caption.endswith("by 3 dB near 7 Hz.")
     assert "Warning" not in bode.describe(joint_model(), measured())

@@ -15,7 +15,7 @@ import pytest
 
 from elastic_results import elastic_identification
 from results import arm_model, identification, prediction
-from strainwave.domain import Diagnostic, Identification, Parameter
+from strainwave.domain import Diagnostic, Identification, Parameter, Place
 from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.presentation.html import read_template
 from strainwave.presentation.report import figures_of, remedies, render
@@ -187,7 +187,7 @@ def test_names_are_escaped() -> None:
 
 
 def test_a_name_with_a_hash_is_not_a_link() -> None:
-    warning = Diagnostic("saturated", "#1.csv", "#2 is at its limit")
+    warning = Diagnostic("no-rigid-model", Place(file="#1.csv"), reason="#2 is at its limit")
     page = render(replace(identification(), stage_warnings=(warning,)))
     assert (
         '<th scope="row" class="text">#1.csv</th><td class="text">#2 is at its limit.</td>' in page

@@ -16,6 +16,7 @@ from strainwave.domain import (
     Diagnostic,
     Identification,
     Parameter,
+    Place,
     SuspectConstant,
     Suspicion,
 )
@@ -105,7 +106,8 @@ def test_a_value_near_zero_has_its_own_class() -> None:
 
 
 def test_combinations_are_listed() -> None:
-    pair = Diagnostic("only-together", "alpha and gear_damping of joint 1", "only the sum")
+    places = Place(parameter="alpha"), Place(joint=1, parameter="gear_damping")
+    pair = Diagnostic("only-together", places, spread=0.1)
     assert "Only the combination is identified||alpha and gear damping of joint 1|" in of(
         stage_warnings=(pair,)
     )
@@ -187,38 +189,34 @@ def test_faults_of_the_input_are_listed_with_their_corrections() -> None:
 
 
 def test_the_most_serious_warning_is_named() -> None:
-    mild = Diagnostic("resampled", "a.csv", "uneven steps")
-    grave = Diagnostic("implausible", "data/b.csv", "negative")
+    mild = Diagnostic("constant-channel", Place(file="data/a.csv"), channel="a1")
+    grave = Diagnostic("not-tuned", Place(file="data/b.toml"), reason="no voltages")
     text = of(stage_warnings=(mild, grave))
-    assert "2 warnings|; most serious: b.csv: Negative." in text
-    assert "1 warning|: a.csv: Uneven steps." in of(stage_warnings=(mild,))
-    # an unknown code is the most serious
-    unknown = Diagnostic("unknown-code", "c", "odd")
-    assert remedies.most_serious((grave, unknown)) is unknown
+    assert "2 warnings|; most serious: b.toml: No voltages." in text
+    assert "1 warning|: a.csv: The channel 'a1' never changes." in of(stage_warnings=(mild,))
 
 
 def test_warnings_are_sorted_by_severity_with_meaning_and_remedy() -> None:
     warnings, where = remedies.warnings_table(
         [
-            Diagnostic("resampled", "a.csv", "uneven"),
-            Diagnostic("saturated", "b.csv", "at its limit"),
+            Diagnostic("friction-settles", Place(joint=1), time=1e-4),
+            Diagnostic("saturated", Place.in_records("b"), channel="u1", share=0.1),
         ]
     )
     assert isinstance(warnings, Table)
     assert isinstance(where, Paragraph)
     assert remedies.TROUBLESHOOTING_PAGE in [span.text for span in where.spans]
     first, second = ([cell.text for cell in row] for row in warnings.rows if isinstance(row, tuple))
-    assert (first[0], second[0]) == ("b.csv", "a.csv")
-    assert first[1] == "At its limit."
+    assert (first[0], second[0]) == ("b", "joint 1")
+    assert (
+        first[1]
+        == "u1 is at its limit for 10.0 % of the record; these samples are not used. Record a slower motion."
+    )
     assert "excluded" in first[2]
     assert "Lower the amplitude" in first[3]
-    odd, _ = remedies.warnings_table([Diagnostic("unknown-code", "c", "odd")])
-    assert isinstance(odd, Table)
-    assert isinstance(odd.rows[0], tuple)
-    assert odd.rows[0][3].text == "See the message."
 
 
-CONSTRUCTORS = ("Diagnostic", "Diagnostic.at", "Check", "attempt")
+CONSTRUCTORS = ("Diagnostic", "Check", "_check", "attempt")
 
 
 def codes() -> set[str]:

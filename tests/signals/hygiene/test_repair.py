@@ -31,9 +31,7 @@ def log() -> Log:
 
 
 def spoilt(channel: str, start: int, stop: int, kind: hygiene.Kind = "spikes") -> Log:
-    usable, excluded_channels = repair_record(
-        log(), ARM, [Defect(kind, channel, start, stop, 1.0, "")]
-    )
+    usable, excluded_channels = repair_record(log(), ARM, [Defect(kind, channel, start, stop, 1.0)])
     assert usable is not None
     assert excluded_channels == ()
     return usable
@@ -66,7 +64,7 @@ def test_an_encoder_step_is_subtracted_in_whole_counts() -> None:
     x = log().channels["theta_m1"].copy()
     x[5000:] += 300 * count
     stepped = replace(log(), channels={**log().channels, "theta_m1": x})
-    step = Defect("encoder-steps", "theta_m1", 5000, 5001, 300.3 * count, "")
+    step = Defect("encoder-steps", "theta_m1", 5000, 5001, 300.3 * count)
     usable, _ = repair_record(stepped, ARM, [step])
     assert usable is not None
     assert np.flatnonzero(usable.masked["theta_m1"]).tolist() == [4999, 5000]
@@ -94,7 +92,7 @@ def test_a_channel_with_many_defects_is_excluded(
     """A channel with many defects is excluded; a motor angle or input excludes the record."""
     stop = 4000 + int(share * len(log()))
     usable, excluded_channels = repair_record(
-        log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0, "")]
+        log(), ARM, [Defect("frozen", channel, 4000, stop, 1.0)]
     )
     if used is None:
         assert usable is None
@@ -106,7 +104,7 @@ def test_a_channel_with_many_defects_is_excluded(
 
 
 def test_an_encoder_with_many_steps_is_excluded() -> None:
-    steps = [Defect("encoder-steps", "theta_m2", k, k + 1, 0.3, "") for k in range(100, 2300, 100)]
+    steps = [Defect("encoder-steps", "theta_m2", k, k + 1, 0.3) for k in range(100, 2300, 100)]
     assert repair_record(log(), ARM, steps) == (None, ("theta_m2",))
     wraps = [replace(step, wraps=True) for step in steps]
     assert repair_record(log(), ARM, wraps)[0] is not None

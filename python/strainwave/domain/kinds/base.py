@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Generic, TypeVar
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
+from strainwave.domain.clauses import Clause
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.errors import InvalidInput, NotIdentifiable
 
@@ -147,7 +148,7 @@ class Kind(ABC, Generic[Table]):
         """
         raise NotIdentifiable(f"the whole-arm fit has no starting values for a {self.name} arm")
 
-    def contradictions(self, values: Values) -> Mapping[Key, str]:
+    def contradictions(self, values: Values) -> Mapping[Key, Clause]:
         """Link parameters with which no arm has the other values, each with the reason."""
         return {}
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain.arm import ArmDescription, Joint, NonNegative, Origin, Positive, Servo
+from strainwave.domain.clauses import Clause
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds.base import (
     Fault,
@@ -107,14 +108,14 @@ class PlanarTwoLink(Kind[PlanarTable]):
         start: Values = {_ALPHA: alpha, _BETA: beta, _GAMMA: gamma}
         return start | {("motor_inertia", i): motor[i] for i in (1, 2)}, rejected
 
-    def contradictions(self, values: Values) -> Mapping[Key, str]:
+    def contradictions(self, values: Values) -> Mapping[Key, Clause]:
         """Gamma, unless M(q) is positive definite in every posture: alpha beta > gamma^2."""
         if not {_ALPHA, _BETA, _GAMMA} <= values.keys():
             return {}
         product, square = values[_ALPHA] * values[_BETA], values[_GAMMA] ** 2
         if min(values[_ALPHA], values[_BETA]) <= 0.0 or square < product:
             return {}
-        return {_GAMMA: f"gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}"}
+        return {_GAMMA: Clause("reason/gamma", square=square, product=product)}
 
     def complete(self, known: Values, arm: ArmDescription) -> None:
         """Alpha from `link_inertia` of joint 1, or from `rigid_inertia` and the motor's inertia."""

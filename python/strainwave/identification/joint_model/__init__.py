@@ -191,7 +191,7 @@ def fit_record(
         try:
             return step()
         except (StrainwaveError, np.linalg.LinAlgError) as problem:
-            warnings.append(Diagnostic.at(code, place, str(problem)))
+            warnings.append(Diagnostic(code, place, reason=str(problem)))
             return None
 
     def grey_box() -> JointModel:
@@ -216,7 +216,7 @@ def fit_record(
         )
     if linear is not None:
         fit = linear
-        warnings += [Diagnostic.at(w.code, place, w.message) for w in fit.model.warnings]
+        warnings += [w.at(place) for w in fit.model.warnings]
         modes = attempt("modes-failed", lambda: modes_of(fit.model))
     if linear is not None and judged:
         check = attempt("not-judged", lambda: judge(fit))

@@ -13,6 +13,7 @@ from strainwave.domain import (
     FloatArray,
     FrequencyResponse,
     JointModel,
+    Place,
 )
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.dynamics.two_inertia import jacobian, joint_of, state_space
@@ -77,15 +78,14 @@ def compare_response(
     They differ if more than a fifth of the lines lie outside both 95 % bands and more than 2 dB
     apart.
     """
-    message = None if measured is None else _difference(joint, gear_ratio, measured)
-    if message is None:
-        return joint
-    warning = Diagnostic("response-apart", f"joint {joint.joint}", message)
-    return replace(joint, warnings=(*joint.warnings, warning))
+    warning = None if measured is None else _difference(joint, gear_ratio, measured)
+    return joint if warning is None else replace(joint, warnings=(*joint.warnings, warning))
 
 
-def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyResponse) -> str | None:
-    """Message with the share of differing lines and the largest difference; None if they agree."""
+def _difference(
+    joint: JointModel, gear_ratio: float, measured: FrequencyResponse
+) -> Diagnostic | None:
+    """Warn with the share of differing lines and the largest difference; None if they agree."""
     low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
     f = measured.frequencies_hz
     lines = (f >= low) & (f <= high) & is_reliable(measured)
@@ -105,8 +105,10 @@ def _difference(joint: JointModel, gear_ratio: float, measured: FrequencyRespons
     if np.mean(differs) <= _MIN_DIFFERING_SHARE:
         return None
     worst = int(np.argmax(np.where(differs, difference_db, 0.0)))
-    return (
-        "the physical model and the measured response differ by more than both 95 % bands on "
-        f"{100.0 * np.mean(differs):.0f} % of the lines, by {difference_db[worst]:.0f} dB near "
-        f"{f[lines][worst]:.3g} Hz"
+    return Diagnostic(
+        "response-apart",
+        Place(joint=joint.joint),
+        share=float(np.mean(differs)),
+        difference_db=float(difference_db[worst]),
+        frequency_hz=float(f[lines][worst]),
     )

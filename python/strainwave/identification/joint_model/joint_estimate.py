@@ -8,8 +8,18 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Joint, JointModel, Mode, Parameter, Place
+from strainwave.domain import (
+    Clause,
+    Diagnostic,
+    FloatArray,
+    Joint,
+    JointModel,
+    Mode,
+    Parameter,
+    Place,
+)
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.units import unit_of
 
 # relative standard deviation up to which a viscous friction is reported
@@ -91,24 +101,30 @@ class JointEstimate:
 
     def _warnings(self) -> Iterator[Diagnostic]:
         """Warnings about parameters that are not identifiable, implausible or equivalent values."""
-        joint, source = self.joint, ", ".join(self.experiments)
+        joint, records = self.joint, self.experiments
         for entry in self._entries():
             name, value, std = entry.name, entry.value, entry.std
             place, unit = Place(joint=self.number, parameter=name), unit_of(name, joint)
-            text = f"{value:.3g} +- {std:.2g} {unit}" if np.isfinite(std) else f"{value:.3g} {unit}"
+            estimate = Clause("estimate", value=value, std=std, unit=unit)
+            if not np.isfinite(std):
+                estimate = Clause("estimate/no-std", value=value, unit=unit)
+            is_viscous = name in _VISCOUS_FRICTIONS
             is_negative = value + 2.0 * np.nan_to_num(std) < 0.0
-            if is_negative and (entry.is_identified or name not in _VISCOUS_FRICTIONS):
-                text += " is physically impossible: the model of the joint does not describe"
-                yield Diagnostic.at("implausible", place, f"{text} {source}")
+            if is_negative and (entry.is_identified or not is_viscous):
+                yield Diagnostic("implausible", place, estimate=estimate, records=records)
             elif not entry.is_identified:
-                text = f"{source} determine the value only to {text}"
-                if name in _VISCOUS_FRICTIONS:
-                    text += "; only the total viscous friction is well determined"
-                yield Diagnostic.at("not-identifiable", place, text)
+                split = Clause("viscous-split") if is_viscous else None
+                yield Diagnostic(
+                    "not-identifiable",
+                    place,
+                    "wide",
+                    records=records,
+                    estimate=estimate,
+                    split=split,
+                )
         if joint.law.is_curved:
-            text = f"equivalent stiffness at the torsion in {source}: {joint.law.equivalent_note}"
-            place = Place(joint=self.number, parameter="gear_stiffness")
-            yield Diagnostic.at("equivalent-stiffness", place, text)
+            place, note = Place(joint=self.number, parameter=STIFFNESS), joint.law.equivalent_note
+            yield Diagnostic("equivalent-stiffness", place, records=records, note=note)
 
 
 @dataclass(frozen=True, slots=True)

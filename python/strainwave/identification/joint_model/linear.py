@@ -211,10 +211,7 @@ def _model(
 
 def _order_warning(records: Sequence[Decoupled], order: int) -> Diagnostic:
     place = Place.in_records(*(record.experiment.name for record in records))
-    text = (
-        f"the data ask for {order} states, but no such model converges with a resonance: this has"
-    )
-    return Diagnostic.at("order-reduced", place, f"{text} {PHYSICAL_ORDER}")
+    return Diagnostic("order-reduced", place, order=order, reduced=PHYSICAL_ORDER)
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
@@ -278,6 +275,4 @@ def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Diagn
     growth = float(np.abs(np.linalg.eigvals(model.A)).max())
     if growth > 1.0:
         rate = float(np.log(growth) / model.sample_time)
-        text = f"the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite taken off"
-        text += " makes it seem; the simulated fit means nothing, resonances are not touched"
-        yield Diagnostic.at("unstable-model", place, text)
+        yield Diagnostic("unstable-model", place, rate=rate)

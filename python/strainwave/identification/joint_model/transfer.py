@@ -280,16 +280,9 @@ def _assumption_warnings(
 ) -> Iterator[Diagnostic]:
     """Warnings for assumptions of the method that the estimates violate."""
     if reciprocity is not None and reciprocity < _MIN_RECIPROCITY_PERCENT:
-        message = f"G12 and G21 agree only to {reciprocity:.0f} %, but a joint is reciprocal: check"
-        yield Diagnostic.at(
-            "not-reciprocal", place, message + " gear_ratio, torque_per_volt and the link sensor"
-        )
+        yield Diagnostic("not-reciprocal", place, agreement=reciprocity)
     if abs(lag[4] / lag[5]) > _MAX_LAG_TO_ANTI_RESONANCE * abs(pairs.zero):
-        message = "the slow lag of the joint is close to its anti-resonance, so (18) is inaccurate"
-        yield Diagnostic.at("lag-not-slow", place, message)
+        yield Diagnostic("lag-not-slow", place)
     ratio = pairs.lag[1] / lag[5]
     if abs(ratio - 1.0) > _MAX_INERTIA_DIFFERENCE:
-        message = f"the inertia at the resonance is {ratio:.2f} times that of the rigid model:"
-        yield Diagnostic.at(
-            "inertia-mismatch", place, message + " check friction and torque_per_volt"
-        )
+        yield Diagnostic("inertia-mismatch", place, ratio=float(ratio))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Parameter
+from strainwave.domain import Diagnostic, Parameter, Place
 from strainwave.identification.rigid.bandwidth import excess_variance, neighbours
 from strainwave.identification.rigid.equations import Loads, assemble
 from strainwave.identification.rigid.stretch import n_compliances
@@ -75,8 +75,5 @@ def load_friction(
 
 def load_warning(share: Parameter) -> Diagnostic:
     """Warn about friction that depends on the load."""
-    message = (
-        f"friction increases by {share.value:.3f} +- {share.std:.3f} of the load. Predictions of"
-    )
-    message += " the rigid model include this; simulations and exports do not"
-    return Diagnostic("load-friction", f"joint {share.joint}", message)
+    place = Place(joint=share.joint)
+    return Diagnostic("load-friction", place, share=share.value, std=share.std)

@@ -14,7 +14,6 @@ from strainwave.numerics import least_squares as ls
 _MAX_LAST_CHANGE = 0.5  # last change in standard deviations above which the fit has not converged
 _MAX_STICTION_SHARE = 0.3  # share of a record in possible stiction that causes a warning
 _MAX_CONDITION_NUMBER = 300.0  # condition number that causes a warning; good motion gives 10 to 50
-_REMEDY = "record all joints moving together, in both directions, at varied speeds and postures"
 
 
 def warnings_of(best: Trial) -> Iterator[Diagnostic]:
@@ -24,48 +23,37 @@ def warnings_of(best: Trial) -> Iterator[Diagnostic]:
     for k, column in enumerate(columns):
         if not best.determined[k]:
             place = Place(joint=column.joint, parameter=column.name)
-            yield Diagnostic.at("not-identifiable", place, _reason(best, k))
+            yield _not_identifiable(best, k, place)
     for stretch in best.stretches:
         stiction_shares = (stretch.signals.direction == 0.0).mean(axis=0)
-        for i, share in enumerate(stiction_shares):
+        for joint, share in enumerate(stiction_shares.tolist(), start=1):
             if share > _MAX_STICTION_SHARE:
-                message = (
-                    f"motor {i + 1} may stick in {100.0 * share:.0f} % of the record; these samples"
-                )
-                message += (
-                    " contain no information on its friction; move faster and reverse less often"
-                )
                 place = Place.in_records(stretch.signals.experiment.name)
-                yield Diagnostic.at("standing", place, message)
-    if best.factor.condition_number > _MAX_CONDITION_NUMBER and best.determined.all():
+                yield Diagnostic("standing", place, joint=joint, share=share)
+    condition = best.factor.condition_number
+    if condition > _MAX_CONDITION_NUMBER and best.determined.all():
         weakest_direction = np.abs(best.factor.directions[-1])
-        names_involved = ", ".join(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
-        message = (
-            f"condition number {best.factor.condition_number:.0f}: the records poorly separate"
-        )
-        yield Diagnostic.at("poor-excitation", records, f"{message} {names_involved}; {_REMEDY}")
+        names = tuple(str(columns[k]) for k in np.flatnonzero(weakest_direction > 0.3))
+        yield Diagnostic("poor-excitation", records, condition=condition, names=names)
     for k in best.implausible:
-        message = f"{best.solution[k]:.3g} {columns[k].unit} is negative beyond its uncertainty:"
-        message += " the data contradict a rigid arm with Coulomb and viscous friction"
         place = Place(joint=columns[k].joint, parameter=columns[k].name)
-        yield Diagnostic.at("implausible", place, message)
+        value = float(best.solution[k])
+        yield Diagnostic("implausible", place, "rigid", value=value, unit=columns[k].unit)
     if best.last_move > _MAX_LAST_CHANGE:
-        message = (
-            f"after {MAX_ITERATIONS} iterations a parameter still changes by {best.last_move:.1f}"
-        )
-        message += " standard deviations; record a longer or more varied motion"
-        yield Diagnostic.at("not-settled", records, message)
+        change = best.last_move
+        yield Diagnostic("not-settled", records, iterations=MAX_ITERATIONS, change=change)
     limit = best.max_rigid_bandwidth
     if best.bandwidth_hz > limit:
-        message = (
-            f"the anti-resonance at {RESONANCE_RATIO * limit:.1f} Hz is too close to the motion"
+        yield Diagnostic(
+            "not-rigid",
+            records,
+            anti_resonance_hz=RESONANCE_RATIO * limit,
+            bandwidth_hz=best.bandwidth_hz,
         )
-        message += f" band of {best.bandwidth_hz:.1f} Hz for a rigid model; move more slowly"
-        yield Diagnostic.at("not-rigid", records, message)
 
 
-def _reason(best: Trial, unknown: int) -> str:
-    """Reason why one parameter is not identifiable, and what to record."""
+def _not_identifiable(best: Trial, unknown: int, place: Place) -> Diagnostic:
+    """Warn why one parameter is not identifiable, and what to record."""
     columns = best.arm.rigid_columns
     column = columns[unknown]
     joint = column.joint
@@ -73,23 +61,20 @@ def _reason(best: Trial, unknown: int) -> str:
     if joint is not None:
         directions = np.concatenate([d[:, joint - 1] for d in motion_directions])
         if not np.any(directions):
-            return f"joint {joint} does not move; record a motion in which it does"
+            return Diagnostic("not-identifiable", place, "joint-at-rest", joint=joint)
         one_way = not (np.any(directions > 0.0) and np.any(directions < 0.0))
         if one_way and family_of(column.name) == "dry friction":
-            message = (
-                f"joint {joint} moves in one direction only, so that Coulomb friction and offset"
-            )
-            return f"{message} are not separately identifiable; record motion in both directions"
-    joints_at_rest = [
-        str(i + 1)
+            return Diagnostic("not-identifiable", place, "one-way", joint=joint)
+    joints_at_rest = tuple(
+        i + 1
         for i in range(best.arm.n_joints)
         if not any(np.any(d[:, i]) for d in motion_directions)
-    ]
+    )
     if joints_at_rest:
-        return f"joint {', '.join(joints_at_rest)} does not move; {_REMEDY}"
-    others = [
+        return Diagnostic("not-identifiable", place, "joints-at-rest", joints=joints_at_rest)
+    others = tuple(
         str(columns[k]) for k in ls.companions(best.factor, unknown) if not best.determined[k]
-    ]
+    )
     if others:
-        return f"these records cannot separate it from {', '.join(others)}; {_REMEDY}"
-    return f"these records contain too little information on it; {_REMEDY}"
+        return Diagnostic("not-identifiable", place, "not-separable", others=others)
+    return Diagnostic("not-identifiable", place, "no-information")

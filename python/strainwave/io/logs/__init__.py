@@ -15,6 +15,7 @@ from strainwave.domain import (
     Experiment,
     FloatArray,
     Log,
+    Place,
     Study,
     channel_names,
     channel_parts,
@@ -257,8 +258,8 @@ def _check_constants(
     return [
         Diagnostic(
             "constant-channel",
-            path.name,
-            f"the channel '{name}' never changes. Check the sensor and the map",
+            Place(file=path.name),
+            channel=name,
         )
         for name, values in channels.items()
         if channel_parts(name)[0] in sensors and np.ptp(values) == 0.0

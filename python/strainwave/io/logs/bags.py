@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, IntArray
+from strainwave.domain import Diagnostic, IntArray, Place
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.clocks import Track
 from strainwave.io.logs.messages import list_numbers, parse_field, read_number, read_stamp
@@ -120,9 +120,13 @@ class Bag:
         tracks = []
         for row_tuple, columns in columns_by_rows.items():
             rows = np.array(row_tuple)
-            order, message = _sort_stamps(stamps[rows], topic)
-            if message:
-                warnings.append(Diagnostic("reordered", self.path.name, message))
+            order, n_late, n_equal = _sort_stamps(stamps[rows])
+            if n_late or n_equal:
+                place = Place(file=self.path.name)
+                reordered = Diagnostic(
+                    "reordered", place, n_late=n_late, topic=topic, n_equal=n_equal
+                )
+                warnings.append(reordered)
             time = stamps[rows][order] * _SECONDS_PER_NS
             values = {column: np.array(contents.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
@@ -147,12 +151,8 @@ class Bag:
                 remedy="record with --use-sim-time if the time stamps are simulated, or publish "
                 f"{names} with a header",
             )
-        message = (
-            f"the messages of {names} have no header stamp: the time stamps of the recorder are "
-            f"used, which lag by {1e3 * delay:.3g} ms in the other topics. Publish {names} with a "
-            "header if possible"
-        )
-        return [Diagnostic("recorder-stamps", self.path.name, message)]
+        place = Place(file=self.path.name)
+        return [Diagnostic("recorder-stamps", place, topics=tuple(unstamped), delay=delay)]
 
     def has_topic_of(self, column: str) -> bool:
         """Whether the bag has the topic of a column."""
@@ -267,8 +267,8 @@ def _message_name(rows: IntArray, sample: int) -> str:
     return f"message {rows[sample] + 1}"
 
 
-def _sort_stamps(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
-    """Return the rows sorted by time stamp, and a message on corrections.
+def _sort_stamps(stamps: IntArray) -> tuple[IntArray, int, int]:
+    """Return the rows sorted by time stamp, and the numbers of late and of repeated stamps.
 
     Of several rows with the same stamp, the last is kept.
     """
@@ -276,8 +276,4 @@ def _sort_stamps(stamps: IntArray, topic: str) -> tuple[IntArray, str]:
     n_late = int(np.count_nonzero(np.diff(stamps) < 0))
     is_last = np.append(np.diff(stamps[order]) > 0, True)
     n_equal = len(stamps) - int(np.count_nonzero(is_last))
-    message = (
-        f"{n_late} message(s) of {topic} are out of order, and {n_equal} repeat a time stamp: the "
-        "messages were sorted, and only the last message of each time stamp is used"
-    )
-    return order[is_last], message if n_late or n_equal else ""
+    return order[is_last], n_late, n_equal

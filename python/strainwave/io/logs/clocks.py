@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Experiment, FloatArray
+from strainwave.domain import Clause, Diagnostic, Experiment, FloatArray, Place
 from strainwave.errors import InvalidInput
 from strainwave.io.logs.tables import find_invalid_value
 from strainwave.numerics.filters import noise_std
@@ -61,14 +61,11 @@ def resample_tracks(
     for track in tracks:
         _check_time(track, path)
     windowed = [_window(track, command_columns, experiment, path) for track in tracks]
-    warnings = []
     for track in windowed:
         if not set(track.columns) <= set(command_columns):
             _check_gaps(track, path)
     windowed = _overlap(windowed, command_columns, path)
-    grid, ticks, resampling = _grid(windowed[0].time)
-    if resampling:
-        warnings.append(Diagnostic("resampled", path.name, resampling))
+    grid, ticks, warnings = _grid(windowed[0].time, Place(file=path.name))
     columns: dict[str, FloatArray] = {}
     off_grid = []
     for track in windowed:
@@ -201,35 +198,37 @@ def _rows_on(grid: FloatArray, time: FloatArray) -> slice | None:
     return rows
 
 
-def _grid(time: FloatArray) -> tuple[FloatArray, FloatArray | None, str]:
-    """Return a uniform grid, the tick of each stamp if available, and a text on uneven stamps."""
+def _grid(time: FloatArray, place: Place) -> tuple[FloatArray, FloatArray | None, list[Diagnostic]]:
+    """Return a uniform grid, the tick of each stamp if available, and warnings of uneven stamps."""
     grid = np.linspace(time[0], time[-1], len(time))
     if _rows_on(grid, time) is not None:
         start, period = _fit_clock(time, np.arange(len(time), dtype=np.float64))
         regressed_grid = start + period * np.arange(len(time), dtype=np.float64)
-        return (regressed_grid if _rows_on(regressed_grid, time) is not None else grid), None, ""
+        return (regressed_grid if _rows_on(regressed_grid, time) is not None else grid), None, []
     ticks: FloatArray | None = None
     jitter = _estimate_jittered_clock(time)
     if jitter is None:
         # interpolation allows any period; use the nominal period of the servo or drive
         period = _round_period(float(np.median(np.diff(time))), MAX_NOMINAL_PERIOD_ERROR)
         grid = time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-9) + 1)
-        method = f"resampled to {len(grid)} samples every {period:.6g} s"
+        variant, share = "grid", 0.0
     else:
         start, period, number, offset = jitter
         grid = start + period * np.arange(number[-1] + 1.0)
         ticks = start + period * number
-        method = (
-            f"up to {100.0 * offset:.2g} % of a period from a clock of {period:.6g} s: resampled "
-            f"to its {len(grid)} ticks"
-        )
+        variant, share = "ticks", offset
     steps = np.diff(time) / period
-    message = (
-        f"time stamps are not uniform (steps of {steps.min():.2f} to {steps.max():.2f} "
-        f"periods): {method}; motion faster than the widest step is lost. Log with a fixed clock "
-        "if possible"
+    warning = Diagnostic(
+        "resampled",
+        place,
+        variant,
+        shortest=float(steps.min()),
+        longest=float(steps.max()),
+        n_samples=len(grid),
+        period=float(period),
+        offset=float(share),
     )
-    return grid, ticks, message
+    return grid, ticks, [warning]
 
 
 def _estimate_jittered_clock(time: FloatArray) -> tuple[float, float, FloatArray, float] | None:
@@ -334,16 +333,15 @@ def _sample_at(grid: FloatArray, track: Track, name: str, is_held: bool) -> Floa
 
 
 def _resampling_warning(clock: Track, others: list[Track], path: Path) -> Diagnostic:
-    def rate(track: Track) -> str:
-        return f"{1.0 / np.median(np.diff(track.time)):.4g} Hz" if len(track.time) > 1 else "once"
+    def topic(track: Track) -> Clause:
+        if len(track.time) < 2:
+            return Clause("topic/once", name=track.name)
+        rate = 1.0 / float(np.median(np.diff(track.time)))
+        return Clause("topic", name=track.name, rate_hz=rate)
 
-    topics = ", ".join(dict.fromkeys(f"{track.name} ({rate(track)})" for track in others))
-    message = (
-        f"{topics}: resampled to the time stamps of {clock.name} ({rate(clock)}), measured values "
-        "by monotone cubics, commands held; motion faster than the rate of a topic is lost. "
-        "Publish all topics from one clock if possible"
-    )
-    return Diagnostic("resampled", path.name, message)
+    topics = tuple(dict.fromkeys(map(topic, others)))
+    place = Place(file=path.name)
+    return Diagnostic("resampled", place, "topics", topics=topics, clock=topic(clock))
 
 
 def _silence_warnings(
@@ -359,9 +357,9 @@ def _silence_warnings(
         usual_step = float(np.median(steps[:-1])) if len(steps) > 1 else float(grid[1] - grid[0])
         k = int(np.argmax(steps))
         if steps[k] > MAX_GAP_PERIODS * usual_step:
-            message = (
-                f"{track.name} sends nothing from {ends[k]:.6g} to {ends[k + 1]:.6g} s: the last "
-                "value is held. Check that the drive held this value"
+            start, stop = float(ends[k]), float(ends[k + 1])
+            place = Place(file=path.name)
+            warnings.append(
+                Diagnostic("silent-command", place, topic=track.name, start=start, stop=stop)
             )
-            warnings.append(Diagnostic("silent-command", path.name, message))
     return warnings

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
+from strainwave.domain.messages import text_of
 from strainwave.domain.parameter_table import base_name
 from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
 from strainwave.presentation.report.blocks import (
@@ -61,7 +62,9 @@ def _row(decision: Decision) -> Row:
     value, std = plus_minus(p.value, p.std)
     if p.value is None:
         value = "rejected" if decision.rejected else "not identified"
-        std, interval, half = "", decision.rejected or "not identifiable from these data", ""
+        reason = decision.rejected
+        interval = text_of(reason) if reason else "not identifiable from these data"
+        std = half = ""
     elif p.ci95 is None:
         interval, half = "not known", ""
     else:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from pathlib import PurePath
 from typing import NamedTuple
 
 from strainwave.domain import Diagnostic
 from strainwave.domain.effects import all_effects
+from strainwave.domain.messages import short_place
 from strainwave.presentation.report.blocks import Block, Cell, Span, paragraph, prose, table
 
 TROUBLESHOOTING_PAGE = "docs/troubleshooting.md"
@@ -351,7 +351,7 @@ def sentence(text: str) -> str:
 
 def place_of(warning: Diagnostic) -> str:
     """The place of a warning; a file by its name, since its folder is at the end of the page."""
-    return PurePath(warning.where).name
+    return short_place(warning.places)
 
 
 def _severity_rank(warning: Diagnostic) -> int:

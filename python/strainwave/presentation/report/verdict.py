@@ -185,7 +185,7 @@ def _validation_blocks(identification: Identification) -> Iterator[Block]:
     yield from table("Fits of check records", heads, rows, heading=False)
     if any(joint.elastic for joint in identification.study.arm.joints) and not validated:
         lead = Span("Elastic model not validated: ", strong=True)
-        yield paragraph(lead, f"{missing_validation(identification)}.")
+        yield paragraph(lead, f"{missing_validation(identification).message}.")
     elif not rows:
         lead = Span("Not validated: ", strong=True)
         yield paragraph(lead, "the motors almost do not move in the check records.")

@@ -41,7 +41,7 @@ def detect_defects(logs: Sequence[Log], arm: Arm) -> list[list[Defect]]:
         [
             defect
             for defect in record_defects
-            if defect.kind != "mains-hum" or (defect.channel, defect.description) in hum
+            if defect.kind != "mains-hum" or (defect.channel, defect.level) in hum
         ]
         for record_defects in detections
     ]

@@ -44,7 +44,7 @@ class Defect:
     start: int  # first sample
     stop: int  # index after the last sample
     size: float  # in the unit of the channel; duration [s] if frozen
-    description: str  # description without channel and time, such as "a spike"
+    level: float | None = None  # frequency of hum [Hz], or end of a sensor's range
     wraps: bool = False  # whether the step is the full range of a counter
 
 

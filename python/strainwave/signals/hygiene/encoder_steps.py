@@ -22,13 +22,8 @@ def detect(log: Log, arm: Arm) -> list[Defect]:
         rest_runs = runs_of(np.diff(x) == 0.0)
         steps = [jump for jump in isolated_steps if not is_end_of_freeze(x, jump, rest_runs)]
         wraps = _are_overflows(steps)
-        description = (
-            "the counter wraps" if wraps else "a step that is inconsistent with the motion"
-        )
         detections += [
-            Defect(
-                "encoder-steps", name, step.sample, step.sample + 1, step.size, description, wraps
-            )
+            Defect("encoder-steps", name, step.sample, step.sample + 1, step.size, wraps=wraps)
             for step in steps
         ]
     return detections

@@ -45,9 +45,9 @@ def detect(log: Log, _: Arm) -> list[Defect]:
             runs = select_abrupt_runs(x, end_runs)
             samples = int((runs[:, 1] - runs[:, 0]).sum())
             if _MIN_SATURATED_SAMPLES <= samples <= MAX_SATURATED_SHARE * len(x):
-                description = f"is at the end of its range, {x[runs[0, 0]]:.4g},"
+                level = float(x[runs[0, 0]])
                 detections += [
-                    Defect("flat-tops", name, start, stop, float(abs(x[start])), description)
+                    Defect("flat-tops", name, start, stop, float(abs(x[start])), level)
                     for start, stop in runs.tolist()
                 ]
     return detections

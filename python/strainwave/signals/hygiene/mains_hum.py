@@ -43,36 +43,34 @@ def detect(log: Log, _: Arm) -> list[Defect]:
                 spectrum, line, duration
             ):
                 size = float(spectrum[line])
-                detections.append(
-                    Defect("mains-hum", name, 0, len(log), size, f"hum at {hz:.0f} Hz")
-                )
+                detections.append(Defect("mains-hum", name, 0, len(log), size, hz))
     return detections
 
 
 def confirm_hum(
     logs: Sequence[Log], detections: Sequence[Sequence[Defect]]
-) -> set[tuple[str, str]]:
-    """Hum lines (channel, description) that appear in all records with similar amplitude.
+) -> set[tuple[str, float | None]]:
+    """Hum lines (channel, frequency [Hz]) that appear in all records with similar amplitude.
 
     At least two records, or the only one, must have the line with similar amplitude. In the other
     records, the line or the largest amplitude around it must not be smaller. This excludes the
     motion of the arm. `detections` are the defects of each log.
     """
-    sizes: dict[tuple[str, str, float], list[float]] = {}
+    sizes: dict[tuple[str, float], list[float]] = {}
     for defect in (
         d for record_defects in detections for d in record_defects if d.kind == "mains-hum"
     ):
-        hz = next(hz for hz in _LINES_HZ if f"{hz:.0f} Hz" in defect.description)
-        sizes.setdefault((defect.channel, defect.description, hz), []).append(defect.size)
-    lines = set()
-    for (channel, description, hz), amplitudes in sizes.items():
+        if defect.level is not None:
+            sizes.setdefault((defect.channel, defect.level), []).append(defect.size)
+    lines: set[tuple[str, float | None]] = set()
+    for (channel, hz), amplitudes in sizes.items():
         usable = [log for log in logs if channel in log.channels and _is_long_enough(log)]
         is_sufficient = len(amplitudes) > 1 or len(usable) == 1
         if not is_sufficient or max(amplitudes) > _MAX_AMPLITUDE_RATIO * min(amplitudes):
             continue
         upper_bounds = (_amplitude_bound(log, channel, hz) for log in usable)
         if min(upper_bounds) * _MAX_AMPLITUDE_RATIO > float(np.median(amplitudes)):
-            lines.add((channel, description))
+            lines.add((channel, hz))
     return lines
 
 

@@ -44,7 +44,7 @@ def _spike_defect(name: str, x: FloatArray, start: int, stop: int) -> Defect:
     """Defect record of a spike; its size is relative to the adjacent samples."""
     baseline = 0.5 * (x[max(0, start - 1)] + x[min(len(x) - 1, stop)])
     size = float(np.max(np.abs(x[start:stop] - baseline)))
-    return Defect("spikes", name, start, stop, size, "a spike")
+    return Defect("spikes", name, start, stop, size)
 
 
 def _find_outside_range(x: FloatArray, min_margin: float) -> Iterator[tuple[int, int]]:

@@ -13,9 +13,11 @@ import numpy as np
 from strainwave.domain import (
     AgreementTest,
     Cause,
+    Clause,
     Diagnostic,
     FloatArray,
     Origin,
+    Place,
     StageDifference,
     SuspectConstant,
 )
@@ -253,20 +255,24 @@ def disagreement(
     if not is_disagreement(tests):
         return
     worst = max((t for t in tests if t.matters), key=lambda test: test.deviations)
-    largest = ", ".join(
-        f"{d.name if d.joint is None else f'{d.name} of joint {d.joint}'} "
-        f"{d.rigid:.4g} by the rigid and {d.whole_arm:.4g} {d.unit} by the whole-arm fit"
+    largest = tuple(
+        Clause(
+            "stage-difference",
+            parameter=Place(joint=d.joint, parameter=d.name),
+            rigid=d.rigid,
+            whole_arm=d.whole_arm,
+            unit=d.unit,
+        )
         for d in sorted(differences, key=lambda d: -abs(d.deviations))[:3]
     )
-    text = (
-        f"taken together, {worst.subject} differ by {worst.deviations:.1f} standard deviations"
-        f" (chi-square {worst.chi_square:.4g} of {worst.degrees} degrees), most in {largest}"
+    yield Diagnostic(
+        "stages-disagree",
+        Place(part="rigid and whole-arm fit"),
+        "" if suspects else "no-suspect",
+        subject=worst.subject,
+        deviations=worst.deviations,
+        chi_square=worst.chi_square,
+        degrees=worst.degrees,
+        largest=largest,
+        causes=tuple(one.clause for one in suspects),
     )
-    if suspects:
-        causes = ", or ".join(one.text for one in suspects)
-        text += f"; likely causes in this order: {causes}"
-    else:
-        text += "; likely causes in this order: a motor constant that falls with current (record"
-        text += " with less voltage), a clock that is fast or slow, a dead zone of the drive,"
-        text += " another law of friction"
-    yield Diagnostic("stages-disagree", "rigid and whole-arm fit", text)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, Parameter
+from strainwave.domain import Clause, Diagnostic, Parameter, Place
 from strainwave.domain.combinations import value_of
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load, is_slope
@@ -53,21 +53,21 @@ def motor_side_limits(
             if (p.name in _MAIN_PARAMETERS or is_slope(p.name)) and _is_poor(p, at_bounds)
         ]
         if poor:
-            reasons = list(_reasons(fit, arm, number))
+            reasons = tuple(_reasons(fit, arm, number))
             if reasons:
-                text = f"{_describe(poor, at_bounds)}: {', and '.join(reasons)}"
-                text += "; an accelerometer or an encoder on the link would show it"
-                yield Diagnostic("motor-side-limit", f"joint {number}", text)
+                estimates = _describe(poor, at_bounds)
+                place = Place(joint=number)
+                yield Diagnostic("motor-side-limit", place, estimates=estimates, reasons=reasons)
         poor_viscous = [p for p in joint_parameters if p.name in VISCOUS and _is_poor(p, at_bounds)]
         if poor_viscous:
             anti_resonance_hz = anti_resonance(_undamped_joint(fit, arm, number)).frequency_hz
-            text = (
-                f"{_describe(poor_viscous, at_bounds)}: far below the anti-resonance,"
-                f" {anti_resonance_hz:.3g} Hz, motor"
+            yield Diagnostic(
+                "motor-side-limit",
+                Place(joint=number),
+                "viscous",
+                estimates=_describe(poor_viscous, at_bounds),
+                anti_resonance_hz=anti_resonance_hz,
             )
-            text += " and link move as one and only the sum d_M + n^2 d_L acts at the motor; use"
-            text += " total_viscous_friction"
-            yield Diagnostic("motor-side-limit", f"joint {number}", text)
 
 
 def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
@@ -79,17 +79,18 @@ def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
     return CI95_STDS * p.std > _MAX_RELATIVE_HALF_WIDTH * abs(p.value)
 
 
-def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> str:
+def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> tuple[Clause, ...]:
     """List the parameters, each with its relative uncertainty."""
     descriptions = []
     for p in poor:
-        uncertainty = "not identified"
+        description = Clause("poor/not-identified", label=p.label)
         if (p.name, p.joint) in at_bounds:
-            uncertainty = "at the limit of its range"
+            description = Clause("poor/at-bound", label=p.label)
         elif p.value is not None and p.std is not None:
-            uncertainty = f"to {100.0 * CI95_STDS * p.std / abs(p.value):.2g} % only"
-        descriptions.append(f"{p.label} {uncertainty}")
-    return ", ".join(descriptions)
+            half = CI95_STDS * p.std / abs(p.value)
+            description = Clause("poor/wide", label=p.label, half=half)
+        descriptions.append(description)
+    return tuple(descriptions)
 
 
 def _undamped_joint(fit: Fit, arm: Arm, joint: int) -> TwoInertia:
@@ -107,7 +108,7 @@ def _undamped_joint(fit: Fit, arm: Arm, joint: int) -> TwoInertia:
     )
 
 
-def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
+def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[Clause]:
     """Reasons why the motor encoder does not determine the gear: stiffness, damping, resolution."""
     undamped = _undamped_joint(fit, arm, joint)
     resonance_hz = resonance(undamped).frequency_hz
@@ -116,25 +117,17 @@ def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[str]:
     signal_hz = max(signal_band(log.channels[f"theta_m{joint}"], log.sample_time) for log in logs)
     band = min(signal_hz, max(record.cutoff_hz for record in records))
     if resonance_hz > _MAX_RESONANCE_BAND_SHARE * band:
-        where = "beyond" if resonance_hz > band else "near the end of"
-        yield (
-            f"the gear is very stiff: its resonance, {resonance_hz:.3g} Hz, lies {where} the band"
-            f" of {band:.3g} Hz in which the motor's motion stands above its encoder's noise"
-        )
+        reason = "stiff/beyond" if resonance_hz > band else "stiff/near"
+        yield Clause(reason, resonance_hz=resonance_hz, band_hz=band)
     damping = fit.values["gear_damping", joint]
     damping_ratio = np.pi * resonance_hz * damping / undamped.gear_stiffness
     if damping_ratio > _MAX_PEAK_DAMPING_RATIO:
-        yield (
-            f"the gear is very damped: with a damping ratio of {damping_ratio:.2g} its resonance,"
-            f" {resonance_hz:.3g} Hz, makes no peak in the motor's response"
-        )
+        yield Clause("damped", damping_ratio=float(damping_ratio), resonance_hz=resonance_hz)
     counts = arm.joints[joint - 1].encoder_counts
     velocity = _busiest_velocity(fit, joint)
     if counts and velocity.rounding**2 > _MIN_ROUNDING_SHARE * velocity.residual**2:
-        yield (
-            f"the encoder is coarse: of the residuals of omega_m{joint}, {velocity.residual:.2g}"
-            f" rad/s, {velocity.rounding:.2g} are the rounding of its {counts:g} counts per turn"
-        )
+        channel, error, noise = f"omega_m{joint}", velocity.residual, velocity.rounding
+        yield Clause("coarse", channel=channel, error=error, noise=noise, counts=counts)
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -12,6 +12,7 @@ import numpy as np
 
 from strainwave.domain import (
     BoolArray,
+    Clause,
     Diagnostic,
     FloatArray,
     Place,
@@ -203,22 +204,17 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
         worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
         if worst is None or worst.deviation < _MIN_WARNING_RATIO * worst.noise:
             continue
-        text = f"the residuals of {name} are {worst.deviation / worst.noise:.2g} times its sensor's"
-        text += f" noise, most near {worst.worst_hz:.3g} Hz"
         if worst.input_probability < _SIGNIFICANCE_LEVEL:
-            text += f", and follow joint {worst.input_joint}'s input by"
-            text += (
-                f" {1e3 * worst.input_delay:.3g} ms: the model lacks something of the motion, or"
-            )
-            text += " the study has a wrong constant"
+            joint, delay = worst.input_joint, worst.input_delay
+            dependence = Clause("follows-input", joint=joint, delay=delay)
         else:
-            text += (
-                ", without linear dependence on an input: friction or a gear that the model does"
-            )
-            text += (
-                " not describe, a wrong constant in the study and an outside disturbance look so"
-            )
-        if not explained:
-            text += "; none of the effects that the program knows explains them"
-        text += "; intervals were widened for it"
-        yield Diagnostic.at("residual-not-noise", Place.in_records(worst.experiment), text)
+            dependence = Clause("follows-no-input")
+        yield Diagnostic(
+            "residual-not-noise",
+            Place.in_records(worst.experiment),
+            channel=name,
+            ratio=worst.deviation / worst.noise,
+            worst_hz=worst.worst_hz,
+            dependence=dependence,
+            unexplained=None if explained else Clause("no-effect-explains"),
+        )

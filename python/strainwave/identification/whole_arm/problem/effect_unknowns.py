@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, EffectName, FloatArray
+from strainwave.domain import Diagnostic, EffectName, FloatArray, Place
 from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import KnownJoint, RecordEffect, all_effects, effect_named
 from strainwave.domain.keys import Key, Values
@@ -203,10 +203,8 @@ def warn_removed_effects(space: ParameterSpace, arm: Arm) -> Iterator[Diagnostic
     remaining = set(named_effects(keep_known_effects(arm, space.keys)))
     for joint, effect in named_effects(arm):
         if (joint, effect) not in remaining:
-            text = f"{effect} was fitted and removed: its size does not differ significantly from"
-            text += " zero in the records, and the other parameters are estimated without it;"
-            text += f" remove it from the joint's effects, or add {effect_named(effect).record}"
-            yield Diagnostic("effect-left-out", f"joint {joint}", text)
+            place, needed = Place(joint=joint), effect_named(effect).record
+            yield Diagnostic("effect-left-out", place, effect=effect, needed=needed)
 
 
 def set_record_effects(

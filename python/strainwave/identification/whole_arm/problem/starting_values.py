@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, JointModel, RigidModel
+from strainwave.domain import Diagnostic, JointModel, Place, RigidModel
 from strainwave.domain.combinations import change_from, value_of
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.kinds import kind_of
@@ -79,13 +79,9 @@ def starting_values_of(
 def warn_rejected_starts(starts: StartingValues, arm: Arm) -> Iterator[Diagnostic]:
     """Warn of each estimate that a typical value replaces."""
     for (name, joint), value in starts.rejected.items():
-        place = name if joint is None else f"{name} of joint {joint}"
-        unit = unit_in(arm, (name, joint))
-        text = (
-            f"the estimate of the earlier stages, {value:.3g} {unit}, is physically impossible; the"
-        )
-        text += f" whole-arm fit starts from the typical value {starts.values[name, joint]:.3g}"
-        yield Diagnostic("start-rejected", place, text)
+        place, unit = Place(joint=joint, parameter=name), unit_in(arm, (name, joint))
+        typical = starts.values[name, joint]
+        yield Diagnostic("start-rejected", place, value=value, unit=unit, typical=typical)
 
 
 def _link_inertia(joint: JointModel, rigid: Mapping[Key, float | None], arm: Arm) -> float:

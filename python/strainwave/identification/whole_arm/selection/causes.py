@@ -11,7 +11,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
-from strainwave.domain import Cause, Diagnostic, ParameterShift, WholeArmOptions
+from strainwave.domain import (
+    WHOLE_ARM_FIT,
+    Cause,
+    Clause,
+    Diagnostic,
+    Parameter,
+    ParameterShift,
+    Place,
+    WholeArmOptions,
+)
 from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Values
@@ -322,13 +331,11 @@ def add_significant_effects(fit: Fit, selection: Selection) -> Fit:
 def warn_unfitted_effects(refits: Refits) -> Iterator[Diagnostic]:
     """Warn about effects that were excluded because the budget was exhausted."""
     if refits.excluded:
-        names = ", ".join(f"{effect} of joint {joint}" for joint, effect in refits.excluded)
-        text = f"{names} might explain the residuals but were not fitted: the budget of"
-        text += (
-            f" {refits.evaluations} evaluations for fits with one more effect was exhausted. The"
+        effects = tuple(Clause("of-joint", name=e, joint=j) for j, e in refits.excluded)
+        evaluations = refits.evaluations
+        yield Diagnostic(
+            "causes-not-fitted", WHOLE_ARM_FIT, effects=effects, evaluations=evaluations
         )
-        text += " true cause may be one of them; raise tuning.rival_effort to fit them"
-        yield Diagnostic("causes-not-fitted", "tuning", text)
 
 
 def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
@@ -339,33 +346,40 @@ def warn_likely_cause(causes: Sequence[Cause]) -> Iterator[Diagnostic]:
     """
     for cause in causes[:1]:
         effect = effect_named(cause.effect)
-        estimates = [p for p in cause.parameters if p.value is not None and p.std is not None]
-        sizes = ", ".join(
-            f"{p.name} {p.value:.2g} +- {p.std:.1g} {p.unit}".rstrip()
-            for p in estimates[:MAX_NAMED_PARAMETERS]
+        rivals = tuple(Clause("of-joint", name=c.effect, joint=c.joint) for c in causes[1:])
+        clause = Clause(
+            "effect-likely",
+            effect=cause.effect,
+            share=cause.share,
+            sizes=tuple(_sizes(cause.parameters)),
+            changes=_changes(cause.shifts) if cause.shifts else None,
+            rivals=Clause("rivals", effects=rivals) if rivals else None,
+            rest=None if cause.share >= MIN_SUFFICIENT_SHARE else Clause("mostly-unexplained"),
+            experiment=effect.experiment,
         )
-        text = f"{cause.effect} would explain {100.0 * cause.share:.2g} % of the residuals"
-        text += f" ({sizes})"
-        if cause.shifts:
-            text += f" and change {_shift_text(cause.shifts)}"
-        rivals = [f"{other.effect} of joint {other.joint}" for other in causes[1:]]
-        if rivals:
-            text += f"; less likely causes are {' and '.join(rivals)}"
-        if cause.share < MIN_SUFFICIENT_SHARE:
-            text += "; most of the residuals remain unexplained"
-        text += f'; to fit it, give the joint effects = ["{cause.effect}"] or "auto";'
-        text += f" to confirm it, {effect.experiment}"
-        yield Diagnostic(effect.warning_code, f"joint {cause.joint}", text)
+        yield Diagnostic.of(effect.warning_code, Place(joint=cause.joint), clause)
 
 
-def _shift_text(moves: Sequence[ParameterShift]) -> str:
-    """The parameters that an effect changes most, as text."""
-    return ", ".join(
-        f"{move.name}{'' if move.joint is None else f' of joint {move.joint}'} by"
-        f" {100.0 * move.shift / move.without:+.2g} %"
-        for move in moves[:MAX_NAMED_PARAMETERS]
-        if move.without
+def _sizes(parameters: Sequence[Parameter]) -> Iterator[Clause]:
+    """The parameters of an effect."""
+    estimates = [p for p in parameters if p.value is not None and p.std is not None]
+    for p in estimates[:MAX_NAMED_PARAMETERS]:
+        template = "effect-size" if p.unit else "effect-size/no-unit"
+        yield Clause(template, name=p.name, value=p.value, std=p.std, unit=p.unit)
+
+
+def _changes(shifts: Sequence[ParameterShift]) -> Clause:
+    """The parameters that an effect changes most."""
+    listed = tuple(
+        Clause(
+            "shift",
+            parameter=Place(joint=shift.joint, parameter=shift.name),
+            change=shift.shift / shift.without,
+        )
+        for shift in shifts[:MAX_NAMED_PARAMETERS]
+        if shift.without
     )
+    return Clause("changes", shifts=listed)
 
 
 def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
@@ -373,6 +387,11 @@ def warn_added_effects(fit: Fit, arm: Arm) -> Iterator[Diagnostic]:
     for number, name in effects_in(fit.space, arm):
         if arm.joints[number - 1].selects_effects:
             effect = effect_named(name)
-            text = f"{name}, {effect.description}, was added to the model: without it"
-            text += f" {effect.consequence}; to confirm it, {effect.experiment}"
-            yield Diagnostic("effect-taken-up", f"joint {number}", text)
+            yield Diagnostic(
+                "effect-taken-up",
+                Place(joint=number),
+                effect=name,
+                description=effect.description,
+                consequence=effect.consequence,
+                experiment=effect.experiment,
+            )

@@ -332,19 +332,25 @@ def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
         error = parameter.value - constant.kind.nominal
         place = Place(joint=parameter.joint)
         if constant.kind is ConstantKind.DRIFT:
-            text = f"in {record_of(parameter.name)} the {sensor} drifts by"
-            text += f" {parameter.value:.3g} ± {half:.2g} {parameter.unit}. The fit corrects the"
-            text += " drift. Likely causes are warm-up, the supply, and the recovery of an"
-            text += " amplifier"
-            yield Diagnostic.at("sensor-drift", place, text)
+            yield Diagnostic(
+                "sensor-drift",
+                place,
+                record=record_of(parameter.name),
+                sensor=sensor,
+                rate=parameter.value,
+                half=half,
+                unit=parameter.unit,
+            )
         elif constant.kind is ConstantKind.DELAY and abs(error) >= _MIN_REPORTED_DELAY:
-            side = "behind" if error > 0.0 else "ahead of"
-            text = f"the {sensor} is {1e3 * abs(error):.3g} ± {1e3 * half:.2g} ms {side} the motor"
-            text += " encoder. The fit corrects the delay. Likely causes are a bandwidth that is"
-            text += " missing from the study, latency of the converter or bus, and time stamps"
-            yield Diagnostic.at("sensor-delay", place, text)
+            yield Diagnostic(
+                "sensor-delay",
+                place,
+                "fitted",
+                sensor=sensor,
+                delay=abs(error),
+                half=half,
+                side="behind" if error > 0.0 else "ahead of",
+            )
         elif constant.kind is ConstantKind.SCALE and abs(error) >= _MIN_REPORTED_SCALE_ERROR:
-            text = f"the {sensor} reads {parameter.value:.4g} ± {half:.2g} times the motion. The"
-            text += " fit corrects the scale. Likely causes are the calibration, the distance from"
-            text += " the axis in the study and the direction of the sensor"
-            yield Diagnostic.at("sensor-scale", place, text)
+            scale = parameter.value
+            yield Diagnostic("sensor-scale", place, sensor=sensor, scale=scale, half=half)

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter
+from strainwave.domain import Diagnostic, FloatArray, Parameter, Place
 from strainwave.domain.distributions import CI95_STDS, chi_square_limit
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import ConstantKind, constant_of
@@ -178,10 +178,11 @@ def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
         is_frequency = constant is not None and constant.kind is ConstantKind.MOUNT_FREQUENCY
         if constant is None or not is_frequency or parameter.value is None:
             continue
-        sensor = constant.owner.replace("_", " ")
-        text = (
-            f"the mount of the {sensor} of link {parameter.joint} resonates at"
-            f" {parameter.value:.3g} ± {CI95_STDS * (parameter.std or 0.0):.2g} Hz. The fit"
-            " corrects it. Glue or screw the sensor to the link"
+        yield Diagnostic(
+            "sensor-mount",
+            Place(joint=parameter.joint),
+            sensor=constant.owner.replace("_", " "),
+            joint=parameter.joint,
+            frequency_hz=parameter.value,
+            half=CI95_STDS * (parameter.std or 0.0),
         )
-        yield Diagnostic("sensor-mount", f"joint {parameter.joint}", text)

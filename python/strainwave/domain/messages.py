@@ -1,0 +1,422 @@
+"""Text of warnings and places: a template for each code, or for each variant of a code.
+
+A template is a format string. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths, `!a`
+a list with "and", `!o` with ", or ", `!e` with ", and ". `|` ends the observation of a warning and
+is not part of the text.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import PurePath
+from string import Formatter
+
+from strainwave.domain.clauses import Clause, Place, Span, Value
+
+_RECORD_ALL_JOINTS = (
+    "record all joints moving together, in both directions, at varied speeds and postures"
+)
+_RECORD_CHECK = (
+    'record steps under the servo, or a PRBS, as use = "check", with the angle and the voltage of'
+    " every motor and the servo's references"
+)
+_CLOCK = "time stamps are not uniform (steps of {shortest:.2f} to {longest:.2f} periods): "
+_SLOW_CLOCK = "|; motion faster than the widest step is lost. Log with a fixed clock if possible"
+_NO_FIT = "no fit is reported for {channel}: "
+_STOPPED = (
+    "the search stopped {decrease:.2g} of log-likelihood short of an optimum, mostly because that"
+    " lies where the predictor is unstable|. Take off means and drifts, lower the order, or "
+)
+_PREDICTED = (
+    "{channel} is predicted with a fit of {fit:.3g} %, an error of {ratio:.2g} times what noise,"
+    " friction, the intervals and the residuals of the fit explain"
+)
+_RATIO = "n tau is {ratio:.3g} times u"
+_INERTIA = "the link's own inertia changes by {change!p:.2g} %"
+_SPECTRUM = "tau is above its noise in {share!p:.0f} % of the band"
+_STIFF = (
+    "the gear is very stiff: its resonance, {resonance_hz:.3g} Hz, lies WHERE the band of"
+    " {band_hz:.3g} Hz in which the motor's motion stands above its encoder's noise"
+)
+_SLIDING = "the motor slides in {share!p:.0f} % of the record"
+
+TEMPLATES: Mapping[str, str] = {
+    # logs
+    "resampled/grid": _CLOCK
+    + "resampled to {n_samples} samples every {period:.6g} s"
+    + _SLOW_CLOCK,
+    "resampled/ticks": _CLOCK
+    + "up to {offset!p:.2g} % of a period from a clock of {period:.6g} s: resampled to its"
+    " {n_samples} ticks" + _SLOW_CLOCK,
+    "resampled/topics": "{topics}: resampled to the time stamps of {clock}, measured values by"
+    " monotone cubics, commands held|; motion faster than the rate of a topic is lost. Publish all"
+    " topics from one clock if possible",
+    "reordered": "{n_late} message(s) of {topic} are out of order, and {n_equal} repeat a time"
+    " stamp: the messages were sorted, and only the last message of each time stamp is used",
+    "recorder-stamps": "the messages of {topics} have no header stamp: the time stamps of the"
+    " recorder are used, which lag by {delay!m:.3g} ms in the other topics|. Publish {topics} with"
+    " a header if possible",
+    "silent-command": "{topic} sends nothing from {start:.6g} to {stop:.6g} s: the last value is"
+    " held|. Check that the drive held this value",
+    "constant-channel": "the channel '{channel}' never changes|. Check the sensor and the map",
+    "saturated": "{channel} is at its limit for {share!p:.1f} % of the record|; these samples are"
+    " not used. Record a slower motion",
+    "spikes": "{channel} has {count} of up to {size:.3g} {times}|; {consequence}. Check the cable,"
+    " its shield and the connector",
+    "frozen": "{channel} repeats one value while the arm moves {times}|; {consequence}. Check for"
+    " lost packets, a loose connector, or a sensor that stopped updating",
+    "encoder-steps": "{channel}: a step that is inconsistent with the motion, by {size:.4g} rad,"
+    " {times}|; {consequence}. Check the index pulse and supply of the encoder, and the bits of the"
+    " counter",
+    "encoder-steps/overflow": "{channel}: the counter wraps, by {size:.4g} rad, {times}|;"
+    " {consequence}. Check the index pulse and supply of the encoder, and the bits of the counter",
+    "flat-tops": "{channel} is at the end of its range, {level:.4g}, {times}|; {consequence}. Use a"
+    " sensor with a larger range, or a smaller amplitude",
+    "mains-hum": "{channel} has hum at {frequency_hz:.0f} Hz with an amplitude of up to"
+    " {amplitude:.2g}|; the hum is not removed. Shield and ground the sensor cable, and route it"
+    " away from motor cables",
+    # rigid step
+    "standing": "motor {joint} may stick in {share!p:.0f} % of the record|; these samples contain"
+    " no information on its friction; move faster and reverse less often",
+    "standing/planned": "the motor of joint {joint} sticks for {share!p:.0f} % of the record, which"
+    " then gives no information|; allow more voltage or velocity",
+    "poor-excitation": "condition number {condition:.0f}: the records poorly separate {names}|; "
+    + _RECORD_ALL_JOINTS,
+    "poor-excitation/planned": "condition number {condition:.0f}: the motion separates the rigid"
+    " parameters poorly|; allow more voltage, velocity or angle",
+    "not-identifiable/reason": "{reason}",
+    "not-identifiable/joint-at-rest": "joint {joint} does not move|; record a motion in which it"
+    " does",
+    "not-identifiable/one-way": "joint {joint} moves in one direction only, so that Coulomb"
+    " friction and offset are not separately identifiable|; record motion in both directions",
+    "not-identifiable/joints-at-rest": "joint {joints} does not move|; " + _RECORD_ALL_JOINTS,
+    "not-identifiable/not-separable": "these records cannot separate it from {others}|; "
+    + _RECORD_ALL_JOINTS,
+    "not-identifiable/no-information": "these records contain too little information on it|; "
+    + _RECORD_ALL_JOINTS,
+    "not-identifiable/wide": "{records} determine the value only to {estimate}|{split}",
+    "not-identifiable/whole-arm": "the data give only {estimate}|{split}",
+    "not-identifiable/no-bend": "the records do not show whether the gear bends there|; record more"
+    " motion at small torques",
+    "implausible/rigid": "{value:.3g} {unit} is negative beyond its uncertainty: the data"
+    " contradict a rigid arm with Coulomb and viscous friction",
+    "implausible": "{estimate} is physically impossible: the model of the joint does not describe"
+    " {records}",
+    "not-settled": "after {iterations} iterations a parameter still changes by {change:.1f}"
+    " standard deviations|; record a longer or more varied motion",
+    "load-friction": "friction increases by {share:.3f} +- {std:.3f} of the load|. Predictions of"
+    " the rigid model include this; simulations and exports do not",
+    "not-rigid": "the anti-resonance at {anti_resonance_hz:.1f} Hz is too close to the motion band"
+    " of {bandwidth_hz:.1f} Hz for a rigid model|; move more slowly",
+    "no-rigid-model": "{reason}",
+    "nothing-to-predict/noise": _NO_FIT + "the signal is less than {ratio:g} times its noise",
+    "nothing-to-predict/rest": _NO_FIT + "the motor rests or its torque is constant",
+    "nothing-to-predict/reason": "{record} {reason}",
+    # links and decoupling
+    "no-link-sensor": "link {joint} has no sensor: only the response of motor {joint} determines"
+    " its gear|. Add an accelerometer, a link encoder or the deflection for narrower intervals",
+    "sub-sampled": "the voltage changes every {clock:g} s but is logged every {sample_time:g} s:"
+    " the log misses changes|. Log at the PRBS clock or faster",
+    "misaligned": "{channel} is {delay!m:.3g} +- {std!m:.2g} ms {side} the motor encoder|; the"
+    " channel was not shifted. Check the time stamps of the logger, and the bandwidths in the study"
+    " (accelerometer_hz, gyro_hz, current_loop_hz)",
+    "sensor-delay": "the link sensor is {delay!m:.3g} ± {half!m:.2g} ms {side} the motor encoder|;"
+    " its channel was shifted by this delay. Likely causes: a missing sensor bandwidth in the"
+    " study, latency of its converter or bus, wrong time stamps",
+    "sensor-delay/fitted": "the {sensor} is {delay!m:.3g} ± {half!m:.2g} ms {side} the motor"
+    " encoder|. The fit corrects the delay. Likely causes are a bandwidth that is missing from the"
+    " study, latency of the converter or bus, and time stamps",
+    "sliding/passed": _SLIDING,
+    "sliding": _SLIDING + "|; stiction biases the inertia of a linear model: raise the amplitude",
+    "constant-inertia/passed": _INERTIA,
+    "constant-inertia": _INERTIA + ", all of it in tau|; keep the swing of joint {joint} small",
+    "interaction-amplitude/passed": _RATIO,
+    "interaction-amplitude": _RATIO + "|; too small to estimate its effect",
+    "interaction-spectrum/passed": _SPECTRUM,
+    "interaction-spectrum": _SPECTRUM + "|; raise the amplitude",
+    "input-richness/passed": "u and tau differ: eigenvalue ratio {ratio:.3g}, median of"
+    " {low_hz:.1f} to {high_hz:.1f} Hz",
+    "input-richness": "tau is nearly a linear function of u (eigenvalue ratio {ratio:.1g})|; excite"
+    " all joints at once with independent sequences",
+    "no-frequency-record": 'the study has no record with use = "frequency" or "sweep": without one'
+    " the gears start from typical values in the whole-arm fit, if there are step records|; record"
+    " a PRBS on each joint",
+    "subspace-not-determined": "the predictor diverges on its own data|. Take off means and drifts,"
+    " or change the order",
+    "pem-iteration-limit": "not converged after {iterations} steps|; {decrease:.2g} of"
+    " log-likelihood seems left. Raise max_iterations, or lower the order",
+    "pem-stalled": _STOPPED + "fit an output-error model",
+    "pem-stalled/output-error": _STOPPED + "estimate K",
+    "pem-not-determined": "the data leave a direction of the model open, so no covariance is"
+    " given|. Lower the order, or excite every input",
+    "order-reduced": "the data ask for {order} states, but no such model converges with a"
+    " resonance: this has {reduced}",
+    "negative-fit": "simulated from the inputs alone it is worse than a constant ({fits}), though"
+    " it predicts one step ahead: its response to the inputs is not to be trusted|. Take off"
+    " drifts, change the order, or estimate an output-error model",
+    "unstable-model": "the slowest pole grows by {rate:.2g} 1/s, as friction that is not quite"
+    " taken off makes it seem|; the simulated fit means nothing, resonances are not touched",
+    "pole-near-nyquist": "a pole at {frequency_hz:.3g} Hz, with samples at {rate_hz:.3g} Hz, may be"
+    " the alias of a faster one|. Lower the order, or sample faster",
+    # parameters of a joint
+    "equivalent-stiffness": "equivalent stiffness at the torsion in {records}: {note}",
+    "not-reciprocal": "G12 and G21 agree only to {agreement:.0f} %, but a joint is reciprocal:"
+    " check gear_ratio, torque_per_volt and the link sensor",
+    "lag-not-slow": "the slow lag of the joint is close to its anti-resonance, so (18) is"
+    " inaccurate",
+    "inertia-mismatch": "the inertia at the resonance is {ratio:.2f} times that of the rigid model:"
+    " check friction and torque_per_volt",
+    "response-apart": "the physical model and the measured response differ by more than both 95 %"
+    " bands on {share!p:.0f} % of the lines, by {difference_db:.0f} dB near {frequency_hz:.3g} Hz",
+    "grey-box-failed": "{reason}",
+    "state-space-failed": "{reason}",
+    "modes-failed": "{reason}",
+    "not-judged": "{reason}",
+    "transfer-function-failed": "{reason}",
+    # final table
+    "rejected": "{reason}|; rejected values: {values}",
+    "elastic-not-validated/no-fit": "the run has no whole-arm fit, which predicts the motion",
+    "elastic-not-validated/no-check": "no check record can be simulated|; " + _RECORD_CHECK,
+    "elastic-not-validated/not-predicted": "the whole-arm fit does not predict {records}",
+    "elastic-not-validated/no-effect": "the predictions of {records} do not depend on the gear"
+    " stiffness|; " + _RECORD_CHECK,
+    "not-predicted/rigid": _PREDICTED
+    + ", so check the payload, the voltage and the friction of that record",
+    "not-predicted/servo": _PREDICTED + ", but the recorded voltages explain the motion, so correct"
+    " kp, ki, period and limit of [servo], or the references of that record",
+    "not-predicted/hardening": _PREDICTED + "{advice}",
+    "not-predicted/elastic": _PREDICTED
+    + ", so check [servo], the references and the payload of that record",
+    "not-described": "the residuals of {channel} are {noise_ratio:.2g} times the sensor's noise and"
+    " {share!p:.2g} % of the signal, so the model does not describe the record{advice}",
+    "implausible-size": "{values}: these sizes are outside the range of robot joints, so {remedy}",
+    # whole-arm fit
+    "not-tuned": "{reason}",
+    "start-rejected": "the estimate of the earlier stages, {value:.3g} {unit}, is physically"
+    " impossible|; the whole-arm fit starts from the typical value {typical:.3g}",
+    "sensor-scale": "the {sensor} reads {scale:.4g} ± {half:.2g} times the motion|. The fit"
+    " corrects the scale. Likely causes are the calibration, the distance from the axis in the"
+    " study and the direction of the sensor",
+    "sensor-drift": "in {record} the {sensor} drifts by {rate:.3g} ± {half:.2g} {unit}|. The fit"
+    " corrects the drift. Likely causes are warm-up, the supply, and the recovery of an amplifier",
+    "sensor-mount": "the mount of the {sensor} of link {joint} resonates at {frequency_hz:.3g} ±"
+    " {half:.2g} Hz|. The fit corrects it. Glue or screw the sensor to the link",
+    "iteration-limit": "the fit did not converge within {iterations} iterations|; raise"
+    " tuning.max_iterations or use longer records",
+    "causes-not-fitted": "{effects} might explain the residuals but were not fitted: the budget of"
+    " {evaluations} evaluations for fits with one more effect was exhausted|. The true cause may be"
+    " one of them; raise tuning.rival_effort to fit them",
+    "at-bounds": "the estimate is at the limit of its range, {value:.3g} {unit}: the data"
+    " contradict the model or do not determine the value",
+    "not-reached": "no record loads the gear so far that it shows|; use a larger amplitude, or hold"
+    " the link",
+    "not-reached/simpler-law": "the gear is {law} within its errors|; use a larger amplitude or set"
+    ' spring = "{law}"',
+    "stages-disagree": "taken together, {subject} differ by {deviations:.1f} standard deviations"
+    " (chi-square {chi_square:.4g} of {degrees} degrees), most in {largest}|; likely causes in this"
+    " order: {causes!o}",
+    "stages-disagree/no-suspect": "taken together, {subject} differ by {deviations:.1f} standard"
+    " deviations (chi-square {chi_square:.4g} of {degrees} degrees), most in {largest}|; likely"
+    " causes in this order: a motor constant that falls with current (record with less voltage), a"
+    " clock that is fast or slow, a dead zone of the drive, another law of friction",
+    "torques-contradict": "{contradiction}|; the effect named in the warnings explains all records"
+    " better",
+    "friction-settles": "Coulomb friction reverses over {time!u:.3g} us instead of instantly|; the"
+    " model includes this settling time",
+    "motor-side-limit": "{estimates}: {reasons!e}|; an accelerometer or an encoder on the link"
+    " would show it",
+    "motor-side-limit/viscous": "{estimates}: far below the anti-resonance, {anti_resonance_hz:.3g}"
+    " Hz, motor and link move as one and only the sum d_M + n^2 d_L acts at the motor|; use"
+    " total_viscous_friction",
+    "only-together": "only a combination of these parameters is identified: they can change"
+    " together by {spread!p:.2g} %|; use the combination, not the single values",
+    "residual-not-noise": "the residuals of {channel} are {ratio:.2g} times its sensor's noise,"
+    " most near {worst_hz:.3g} Hz{dependence}|{unexplained}; intervals were widened for it",
+    "effect-taken-up": "{effect}, {description}, was added to the model: without it {consequence}|;"
+    " to confirm it, {experiment}",
+    "effect-left-out": "{effect} was fitted and removed: its size does not differ significantly"
+    " from zero in the records, and the other parameters are estimated without it|; remove it from"
+    " the joint's effects, or add {needed}",
+    # design of experiments
+    "limit-broken": "not planned: {reason}|{remedy}",
+    "no-torque-limit": "the gear torque of joint {joint} reaches {torque:.3g} N m in {experiment},"
+    " and no limit is set: compare it with the peak torque in the data sheet, or set"
+    " --limit-torque",
+    "no-servo": "the study describes no servo, so the design contains only open-loop voltages|; it"
+    " lacks the motion that the rigid step needs and the steps that validate the elastic model:"
+    " {remedy}; or record a slow motion of all joints by other means and add it with"
+    ' use = "motion"',
+    "knee-not-reached": "the gear torque of joint {joint} reaches {torque:.3g} N m, and the knees"
+    " are at {knees:.3g} N m: the stiffness above is not identifiable|; allow more voltage,"
+    " velocity or angle",
+    "slow-clock": "the servo's clock limits the excitation to {limit_hz:.3g} Hz, but the joint"
+    " needs {needed_hz:.3g} Hz|; output the voltages with a faster clock",
+    # export
+    "assumed/friction": "link_viscous_friction is not identified|; the model has"
+    " total_viscous_friction at the motor",
+    "assumed/inertia": "only the sum of {parts!a}, {sum}, is identified|; the split is arbitrary",
+    "study-changed": "{file} has changed since it was identified|; gear ratios, lengths and torques"
+    " per volt are the present ones",
+    "gravity-torque": "gravity is {law}, which differs by {error!p:+.1f} % from that of the study|;"
+    " check {keys} and torque_per_volt",
+    "left-out": "the lag of the current loop ({bandwidth_hz:g} Hz) is shorter than the time step of"
+    " {step:g} s|; the model has none",
+    "linearised": "{note}",
+    # likely effects, whatever their code
+    "effect-likely": "{effect} would explain {share!p:.2g} % of the residuals"
+    ' ({sizes}){changes}{rivals}{rest}|; to fit it, give the joint effects = ["{effect}"] or'
+    ' "auto"; to confirm it, {experiment}',
+}
+"""Messages of warnings, by code or "code/variant"."""
+
+CLAUSES: Mapping[str, str] = {
+    "topic": "{name} ({rate_hz:.4g} Hz)",
+    "topic/once": "{name} (once)",
+    "spikes-count/one": "a spike",
+    "spikes-count": "{count} spikes",
+    "instant": "at {time:.6g} s",
+    "interval": "from {start:.6g} to {stop:.6g} s",
+    "more": "and {count} more",
+    "record-not-used": "the record is not used",
+    "record-not-used/other-defect": "the record is not used because of another defect",
+    "channel-not-used": "the channel is not used in this record",
+    "step-subtracted": "the step was subtracted from all later samples",
+    "samples-not-used": "these samples are not used in the fits",
+    "estimate": "{value:.3g} +- {std:.2g} {unit}",
+    "estimate/no-std": "{value:.3g} {unit}",
+    "viscous-split": "; only the total viscous friction is well determined",
+    "fit": "{channel} {fit:.0f} %",
+    "of-joint": "{name} of joint {joint}",
+    "stage-difference": "{parameter} {rigid:.4g} by the rigid and {whole_arm:.4g} {unit} by the"
+    " whole-arm fit",
+    "subject/all": "the values",
+    "subject/inertias": "inertias and gravity torques",
+    "subject/friction": "joint {joint}'s friction",
+    "suspect": "{subject}, which would explain {share!p:.3g} %: {experiment}",
+    "suspect/value": "{subject} (then {value:.4g} {unit}), which would explain {share!p:.3g} %:"
+    " {experiment}",
+    "suspects": ", likely causes in this order: {causes!o}",
+    "suspects/none": ", so check the constants in the study",
+    "hardening": ", and the sweep of joint {joints!a} shows hardening: give it spring ="
+    ' "three-slope"',
+    "follows-input": ", and follow joint {joint}'s input by {delay!m:.3g} ms: the model lacks"
+    " something of the motion, or the study has a wrong constant",
+    "follows-no-input": ", without linear dependence on an input: friction or a gear that the model"
+    " does not describe, a wrong constant in the study and an outside disturbance look so",
+    "no-effect-explains": "; none of the effects that the program knows explains them",
+    "poor/not-identified": "{label} not identified",
+    "poor/at-bound": "{label} at the limit of its range",
+    "poor/wide": "{label} to {half!p:.2g} % only",
+    "stiff/beyond": _STIFF.replace("WHERE", "beyond"),
+    "stiff/near": _STIFF.replace("WHERE", "near the end of"),
+    "damped": "the gear is very damped: with a damping ratio of {damping_ratio:.2g} its resonance,"
+    " {resonance_hz:.3g} Hz, makes no peak in the motor's response",
+    "coarse": "the encoder is coarse: of the residuals of {channel}, {error:.2g} rad/s, {noise:.2g}"
+    " are the rounding of its {counts:g} counts per turn",
+    "effect-size": "{name} {value:.2g} +- {std:.1g} {unit}",
+    "effect-size/no-unit": "{name} {value:.2g} +- {std:.1g}",
+    "changes": " and change {shifts}",
+    "shift": "{parameter} by {change!p:+.2g} %",
+    "rivals": "; less likely causes are {effects!a}",
+    "mostly-unexplained": "; most of the residuals remain unexplained",
+    "and-remedy": "; {remedy}",
+    "rejected-value": "{label} = {value:.4g}",
+    "reason/fault": "it depends on channels that contradict each other or the study",
+    "reason/contradiction": "the rigid and the whole-arm fit contradict each other",
+    "reason/implausible": "the decoupled fit of the joint contains an impossible value",
+    "reason/stage": "the {stage} fit gives {label} = {value:.3g} {unit}, which is physically"
+    " impossible",
+    "reason/at-bound": "the estimate is at the limit of its range, {value:.3g} {unit}",
+    "reason/effect": "{effect} of joint {joint}, which explains part of the residuals, would shift"
+    " it out of its interval and by more than {limit!p:.0f} %",
+    "reason/gamma": "gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}",
+    "reason/impossible": "{value:.3g} {unit} is physically impossible",
+    "disagreement": "the stages disagree by {deviations:.2g} standard deviations on"
+    " {subject}{causes}",
+    "sized-value": "{label} = {value:.4g} {unit} (robot joints: {minimum:.2g} to {maximum:.2g})",
+    "unit/unknown": "check the units of joint {joint}'s torque_per_volt, gear_ratio and columns",
+    "unit/angle": "theta_m{joint} is likely in {unit}, and its column needs a scale",
+    "unit/torque": "torque{joint} is likely in {unit}, and its column needs a scale",
+    "unit/constant": "torque_per_volt is likely in {unit}/V and must be written as torque_per_volt"
+    " = {torque_per_volt:.4g}",
+}
+"""Parts of messages."""
+
+_CONJUNCTIONS = {"a": " and ", "o": ", or ", "e": ", and "}
+_SCALES = {"p": 100.0, "m": 1e3, "u": 1e6}
+
+
+def text_of(clause: Clause, **more: Value) -> str:
+    """Text of a clause or a message; `more` has values that it may lack."""
+    return _render(_template_of(clause), more | dict(clause.values))
+
+
+def observation_of(clause: Clause, **more: Value) -> str:
+    """The part of a warning's message that says what was observed."""
+    return _render(_template_of(clause).partition("|")[0], more | dict(clause.values))
+
+
+def place_text(place: Place) -> str:
+    """Text of a place: "prbs-j1, joint 1", "beta", "gear_stiffness of joint 1"."""
+    name = place.parameter or place.part
+    if name is not None:
+        return name if place.joint is None else f"{name} of joint {place.joint}"
+    records = () if place.channel and len(place.experiments) > 1 else place.experiments
+    parts = [place.file, *records, place.channel, place.joint and f"joint {place.joint}"]
+    text = ", ".join(str(part) for part in parts if part)
+    return f"{text} {place.key or ''}".strip()
+
+
+def places_text(places: Sequence[Place]) -> str:
+    """Text of one or several places."""
+    if len(places) > 1 and all(place.parameter for place in places):
+        return " and ".join(map(place_text, places))
+    if len(places) > 1 and all(place == Place(joint=place.joint) for place in places):
+        return f"joint {', '.join(str(place.joint) for place in places)}"
+    if len(places) > 1 and all(place.is_one_record for place in places):
+        joints = ["" if p.joint is None else f" (joint {p.joint})" for p in places]
+        return ", ".join(p.experiments[0] + j for p, j in zip(places, joints, strict=True))
+    return ", ".join(map(place_text, places))
+
+
+def short_place(places: Sequence[Place]) -> str:
+    """Text of the places, a file by its name."""
+    files = [PurePath(place.file).name for place in places if place.file]
+    return ", ".join(files) or places_text(places)
+
+
+def _template_of(clause: Clause) -> str:
+    return TEMPLATES.get(clause.template) or CLAUSES[clause.template]
+
+
+def _render(template: str, values: Mapping[str, Value]) -> str:
+    return _Rendering().vformat(template.replace("|", ""), (), values)
+
+
+class _Rendering(Formatter):
+    """Format strings whose values are clauses, places and lists of these."""
+
+    def convert_field(self, value: Value, conversion: str | None) -> Value | _List:
+        if conversion in _CONJUNCTIONS:
+            return _List(value if isinstance(value, tuple) else (value,), _CONJUNCTIONS[conversion])
+        scale = _SCALES.get(conversion or "", 1.0)
+        if isinstance(value, Span):
+            return Span(scale * value.low, scale * value.high)
+        return scale * value if conversion and isinstance(value, float | int) else value
+
+    def format_field(self, value: Value | _List, format_spec: str) -> str:
+        if isinstance(value, _List | tuple):
+            items, link = (value.items, value.link) if isinstance(value, _List) else (value, ", ")
+            return link.join(self.format_field(item, format_spec) for item in items)
+        if isinstance(value, Clause):
+            return text_of(value)
+        if isinstance(value, Place):
+            return place_text(value)
+        return "" if value is None else format(value, format_spec)
+
+
+@dataclass(frozen=True, slots=True)
+class _List:
+    items: tuple[Value, ...]
+    link: str
