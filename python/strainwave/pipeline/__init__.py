@@ -157,11 +157,9 @@ def _check_inputs(
 
 
 def _compare_torque_constants(check: _InputCheck, model: RigidModel | None) -> _InputCheck:
-    """Add the ratio of torque constants that the rigid fit estimates to the consistency check."""
-    ratio = model.torque_ratios.get(2) if model is not None else None
-    if ratio is None:
-        return check
-    torques = consistency.suspect_torque_constants(*ratio, check.inputs.study)
+    """Add the ratios of torque constants that the rigid fit estimates to the consistency check."""
+    ratios = model.torque_ratios if model is not None else {}
+    torques = consistency.suspect_torque_constants(ratios, check.inputs.study)
     if torques is None:
         return check
     return replace(check, consistency=Consistency((*check.consistency.suspected, torques)))

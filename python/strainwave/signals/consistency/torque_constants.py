@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from strainwave.domain import (
     Channel,
     Consistency,
@@ -23,16 +25,23 @@ _MAX_DOUBTFUL_FACTOR = 1.25
 _MIN_APPROXIMATE_STD = 0.02
 
 
-def suspect_torque_constants(value: float, std: float, study: Study) -> Suspicion | None:
-    """Suspicion of a wrong torque constant if the torque ratio differs significantly from 1.
+def suspect_torque_constants(
+    ratios: Mapping[int, tuple[float, float]], study: Study
+) -> Suspicion | None:
+    """Suspicion of a wrong torque constant if a torque ratio differs significantly from 1.
 
-    `value` and `std` are the ratio of the torque-constant errors of joints 1 and 2, from the
-    symmetry of M(q), and its standard deviation.
+    `ratios` has the ratio of the torque-constant error of joint 1 to that of each other joint, from
+    the symmetry of M(q), and its standard deviation. The most significant ratio is reported.
     """
-    error = abs(value - 1.0)
-    if error <= _MIN_SIGNIFICANCE * std or error <= _TOLERANCE:
+    wrong = {
+        joint: abs(value - 1.0) / max(std, 1e-300)
+        for joint, (value, std) in ratios.items()
+        if abs(value - 1.0) > max(_MIN_SIGNIFICANCE * std, _TOLERANCE)
+    }
+    if not wrong:
         return None
-    return build_torque_constant_suspicion(value, std, study)
+    joint = max(wrong, key=lambda number: wrong[number])
+    return build_torque_constant_suspicion(*ratios[joint], study, joint)
 
 
 def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
@@ -51,8 +60,10 @@ def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
     return suspicion if suspicion.code == "wrong-torque-constant" and is_near_one else None
 
 
-def build_torque_constant_suspicion(value: float, std: float, study: Study) -> Suspicion:
-    """Build the suspicion that one of two torque constants is wrong, without stating which one."""
+def build_torque_constant_suspicion(
+    value: float, std: float, study: Study, joint: int = 2
+) -> Suspicion:
+    """Suspicion that the torque constant of joint 1 or of another joint is wrong."""
     factor = (
         format_number(value)
         if std < _MIN_APPROXIMATE_STD * value
@@ -62,20 +73,21 @@ def build_torque_constant_suspicion(value: float, std: float, study: Study) -> S
     if logged:
         remedy = (
             f"Divide the scale of channels.torque1 by {factor}, or multiply the scale of "
-            f"channels.torque2 by {factor}; change the less certain of the two"
+            f"channels.torque{joint} by {factor}; change the less certain of the two"
         )
     else:
         remedy = (
             f"Divide torque_per_volt of [[joint]] 1 by {factor}, or multiply torque_per_volt of "
-            f"[[joint]] 2 by {factor}; change the less certain of the two"
+            f"[[joint]] {joint} by {factor}; change the less certain of the two"
         )
     return Suspicion(
         code="wrong-torque-constant",
         places=(Place(key="torque_per_volt"),),
         message=(
             f"the torques of joint 1 are {factor} (standard deviation {format_number(std, 2)}) "
-            "times the value that the torques of joint 2 and the symmetry of the inertia matrix "
-            "imply: one of the two torque constants is wrong; the signals do not determine which"
+            f"times the value that the torques of joint {joint} and the symmetry of the inertia "
+            "matrix imply: one of the two torque constants is wrong; the signals do not determine "
+            "which"
         ),
         remedy=remedy,
         factor=value,
