@@ -210,7 +210,7 @@ def test_derivatives_by_drifts_are_those_of_the_record_alone() -> None:
         more = record.linearise({**values, keys[k]: values[keys[k]] + 1.0}, np.zeros(0), [])[0]
         np.testing.assert_allclose(more - rows, tangent[..., k], atol=1e-9)
     (channel,) = np.flatnonzero(tangent[..., 0].any(axis=0))
-    assert record.channels[channel].name == "a1"
+    assert record.channels[channel].channel == "a1"
     slope = np.polyfit(record.time, tangent[:, channel, 0], 1)[0]
     assert slope == pytest.approx(1.0)
 
