@@ -69,9 +69,6 @@ def assert_close(actual: Array, expected: Array) -> None:
 
 def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
     """A chain with linear gears of ratio 1/100 under `GRAVITY`, unless given otherwise."""
-    count = len(joints)
-    return _core.Arm.serial_chain(
-        joints,
-        ["linear"] * count,
-        **({"gear_ratio": [0.01] * count, "gravity": GRAVITY} | constants),
-    )
+    n = len(joints)
+    given = {"springs": ["linear"] * n, "gear_ratio": [0.01] * n, "gravity": GRAVITY} | constants
+    return _core.Arm.serial_chain(joints, **given)

@@ -54,6 +54,7 @@ class Arm:
         *,
         torque_per_volt: Sequence[float] | None = None,
         gravity: Sequence[float] = ...,
+        transmission: Sequence[Sequence[float]] | None = None,
         current_loop_hz: Sequence[float | None] | None = None,
         encoder_counts: Sequence[float | None] | None = None,
         accelerometer_distance: Sequence[float] | None = None,
@@ -73,8 +74,10 @@ class Arm:
         frame's origin, in its frame's axes. Its accelerometer sits at `accelerometer_distance`
         across the joint's axis, along the frame's x axis as far as that is across, and reads across
         both; on a prismatic joint it reads along the axis, at the origin. A gyro reads the rate
-        about the axis. Of an IMU's signals there are those in the plane across the axis. Raises
-        ValueError for other numbers of joints and axes without a direction.
+        about the axis. Of an IMU's signals there are those in the plane across the axis. With the
+        rows of a `transmission` C, torsions are C n theta_M - q, and the motors carry n C' T;
+        without it each motor moves its own joint. Raises ValueError for other numbers of joints,
+        axes without a direction, a singular C, and a C that couples rigid and elastic gears.
         """
     @property
     def n_joints(self) -> int: ...

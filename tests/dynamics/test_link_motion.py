@@ -1,5 +1,7 @@
 """Link motion of planar arms and of chains, and its derivatives."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,45 @@ def test_derivatives_match_differences(types: str) -> None:
             rise = arm.link_motion(*(motion + step)) - arm.link_motion(*(motion - step))
             # rounding of numbers of about 100, over the step, and the step's square
             np.testing.assert_allclose(derivative[..., j], rise / (2 * h), atol=1e-7, rtol=1e-8)
+
+
+def test_a_single_joint_is_a_chain() -> None:
+    """Simulation, sensors and derivatives agree with those of the equivalent chain."""
+    place: Joint = ("revolute", [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.0])
+    arm = Arm.of(single_joint(DRIVE, GRAVITY)).core
+    same = chain([place], gravity=[0.0, -GRAVITY, 0.0])
+    inertia, moment = 0.6, 1.2
+    body = [4.0, moment, 0.0, 0.0, 0.3, 0.0, inertia, 0.0, 0.0, inertia]
+    drive = [1.5e-4, 2e-4, 0.06, 0.01, 0.5, 2e4, 10.0, 3e-4]
+    names = [("motor_inertia", 1), ("motor_coulomb_friction", 1), ("gear_stiffness", 1)]
+    signals = ["specific_force_x", "specific_force_y", "angular_acceleration_z"]
+    signals += ["rate_product_zz", "angular_rate_z"]
+    experiment: dict[str, Any] = {
+        "motor_angle": [30.0],
+        "step": 1.25e-4,
+        "steps_per_tick": 8,
+        "steps_per_sample": 8,
+        "samples": 50,
+        "record": ["motor_angle", "torsion", "gear_torque", "accelerometer", "gyro", *signals],
+    }
+    torque = np.random.default_rng(3).choice([-0.3, 0.3], (50, 1))
+    one, other = (
+        core.sensitivities(
+            np.array([*base, *drive]), torque, with_respect_to=[*of_link, *names], **experiment
+        )
+        for core, base, of_link in [
+            (
+                arm,
+                [inertia, GRAVITY * moment],
+                [("link_inertia", 1), ("gravity_torque_1", None)],
+            ),
+            (same, body, [("link_inertia_zz", 1), ("link_first_moment_x", 1)]),
+        ]
+    )
+    for name, (values, tangents) in one.items():
+        expected, by_chain = other[name]
+        tangents[..., 1] *= GRAVITY
+        # rounding, amplified in some 400 steps
+        np.testing.assert_allclose(values, expected, atol=1e-10 * abs(expected).max())
+        size = abs(by_chain).max(axis=(0, 1))
+        np.testing.assert_allclose(tangents / size, by_chain / size, atol=1e-8)

@@ -21,6 +21,13 @@ from serial_chains import (
 
 mujoco = pytest.importorskip("mujoco")
 
+PAIRS = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
+FORCES, TURNING, RATES = (
+    [f"{name}_{axis}" for axis in "xyz"]
+    for name in ("specific_force", "angular_acceleration", "angular_rate")
+)
+PRODUCTS = [f"rate_product_{'xyz'[i]}{'xyz'[j]}" for i, j in PAIRS]
+
 
 def in_plane(axis: Array) -> tuple[Array, Array]:
     """The two directions perpendicular to an axis in which a link's sensors are given."""
@@ -29,8 +36,8 @@ def in_plane(axis: Array) -> tuple[Array, Array]:
     return x, np.cross(axis, x)
 
 
-def mujoco_model(joints: list[Joint], bodies: list[dict[str, Any]], distance: float) -> Any:
-    """The same chain in MuJoCo with accelerometer, gyro and angular accelerometer on each link."""
+def mujoco_chain(joints: list[Joint], bodies: list[dict[str, Any]], distance: float) -> Any:
+    """The same chain for MuJoCo with two accelerometers and a gyro on each link."""
     spec = mujoco.MjSpec()
     spec.compiler.balanceinertia = False
     spec.option.gravity = GRAVITY
@@ -58,7 +65,7 @@ def mujoco_model(joints: list[Joint], bodies: list[dict[str, Any]], distance: fl
         ]:
             spec.add_sensor(type=sensor, objtype=mujoco.mjtObj.mjOBJ_SITE, objname=name)
         parent = link
-    return spec.compile()
+    return spec
 
 
 @pytest.mark.parametrize("types", ["r", "p", "rr", "rp", "rpr", "rrrrrr", "rrprpr"])
@@ -71,7 +78,7 @@ def test_dynamics_match_mujoco(types: str) -> None:
     base = np.concatenate([parameters_of(body) for body in bodies])
     parameters = np.concatenate([base, MOTOR * n])
     q, dq, ddq = rng.uniform(-2.0, 2.0, (3, SAMPLES, n))
-    model = mujoco_model(joints, bodies, 0.3)
+    model = mujoco_chain(joints, bodies, 0.3).compile()
     data = mujoco.MjData(model)
     inertia, bias, torque = (
         np.empty((SAMPLES, n, n)),
@@ -113,9 +120,9 @@ def test_sensors_match_mujoco() -> None:
         steps_per_tick=10,
         steps_per_sample=10,
         samples=10,
-        record=[*motion, "accelerometer", "gyro", "specific_force_x", "specific_force_y"],
+        record=[*motion, "accelerometer", "gyro", *FORCES, *TURNING, *PRODUCTS, *RATES],
     )
-    model = mujoco_model(joints, bodies, distance)
+    model = mujoco_chain(joints, bodies, distance).compile()
     data = mujoco.MjData(model)
     for k in range(10):
         data.qpos, data.qvel, data.qacc = (record[name][0, k] for name in motion)
@@ -126,10 +133,85 @@ def test_sensors_match_mujoco() -> None:
             x, y = in_plane(unit)
             at_origin, at_sensor, rate = readings[i]
             across = unit if kind == "prismatic" else y
-            expected = [across @ at_sensor, unit @ rate, x @ at_origin, y @ at_origin]
-            names = ["accelerometer", "gyro", "specific_force_x", "specific_force_y"]
+            expected = [across @ at_sensor, unit @ rate]
+            products = [rate[j] * rate[m] for j, m in PAIRS]
+            names = ["accelerometer", "gyro", *FORCES, *PRODUCTS, *RATES]
             simulated = [record[name][0, k, i] for name in names]
-            np.testing.assert_allclose(simulated, expected, rtol=1e-10, atol=1e-9)
+            np.testing.assert_allclose(
+                simulated, [*expected, *at_origin, *products, *rate], rtol=1e-10, atol=1e-9
+            )
+            # the other accelerometer determines the part of the angular acceleration across x
+            place = np.zeros(3) if kind == "prismatic" else distance * x
+            turning = np.array([record[name][0, k, i] for name in TURNING])
+            reading = at_origin + np.cross(turning, place) + np.cross(rate, np.cross(rate, place))
+            np.testing.assert_allclose(reading, at_sensor, rtol=1e-10, atol=1e-9)
+
+
+MATRIX = [[1.0, 0.0, 0.4], [-0.3, 1.0, 0.0], [0.2, -0.5, 0.8]]
+"""A transmission between the last motors and joints of a chain."""
+
+
+@pytest.mark.parametrize("types", ["rpr", "rrpr", "prrrp", "rrrrrr", "rrprprr"])
+def test_elastic_motion_matches_mujoco(types: str) -> None:
+    """With a transmission and ratios of both signs, MuJoCo's tendons are the same gears."""
+    n = len(types)
+    rng = np.random.default_rng([n, 4])
+    joints = random_joints(rng, n, types)
+    bodies = [random_body(rng) for _ in range(n)]
+    ratio = rng.uniform(0.01, 0.03, n) * np.where(np.arange(n) % 2, -1.0, 1.0)
+    transmission = np.eye(n)
+    transmission[-3:, -3:] = MATRIX
+    inertia, viscous, link_viscous, stiffness, damping = 1.5e-4, 3e-4, 0.4, 1.5e4, 12.0
+    drive = [inertia, viscous, 0.0, 0.0, link_viscous, stiffness, damping, 0.0]
+    motor_angle = rng.uniform(-20.0, 20.0, n)
+    link_angle = transmission @ (ratio * motor_angle) + rng.uniform(-1e-3, 1e-3, n)
+    ticks, steps, step = 40, 8, 1.25e-4
+    torque = rng.uniform(-1.0, 1.0, (ticks, n))
+    record = chain(joints, gear_ratio=ratio, transmission=transmission.tolist()).simulate(
+        np.concatenate([parameters_of(body) for body in bodies] + [drive] * n)[None],
+        torque,
+        motor_angle=motor_angle.tolist(),
+        link_angle=link_angle.tolist(),
+        step=step,
+        steps_per_tick=steps,
+        steps_per_sample=steps,
+        samples=ticks,
+        record=["motor_angle", "link_angle", "motor_velocity", "torsion", "gear_torque"],
+    )
+    spec = mujoco_chain(joints, bodies, 0.3)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_RK4
+    spec.option.timestep = step
+    for i in range(n):
+        spec.joint(f"joint{i}").damping = [link_viscous, 0.0, 0.0]
+        rotor = spec.worldbody.add_body(name=f"rotor{i}", mass=1.0, inertia=[inertia] * 3)
+        rotor.explicitinertial = True
+        rotor.add_joint(name=f"motor{i}", axis=[0, 0, 1], damping=[viscous, 0.0, 0.0])
+    for i in range(n):
+        gear = spec.add_tendon(
+            stiffness=[stiffness, 0.0, 0.0], damping=[damping, 0.0, 0.0], springlength=[0.0, 0.0]
+        )
+        gear.wrap_joint(f"joint{i}", -1.0)
+        for j in range(n):
+            if transmission[i, j]:
+                gear.wrap_joint(f"motor{j}", transmission[i, j] * ratio[j])
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    links, motors = (
+        [model.joint(f"{name}{i}").id for i in range(n)] for name in ("joint", "motor")
+    )
+    data.qpos[links], data.qpos[motors] = link_angle, motor_angle
+    for k in range(ticks):
+        torsion = transmission @ (ratio * data.qpos[motors]) - data.qpos[links]
+        for name, expected, size in [
+            ("motor_angle", data.qpos[motors], 20.0),
+            ("link_angle", data.qpos[links], 1.0),
+            ("motor_velocity", data.qvel[motors], 50.0),
+            ("torsion", torsion, 1.0),
+        ]:
+            # rounding, amplified in some 300 steps
+            np.testing.assert_allclose(record[name][0, k], expected, atol=1e-10 * size)
+        data.qfrc_applied[motors] = torque[k]
+        mujoco.mj_step(model, data, nstep=steps)
 
 
 def test_parameters_are_ten_per_link_then_those_of_joints() -> None:
@@ -159,6 +241,14 @@ def test_invalid_chains_are_rejected() -> None:
         chain([joint, ("revolute", [0.0] * 3, [0.0] * 3, [0.0] * 3)])
     with pytest.raises(ValueError, match='no joint of type "helical"'):
         chain([("helical", *joint[1:])])
+    with pytest.raises(ValueError, match=r"must be square, with .* and not singular"):
+        chain([joint] * 2, transmission=[[1.0, 2.0], [2.0, 4.0]])
+    with pytest.raises(ValueError, match="transmission matrix must be square"):
+        chain([joint] * 2, transmission=[[1.0, 2.0, 0.0], [2.0, 4.0, 1.0]])
+    with pytest.raises(ValueError, match="couples joints 1 and 2, of which one has a rigid gear"):
+        chain([joint] * 2, springs=["linear", "rigid"], transmission=[[1.0, 0.5], [0.0, 1.0]])
+    with pytest.raises(ValueError, match="the gear ratio of joint 2 is zero"):
+        chain([joint] * 2, gear_ratio=[0.01, 0.0])
     body = [1.0, 0.1, 0.0, 0.0, 0.02, 0.0, 0.03, 0.0, 0.0, 0.03]
     still = np.zeros((1, 1))
     for place, value, message in [

@@ -23,7 +23,9 @@ def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> C
     if arm.kind not in _FAST_PATHS:
         placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints]
         gravity = arm.gravity or (0.0, 0.0, 0.0)
-        return CoreArm.serial_chain(placed, springs, ratios, gravity=gravity, **constants)
+        return CoreArm.serial_chain(
+            placed, springs, ratios, gravity=gravity, transmission=arm.coupling, **constants
+        )
     return CoreArm(
         arm.kind,
         springs,

@@ -4,7 +4,7 @@
 //! `rust/programs`, which cargo compiles in parallel.
 
 use strainwave_baseline as baseline;
-use strainwave_core::arm::{Arm, ChainJoint, OneLink, SerialChain, TwoLink};
+use strainwave_core::arm::{Arm, ChainJoint, OneLink, SerialChain, Transmission, TwoLink};
 use strainwave_core::compiled::{CompiledArm, compiled};
 use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::program::{Programs, Width};
@@ -32,6 +32,12 @@ pub enum ArmError {
     ChainLength(usize),
     /// The axis of a joint, numbered from 0, has length zero.
     Axis(usize),
+    /// The transmission matrix is singular, or not square with a row for each joint.
+    Transmission,
+    /// The transmission couples two joints, numbered from 0, of which one has a rigid gear.
+    RigidCoupling([usize; 2]),
+    /// The gear ratio of a joint, numbered from 0, is zero or not finite.
+    Ratio(usize),
     /// The half width of the rounded knees is not positive.
     Corner(f64),
 }
@@ -47,6 +53,18 @@ impl std::fmt::Display for ArmError {
                 write!(f, "a chain has 1 to {MAX_CHAIN_JOINTS} joints, got {got}")
             }
             Self::Axis(joint) => write!(f, "the axis of joint {} has no direction", joint + 1),
+            Self::Transmission => {
+                let must = "must be square, with a row for each joint, and not singular";
+                write!(f, "the transmission matrix {must}")
+            }
+            Self::RigidCoupling([first, second]) => write!(
+                f,
+                "the transmission couples joints {} and {}, of which one has a rigid gear: expected \
+                 rigid or elastic gears in both",
+                first + 1,
+                second + 1
+            ),
+            Self::Ratio(joint) => write!(f, "the gear ratio of joint {} is zero", joint + 1),
             Self::Corner(_) => write!(f, "gear_corner must be positive"),
         }
     }
@@ -58,6 +76,10 @@ impl Drives<'_> {
     fn with<A, const N: usize>(&self, arm: A) -> Result<Config<A, N>, ArmError> {
         if self.corner <= 0.0 || self.corner.is_nan() {
             return Err(ArmError::Corner(self.corner));
+        }
+        let is_possible = |joint: &JointConfig| joint.ratio != 0.0 && joint.ratio.is_finite();
+        if let Some(joint) = self.joints.iter().position(|joint| !is_possible(joint)) {
+            return Err(ArmError::Ratio(joint));
         }
         let joints = self.joints.try_into().map_err(|_| ArmError::Joints {
             expected: N,
@@ -116,17 +138,17 @@ macro_rules! chains {
         )*
 
         /// A chain of rigid links with joints placed anywhere in space, under an acceleration of
-        /// gravity [m/s^2] in the base frame.
+        /// gravity [m/s^2] in the base frame. `transmission` has the rows of C; empty: the identity.
         ///
         /// # Errors
-        /// The numbers of joints differ or have no program, an axis has length zero, or the corner
-        /// is not positive.
+        /// See [`ArmError`].
         ///
         /// # Panics
         /// The processor has no registers of that width.
         pub fn serial_chain(
             joints: &[ChainJoint],
             gravity: [f64; 3],
+            transmission: &[Vec<f64>],
             drives: &Drives<'_>,
             width: Width,
         ) -> Result<Box<dyn CompiledArm>, ArmError> {
@@ -134,7 +156,8 @@ macro_rules! chains {
                 $($joints => {
                     let joints = joints.try_into().expect("the number of joints is checked");
                     let arm = SerialChain::<$joints>::new(joints, gravity);
-                    with_drives(arm.map_err(ArmError::Axis)?, drives, width)
+                    let arm = arm.map_err(ArmError::Axis)?;
+                    with_drives(coupled(arm, transmission, drives)?, drives, width)
                 })*
                 got => Err(ArmError::ChainLength(got)),
             }
@@ -152,10 +175,35 @@ chains! {
     7: strainwave_chain_7::GENERAL, baseline::CHAIN_7;
 }
 
+/// A chain with a transmission, unless that is empty.
+fn coupled<const N: usize>(
+    arm: SerialChain<N>,
+    transmission: &[Vec<f64>],
+    drives: &Drives<'_>,
+) -> Result<SerialChain<N>, ArmError> {
+    if transmission.is_empty() {
+        return Ok(arm);
+    }
+    let rows = transmission.iter().map(|row| row[..].try_into().ok());
+    let matrix = rows.collect::<Option<Vec<[f64; N]>>>();
+    let matrix = matrix.and_then(|rows| rows.try_into().ok());
+    let matrix: [[f64; N]; N] = matrix.ok_or(ArmError::Transmission)?;
+    let is_elastic = |i: usize| drives.joints.get(i).is_none_or(|joint| joint.gear.elastic);
+    for i in 0..N {
+        for j in 0..N {
+            if matrix[i][j] != 0.0 && is_elastic(i) != is_elastic(j) {
+                return Err(ArmError::RigidCoupling([i, j]));
+            }
+        }
+    }
+    let transmission = Transmission::new(&matrix).ok_or(ArmError::Transmission)?;
+    Ok(arm.with_transmission(transmission))
+}
+
 /// An arm with its drives: a planar arm, or a chain with a fixed number of joints.
 ///
 /// # Errors
-/// The number of joints does not match the arm, or the corner is not positive.
+/// See [`ArmError`].
 ///
 /// # Panics
 /// The processor has no registers of that width.

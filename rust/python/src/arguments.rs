@@ -3,7 +3,7 @@
 use numpy::PyReadonlyArray2;
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
-use strainwave_core::arm::{ChainJoint, JointType};
+use strainwave_core::arm::{ChainJoint, JointType, link_signals};
 use strainwave_core::experiment::{Clock, Quantity};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{self, Law};
@@ -141,18 +141,15 @@ fn quantity(name: &str) -> PyResult<Quantity> {
         "link_velocity" => Quantity::LinkVelocity,
         "link_acceleration" => Quantity::LinkAcceleration,
         "gear_torque" => Quantity::GearTorque,
+        "torsion" => Quantity::Torsion,
         "encoder" => Quantity::Encoder,
         "accelerometer" => Quantity::Accelerometer,
         "gyro" => Quantity::Gyro,
-        "specific_force_x" => Quantity::SpecificForceX,
-        "specific_force_y" => Quantity::SpecificForceY,
-        "angular_acceleration" => Quantity::AngularAcceleration,
-        "squared_rate" => Quantity::SquaredRate,
-        "angular_rate" => Quantity::AngularRate,
         "sliding" => Quantity::Sliding,
-        _ => {
-            return Err(PyValueError::new_err(format!("unknown quantity {name:?}")));
-        }
+        _ => match link_signals::NAMES.iter().position(|one| *one == name) {
+            Some(signal) => Quantity::LinkSignal(signal),
+            None => return Err(PyValueError::new_err(format!("unknown quantity {name:?}"))),
+        },
     })
 }
 

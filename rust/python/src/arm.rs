@@ -105,7 +105,7 @@ impl Arm {
 
     #[staticmethod]
     #[pyo3(signature = (joints, springs, gear_ratio, *, torque_per_volt=None,
-        gravity=[0.0, 0.0, -9.81], current_loop_hz=None, encoder_counts=None,
+        gravity=[0.0, 0.0, -9.81], transmission=None, current_loop_hz=None, encoder_counts=None,
         accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None,
         imu_accelerometer_hz=None, imu_gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
     fn serial_chain(
@@ -114,6 +114,7 @@ impl Arm {
         gear_ratio: Vec<f64>,
         torque_per_volt: Option<Vec<f64>>,
         gravity: [f64; 3],
+        transmission: Option<Vec<Vec<f64>>>,
         current_loop_hz: Option<Vec<Option<f64>>>,
         encoder_counts: Option<Vec<Option<f64>>>,
         accelerometer_distance: Option<Vec<f64>>,
@@ -147,7 +148,13 @@ impl Arm {
             corner: gear_corner,
         };
         let joints = chain_joints(&joints, &distance)?;
-        let arm = serial_chain(&joints, gravity, &drives, Width::detect());
+        let arm = serial_chain(
+            &joints,
+            gravity,
+            &transmission.unwrap_or_default(),
+            &drives,
+            Width::detect(),
+        );
         Ok(Self(arm.map_err(value_error)?))
     }
 

@@ -42,7 +42,7 @@ class FastGyro(LinkSensor):
         return cls()
 
     def quantities(self) -> tuple[Quantity, ...]:
-        return ("angular_rate",)
+        return ("angular_rate_z",)
 
     def low_passes(self) -> Mapping[str, float | None]:
         return {"imu_gyro_hz": self.hz}

@@ -21,12 +21,12 @@ from strainwave.domain.quantities import Quantity
 ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
     "specific_force_x",
     "specific_force_y",
-    "angular_acceleration",
-    "squared_rate",
+    "angular_acceleration_z",
+    "rate_product_zz",
 )
 """Signals of a link that moves in the plane of its x and y axes: f_x, f_y, dw_z, w_z^2."""
 
-GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate",)
+GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate_z",)
 """The same for gyros: w_z."""
 
 _IN_PLANE = [0, 1, 5, 8]  # places of these signals among all of a link

@@ -9,7 +9,10 @@ use crate::common::{
 use proptest::prelude::*;
 use strainwave_arms::WithPrograms;
 use strainwave_core::actuation::{PiVelocity, Servo};
-use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
+use strainwave_core::arm::link_signals::LINK_SIGNALS;
+use strainwave_core::arm::{
+    Arm, ChainJoint, JointType, OneLink, SerialChain, Transmission, TwoLink,
+};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::Law;
@@ -18,27 +21,34 @@ use strainwave_core::program::Width;
 use strainwave_core::sensitivity::Sensitivities;
 
 /// Quantities whose derivatives are checked.
-const RECORDED: [Quantity; 17] = [
-    Quantity::MotorAngle,
-    Quantity::MotorVelocity,
-    Quantity::LinkAngle,
-    Quantity::LinkVelocity,
-    Quantity::LinkAcceleration,
-    Quantity::GearTorque,
-    Quantity::Encoder,
-    Quantity::Accelerometer,
-    Quantity::Gyro,
-    Quantity::Voltage,
-    Quantity::MotorTorque,
-    Quantity::SpecificForceX,
-    Quantity::SpecificForceY,
-    Quantity::AngularAcceleration,
-    Quantity::SquaredRate,
-    Quantity::AngularRate,
-    Quantity::Sliding,
-];
-/// Index of the friction modes in [`RECORDED`].
-const SLIDING: usize = 16;
+const RECORDED: [Quantity; SLIDING + 1] = {
+    let mut all = [Quantity::Sliding; SLIDING + 1];
+    let others = [
+        Quantity::MotorAngle,
+        Quantity::MotorVelocity,
+        Quantity::LinkAngle,
+        Quantity::LinkVelocity,
+        Quantity::LinkAcceleration,
+        Quantity::GearTorque,
+        Quantity::Torsion,
+        Quantity::Encoder,
+        Quantity::Accelerometer,
+        Quantity::Gyro,
+        Quantity::Voltage,
+        Quantity::MotorTorque,
+    ];
+    let mut k = 0;
+    while k < SLIDING {
+        all[k] = match k.checked_sub(others.len()) {
+            None => others[k],
+            Some(signal) => Quantity::LinkSignal(signal),
+        };
+        k += 1;
+    }
+    all
+};
+/// Index of the friction modes in [`RECORDED`], which is the last.
+const SLIDING: usize = 12 + LINK_SIGNALS;
 
 /// A random experiment.
 struct Case<A, const N: usize> {
@@ -127,6 +137,21 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
             voltage,
             reference,
         }
+    }
+
+    /// The same arm with a matrix between motors and joints; motor 2 turns in the other direction.
+    fn coupled(mut self) -> Self
+    where
+        A: Coupled<N>,
+    {
+        let entry = |i: usize, j: usize| match i {
+            _ if i == j => 1.0,
+            _ => 0.3 * ((3 * i + 5 * j) as f64).sin(),
+        };
+        let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
+        self.task.config.arm = self.task.config.arm.coupled(&matrix);
+        self.task.config.joints[1].ratio *= -1.0;
+        self
     }
 
     /// The same arm with all effect sizes zero; derivatives with respect to the sizes remain
@@ -489,6 +514,17 @@ fn relative_difference<A: WithPrograms<N> + BuiltIn, const N: usize>(
     worst
 }
 
+/// An arm that may have a transmission.
+trait Coupled<const N: usize> {
+    fn coupled(&self, matrix: &[[f64; N]; N]) -> Self;
+}
+
+impl<const N: usize> Coupled<N> for SerialChain<N> {
+    fn coupled(&self, matrix: &[[f64; N]; N]) -> Self {
+        self.with_transmission(Transmission::new(matrix).expect("a regular matrix"))
+    }
+}
+
 /// Compares derivatives by the variational equations with derivatives over dual numbers.
 fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) {
     let member = case.member(&case.parameters, case.initial);
@@ -706,6 +742,22 @@ proptest! {
             check(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
         ];
         prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn derivatives_match_differences_for_coupled_chains(seed in any::<u64>(), servo in any::<bool>()) {
+        let shares = [
+            check(&Case::<SerialChain<2>, 2>::random_with(SMOOTH, [LINEAR, THREE_SLOPE], seed, servo, 160).coupled()),
+            check(&Case::<SerialChain<2>, 2>::random_with(SMOOTH, [RIGID; 2], seed, servo, 160).coupled()),
+            check(&Case::<SerialChain<3>, 3>::random([RIGID; 3], seed, servo, 80).coupled()),
+        ];
+        prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
+    }
+
+    #[test]
+    fn methods_agree_for_coupled_chains(seed in any::<u64>(), servo in any::<bool>()) {
+        check_methods(&Case::<SerialChain<2>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
+        check_methods(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
     }
 
     #[test]

@@ -1,14 +1,61 @@
-//! Basis signals of an accelerometer at any position on a link of a planar arm.
+//! Basis signals of accelerometers and gyros at any place on a link.
 //!
-//! At (x, y) in the link's frame, along the direction c in that plane, an accelerometer reads c_x
-//! (f_x - alpha y - w^2 x) + c_y (f_y + alpha x - w^2 y): f is the specific force at the link's own
-//! axis, alpha and w are the link's angular acceleration and rate in space. Position and direction
-//! of the sensor appear in the four factors only.
+//! At r in the link's frame, an accelerometer along the unit vector c reads c [f + dw x r + w x (w x
+//! r)]: f is the specific force at the frame's origin, w and dw are the link's angular velocity and
+//! acceleration. Place and direction of the sensor are factors of twelve signals: f, dw and the
+//! products w_i w_j. A gyro reads c w. All vectors are in the link's frame.
 
 use crate::scalar::Real;
 
-/// f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2] of each link.
-pub const LINK_SIGNALS: usize = 4;
+/// Number of signals of a link.
+pub const LINK_SIGNALS: usize = 15;
+
+/// Names of the signals: f [m/s^2], dw [rad/s^2], w_i w_j [rad^2/s^2], w [rad/s].
+pub const NAMES: [&str; LINK_SIGNALS] = [
+    "specific_force_x",
+    "specific_force_y",
+    "specific_force_z",
+    "angular_acceleration_x",
+    "angular_acceleration_y",
+    "angular_acceleration_z",
+    "rate_product_xx",
+    "rate_product_yy",
+    "rate_product_zz",
+    "rate_product_xy",
+    "rate_product_xz",
+    "rate_product_yz",
+    "angular_rate_x",
+    "angular_rate_y",
+    "angular_rate_z",
+];
+
+/// The first signal of gyros; those before it are signals of accelerometers.
+pub(crate) const RATES: usize = 12;
+
+/// All signals.
+pub(super) const ALL: &[usize] = &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14];
+/// Signals of a planar arm, which moves in the plane across z; the others are zero.
+pub(super) const PLANAR: &[usize] = &[FORCE_X, FORCE_Y, TURNING, SQUARE, RATE];
+
+const FORCE_X: usize = 0;
+const FORCE_Y: usize = 1;
+const TURNING: usize = 5;
+const SQUARE: usize = 8;
+/// The rate about z.
+pub(crate) const RATE: usize = 14;
+
+/// Signals of a link from f, dw and w.
+#[inline(always)]
+pub(super) fn of_link<R: Real>([f, dw, w]: [[R; 3]; 3]) -> [R; LINK_SIGNALS] {
+    let [x, y, z] = w;
+    let products = [x * x, y * y, z * z, x * y, x * z, y * z];
+    let mut all = [R::splat(0.0); LINK_SIGNALS];
+    all[..3].copy_from_slice(&f);
+    all[3..6].copy_from_slice(&dw);
+    all[6..RATES].copy_from_slice(&products);
+    all[RATES..].copy_from_slice(&w);
+    all
+}
 
 /// Derivatives of the signals of one link with respect to the motion of each joint.
 #[derive(Clone, Copy, Debug)]
@@ -54,22 +101,23 @@ pub(super) fn planar<R: Real, const N: usize>(
     let (g, length) = (R::splat(gravity), R::splat(length));
     let rates = summed(dq);
     let mut all = [[R::splat(0.0); N]; LINK_SIGNALS];
-    all[2] = summed(ddq);
+    all[TURNING] = summed(ddq);
+    all[RATE] = rates;
     for i in 0..N {
         let (sin, cos) = space[i];
-        (all[0][i], all[1][i]) = (g * sin, g * cos);
-        all[3][i] = rates[i] * rates[i];
+        (all[FORCE_X][i], all[FORCE_Y][i]) = (g * sin, g * cos);
+        all[SQUARE][i] = rates[i] * rates[i];
         if i > 0 {
             let (sin, cos) = joint[i];
             let (across, inward) = (length * ddq[0], length * (dq[0] * dq[0]));
-            all[0][i] = all[0][i] + (across * sin - inward * cos);
-            all[1][i] = all[1][i] + (across * cos + inward * sin);
+            all[FORCE_X][i] = all[FORCE_X][i] + (across * sin - inward * cos);
+            all[FORCE_Y][i] = all[FORCE_Y][i] + (across * cos + inward * sin);
         }
     }
     all
 }
 
-/// Derivatives of the [`planar`] signals with respect to angles, velocities and accelerations.
+/// Derivatives of the [`planar`] signals of accelerometers with respect to angles, velocities and accelerations.
 #[inline(always)]
 pub(super) fn planar_slopes<R: Real, const N: usize>(
     LinkRotations { space, joint }: &LinkRotations<R, N>,
@@ -92,8 +140,8 @@ pub(super) fn planar_slopes<R: Real, const N: usize>(
         let slopes = &mut all[i];
         for j in 0..=i {
             (slopes.angle[0][j], slopes.angle[1][j]) = (g * cos, -(g * sin));
-            slopes.acceleration[2][j] = R::splat(1.0);
-            slopes.velocity[3][j] = rates[i] + rates[i];
+            slopes.acceleration[TURNING][j] = R::splat(1.0);
+            slopes.velocity[SQUARE][j] = rates[i] + rates[i];
         }
         if i > 0 {
             let (sin, cos) = joint[i];

@@ -11,10 +11,12 @@ pub mod link_signals;
 mod one_link;
 mod serial_chain;
 mod sine_cosine;
+pub(crate) mod transmission;
 mod two_link;
 
 pub use one_link::OneLink;
 pub use serial_chain::{ChainJoint, JointType, Kinematics, SerialChain};
+pub use transmission::Transmission;
 pub use two_link::TwoLink;
 
 use crate::parameter::Parameter;
@@ -40,6 +42,8 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// rates up to it, and the reading of its accelerometer does not depend on the velocity of its
     /// own joint.
     const PLANAR: bool;
+    /// The signals of [`Arm::link_signals`] that may differ from zero.
+    const LINK_SIGNALS: &'static [usize] = link_signals::ALL;
     /// Whether the equations of a stage are compiled as separate functions, which keeps the
     /// programs of arms with long equations small.
     const HAS_OUTLINED_EQUATIONS: bool = false;
@@ -67,6 +71,11 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
 
     /// The same joints and gravity as a chain.
     fn chain(&self) -> SerialChain<N>;
+    /// Transmission between motors and joints; `None` if each motor moves its own joint only.
+    #[inline(always)]
+    fn transmission(&self) -> Option<&Transmission<N>> {
+        None
+    }
 
     /// Sines and cosines of a posture.
     fn posture<R: Real>(&self, q: &[R; N]) -> Self::Posture<R>;
@@ -99,7 +108,7 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn accelerometers<R: Real>(&self, at: &Self::Posture<R>, dq: &[R; N], ddq: &[R; N]) -> [R; N];
     /// Rate of each link in space [rad/s] about its own axis, the reading of a gyro on it.
     fn absolute_rates<R: Real>(&self, at: &Self::Posture<R>, dq: &[R; N]) -> [R; N];
-    /// Basis signals of an accelerometer at any position on each link, see [`link_signals`].
+    /// Basis signals of sensors at any place on each link, see [`link_signals`].
     fn link_signals<R: Real>(
         &self,
         at: &Self::Posture<R>,
@@ -155,7 +164,8 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn rate_slopes<R: Real>(&self, at: &Self::Posture<R>, dq: &[R; N]) -> Slopes<R, N> {
         differentiation::rate_slopes(self, at, dq)
     }
-    /// Derivatives of [`Arm::link_signals`] with respect to angles, velocities and accelerations.
+    /// Derivatives of [`Arm::link_signals`] with respect to angles, velocities and accelerations;
+    /// of a planar arm without the rates.
     #[inline(always)]
     fn link_signal_slopes<R: Real>(
         &self,

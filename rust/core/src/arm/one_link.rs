@@ -1,6 +1,8 @@
 //! A single link on one joint.
 
-use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
+use super::link_signals::{
+    self, LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes,
+};
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
@@ -32,6 +34,7 @@ impl Arm<1> for OneLink {
 
     const DEPENDS_ON_ANGLE: [bool; 1] = [true];
     const PLANAR: bool = true;
+    const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
         Parameter::new(

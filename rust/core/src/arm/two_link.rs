@@ -1,6 +1,8 @@
 //! The planar arm of two links, (3) and (4).
 
-use super::link_signals::{LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes};
+use super::link_signals::{
+    self, LINK_SIGNALS, LinkRotations, LinkSignalSlopes, planar, planar_slopes,
+};
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
 use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
@@ -45,6 +47,7 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
 
     const DEPENDS_ON_ANGLE: [bool; 2] = [VERTICAL, true];
     const PLANAR: bool = true;
+    const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
         Parameter::new(

@@ -4,6 +4,8 @@ pub mod simulate;
 mod start;
 
 use crate::actuation::Servo;
+#[cfg(doc)]
+use crate::arm::link_signals;
 use crate::plant::config::Config;
 use crate::scalar::Real;
 
@@ -26,39 +28,25 @@ pub enum Quantity {
     LinkAcceleration,
     /// Torque [N m] of each gear at its link; zero for a rigid gear.
     GearTorque,
+    /// Torsion [rad] of each gear at its link; zero for a rigid gear.
+    Torsion,
     /// Encoder reading [rad].
     Encoder,
     /// Accelerometer reading [m/s^2], behind its low-pass.
     Accelerometer,
     /// Gyro reading [rad/s], behind its low-pass.
     Gyro,
-    /// Specific force [m/s^2] at the link's own axis along the link, behind the low-pass of the
-    /// IMU's accelerometers.
-    SpecificForceX,
-    /// Specific force [m/s^2] across the link, behind the same low-pass.
-    SpecificForceY,
-    /// Angular acceleration [rad/s^2] of the link in space, behind the same low-pass.
-    AngularAcceleration,
-    /// Square [rad^2/s^2] of the link's rate in space, behind the same low-pass.
-    SquaredRate,
-    /// Rate of the link in space [rad/s], behind the low-pass of the IMU's gyros.
-    AngularRate,
+    /// One of [`link_signals::NAMES`] of each link, behind the low-pass of the IMU's accelerometers
+    /// or gyros.
+    LinkSignal(usize),
     /// 0 while friction holds the motor, else the sign of its velocity.
     Sliding,
 }
 
 impl Quantity {
-    /// Index among the signals of an IMU; `None` for other quantities.
     #[inline(always)]
-    pub(crate) fn imu_signal(self) -> Option<usize> {
-        match self {
-            Self::SpecificForceX => Some(0),
-            Self::SpecificForceY => Some(1),
-            Self::AngularAcceleration => Some(2),
-            Self::SquaredRate => Some(3),
-            Self::AngularRate => Some(4),
-            _ => None,
-        }
+    pub(crate) fn is_link_signal(&self) -> bool {
+        matches!(self, Self::LinkSignal(_))
     }
 }
 

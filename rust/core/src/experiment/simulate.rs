@@ -15,7 +15,7 @@ use crate::plant::friction::{Motion, Span, sign};
 use crate::plant::{Instant, Plant, Watch};
 use crate::scalar::{Real, Work};
 use crate::sensors::encoder::encoder_angle;
-use crate::sensors::imu::{self, IMU_SIGNALS, Imus};
+use crate::sensors::imu::{Imus, Signals};
 use crate::sensors::low_pass::LowPass;
 
 /// Simulation over scalars `S` of one lane, as work for [`Real::scope`].
@@ -141,7 +141,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             simulation.servo = Some(servo.at_rest(&member.initial.voltage, &encoder));
         }
         let is_recorded = |quantity| task.record.contains(&quantity);
-        let imus = task.record.iter().any(|one| one.imu_signal().is_some());
+        let imus = task.record.iter().any(Quantity::is_link_signal);
         if is_recorded(Quantity::Accelerometer) || is_recorded(Quantity::Gyro) || imus {
             simulation.sensors = Some(simulation.sensors_at_rest());
         }
@@ -298,7 +298,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 .task
                 .record
                 .iter()
-                .any(|one| one.imu_signal().is_some())
+                .any(Quantity::is_link_signal)
                 .then(|| Imus::at_rest(&self.task.config, h, self.signals(&now))),
             readings,
         }
@@ -318,10 +318,12 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
 
     /// Signals of ideal IMUs, before the low-passes.
     #[inline(always)]
-    fn signals(&self, now: &Instant<A, S, N>) -> [[S; N]; IMU_SIGNALS] {
+    fn signals(&self, now: &Instant<A, S, N>) -> Signals<S, N> {
         let velocity = &self.motion.state.link_velocity;
         let acceleration = &now.acceleration.link;
-        imu::ideal(&self.plant.arm, &now.posture, velocity, acceleration)
+        self.plant
+            .arm
+            .link_signals(&now.posture, velocity, acceleration)
     }
 
     #[inline(always)]
@@ -335,7 +337,7 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
             return;
         };
         if let (Some(imus), Some(signals)) = (&mut sensors.imus, signals) {
-            imus.update(signals);
+            imus.update::<A>(&signals);
         }
         sensors.readings = readings;
         for i in 0..N {
@@ -368,14 +370,11 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
                 Quantity::LinkVelocity => state.link_velocity,
                 Quantity::LinkAcceleration => now.acceleration.link,
                 Quantity::GearTorque => self.plant.gear_torques(state),
+                Quantity::Torsion => self.plant.torsions(state),
                 Quantity::Encoder => self.encoder(),
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
-                Quantity::SpecificForceX
-                | Quantity::SpecificForceY
-                | Quantity::AngularAcceleration
-                | Quantity::SquaredRate
-                | Quantity::AngularRate => self.imu_reading(self.task.record[k]),
+                Quantity::LinkSignal(signal) => self.link_signal(signal),
                 Quantity::Sliding => state.motor_velocity.map(|one| sign(one.lane(0))),
             };
             self.record[k].push(row);
@@ -392,14 +391,11 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     }
 
     #[inline(always)]
-    fn imu_reading(&self, quantity: Quantity) -> [S; N] {
+    fn link_signal(&self, signal: usize) -> [S; N] {
         let sensors = self.sensors.as_ref();
-        match (
-            quantity.imu_signal(),
-            sensors.and_then(|all| all.imus.as_ref()),
-        ) {
-            (Some(signal), Some(imus)) => imus.readings[signal],
-            _ => [S::splat(0.0); N],
+        match sensors.and_then(|all| all.imus.as_ref()) {
+            Some(imus) => imus.readings[signal],
+            None => [S::splat(0.0); N],
         }
     }
 

@@ -2,6 +2,7 @@
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
+use crate::arm::transmission::link_of;
 use crate::experiment::{Initial, Source};
 use crate::joint::gear::Gears;
 use crate::plant::friction::Motion;
@@ -37,8 +38,10 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     }
     for i in 0..N {
         if plant.is_rigid(i) {
-            state.link_angle[i] = plant.joints[i].ratio * state.motor_angle[i];
-            state.link_velocity[i] = plant.joints[i].ratio * state.motor_velocity[i];
+            let (ratios, zero) = (plant.ratios(), S::splat(0.0));
+            let of_motors = |motors| link_of(&plant.arm, i, &ratios, motors, zero);
+            state.link_angle[i] = of_motors(&state.motor_angle);
+            state.link_velocity[i] = of_motors(&state.motor_velocity);
         }
     }
     plant.carry_parts(&mut state);
@@ -72,7 +75,7 @@ fn solve_equilibrium<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS
     motor_angle: &[S; N],
 ) -> [S; N] {
     let unloaded_link_angle: [S; N] =
-        std::array::from_fn(|i| plant.unloaded_link_angle(motor_angle[i], i));
+        std::array::from_fn(|i| plant.driven_angle(motor_angle, i, S::splat(0.0)).0);
     let mut angle = unloaded_link_angle;
     let mut converged_at = None;
     for round in 0..400 {

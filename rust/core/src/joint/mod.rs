@@ -4,5 +4,5 @@ pub mod effects;
 pub mod gear;
 pub(crate) mod transmission;
 
-pub(crate) use transmission::Gear;
+pub(crate) use transmission::DriveTrains;
 pub use transmission::Joint;

@@ -93,12 +93,27 @@ pub struct Joint<R: Real, G: Gears> {
     pub effects: Effects<R>,
 }
 
-/// State of a gear at one instant.
-pub(crate) struct Gear<R> {
-    /// Torsion and its rate.
-    pub(crate) torsion: Torsion<R>,
-    /// Local ratio n + e'(theta_M): torque at the motor per torque at the link.
-    pub(crate) local_ratio: R,
+/// Gears at one instant; zeros for rigid gears.
+pub(crate) struct DriveTrains<R, const N: usize> {
+    /// Torsions and their rates.
+    pub(crate) torsion: [Torsion<R>; N],
+    /// Local ratios n + e'(theta_M): torques at the motors per torque at the links.
+    pub(crate) ratio: [R; N],
+    /// Torques [N m] at the links.
+    pub(crate) torque: [R; N],
+}
+
+impl<R: Real, const N: usize> DriveTrains<R, N> {
+    #[inline(always)]
+    pub(crate) fn zero() -> Self {
+        let zero = R::splat(0.0);
+        let (angle, rate) = (zero, zero);
+        Self {
+            torsion: [Torsion { angle, rate }; N],
+            ratio: [zero; N],
+            torque: [zero; N],
+        }
+    }
 }
 
 /// `EFFECTS` states at compile time whether the joint may have effects on motor, gear or link.
@@ -127,37 +142,6 @@ impl<R: Real, G: Gears> Joint<R, G> {
         let [mean, end] = self.effects.hold_voltage(voltage, *memory, time);
         *memory = end;
         mean
-    }
-
-    /// Link angle [rad] at zero torsion: n theta_M + e(theta_M).
-    pub fn unloaded_link_angle<const EFFECTS: bool>(&self, motor_angle: R) -> R {
-        let angle = self.ratio * motor_angle;
-        if EFFECTS {
-            angle + self.effects.error(motor_angle)[0]
-        } else {
-            angle
-        }
-    }
-
-    /// delta = n theta_M + e(theta_M) - theta_L, its rate, and n + e'(theta_M), from angles and
-    /// velocities of motor and link.
-    #[inline(always)]
-    pub(crate) fn gear<const EFFECTS: bool>(
-        &self,
-        [motor_angle, link_angle]: [R; 2],
-        [motor_velocity, link_velocity]: [R; 2],
-    ) -> Gear<R> {
-        let mut local_ratio = self.ratio;
-        let mut angle = local_ratio.mul_add(motor_angle, -link_angle);
-        if EFFECTS {
-            let [error, slope] = self.effects.error(motor_angle);
-            (angle, local_ratio) = (angle + error, local_ratio + slope);
-        }
-        let rate = local_ratio.mul_add(motor_velocity, -link_velocity);
-        Gear {
-            torsion: Torsion { angle, rate },
-            local_ratio,
-        }
     }
 
     /// T(delta) + d_G ddelta, with effects.

@@ -23,6 +23,7 @@
 
 use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
+use crate::arm::transmission::{coupled, link_of};
 use crate::joint::gear::Gears;
 use crate::plant::{Instant, Modes, Plant, State, Watch};
 use crate::scalar::{Real, Work, run_out_of_line};
@@ -109,9 +110,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
         if has_held_motors || self.settles {
             let holding = self.holding_torques(x, torque, modes);
+            let limits = self.friction_limits(x);
             for i in 0..N {
-                let joint = &self.joints[i];
-                let limit = self.dry_friction_in(x, i);
+                let (joint, limit) = (&self.joints[i], limits[i]);
                 let reserve = limit - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * reserve;
                 // 1 for an instant stop, 0 with a settling time
@@ -190,7 +191,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             motion.state.motor_velocity[joint] = R::splat(0.0);
             if self.is_rigid(joint) {
-                motion.state.link_velocity[joint] = R::splat(0.0);
+                for i in coupled(&self.arm, joint) {
+                    let velocity = &motion.state.motor_velocity;
+                    let zero = R::splat(0.0);
+                    motion.state.link_velocity[i] =
+                        link_of(&self.arm, i, &self.ratios(), velocity, zero);
+                }
             }
             self.release(&motion.state, &motion.torque, &mut motion.modes);
         } else {
@@ -256,11 +262,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
     type Output = ([R; N], [R; N]);
     #[inline(always)]
     fn run(self) -> Self::Output {
-        let mut limit = [R::splat(0.0); N];
-        for i in 0..N {
-            limit[i] = self.0.dry_friction_in(self.1, i);
-        }
-        (self.0.holding_torques(self.1, self.2, self.3), limit)
+        let Self(plant, x, torque, modes) = self;
+        (
+            plant.holding_torques(x, torque, modes),
+            plant.friction_limits(x),
+        )
     }
 }
 

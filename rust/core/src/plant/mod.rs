@@ -7,9 +7,10 @@ pub mod rigid;
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
+use crate::arm::transmission::{link_of, motor_of, product, reflect, share};
 use crate::joint::effects::{BaseTorque, JointState, PartDeflection, Torsion};
 use crate::joint::gear::{Gears, Spring};
-use crate::joint::{Gear, Joint};
+use crate::joint::{DriveTrains, Joint};
 use crate::scalar::{Real, Work, run_out_of_line, solve};
 
 /// State: angles [rad] and velocities [rad/s] of motors and links, and the states of effects.
@@ -135,15 +136,22 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         self.joints[joint].dry_friction::<EFFECTS>(velocity, load)
     }
 
-    /// Friction limit of one joint in a state.
+    /// Friction limit of each motor in a state.
     #[inline(always)]
-    pub(crate) fn dry_friction_in(&self, x: &State<R, N>, i: usize) -> R {
-        let mut load = R::splat(0.0);
-        if EFFECTS && !self.is_rigid(i) {
-            let gear = self.gear(x, i);
-            load = gear.local_ratio * self.transmitted(x, i, &gear.torsion);
+    pub(crate) fn friction_limits(&self, x: &State<R, N>) -> [R; N] {
+        let mut limits = [R::splat(0.0); N];
+        let mut loads = limits;
+        if EFFECTS {
+            let mut trains = self.outlined_drive_trains(x);
+            for i in 0..N {
+                self.add_drive_train(x, i, &mut trains);
+                loads[i] = motor_of(&self.arm, i, trains.ratio[i], &trains.torque, loads[i]);
+            }
         }
-        self.dry_friction(x.motor_velocity[i], load, i)
+        for i in 0..N {
+            limits[i] = self.dry_friction(x.motor_velocity[i], loads[i], i);
+        }
+        limits
     }
 
     /// Torque [N m] of effects on a motor.
@@ -154,21 +162,99 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             .motor_torque(x.motor_angle[i], x.motor_velocity[i])
     }
 
-    /// [`Joint::unloaded_link_angle`] of one joint.
-    pub fn unloaded_link_angle(&self, motor_angle: R, joint: usize) -> R {
-        self.joints[joint].unloaded_link_angle::<EFFECTS>(motor_angle)
+    /// Output n theta_M + e(theta_M) of a motor's gear, plus a term, and the local ratio.
+    #[inline(always)]
+    fn output(&self, motor_angle: R, j: usize, plus: R) -> [R; 2] {
+        let joint = &self.joints[j];
+        let (mut ratio, mut angle) = (joint.ratio, joint.ratio.mul_add(motor_angle, plus));
+        if EFFECTS {
+            let [error, slope] = joint.effects.error(motor_angle);
+            (angle, ratio) = (angle + error, ratio + slope);
+        }
+        [angle, ratio]
     }
 
-    /// The `i`-th joint's gear.
+    /// Link angle [rad] of a joint at zero torsion plus a term, and the local ratios
+    /// n + e'(theta_M) of the motors that move the joint.
     #[inline(always)]
-    pub(crate) fn gear(&self, x: &State<R, N>, i: usize) -> Gear<R> {
-        let joint = &self.joints[i];
+    pub(crate) fn driven_angle(&self, motor_angle: &[R; N], i: usize, plus: R) -> (R, [R; N]) {
+        let (zero, mut angle) = (R::splat(0.0), plus);
+        let mut ratios = [zero; N];
+        if self.arm.transmission().is_none() {
+            [angle, ratios[i]] = self.output(motor_angle[i], i, plus);
+            return (angle, ratios);
+        }
+        for j in 0..N {
+            let [output, ratio] = self.output(motor_angle[j], j, zero);
+            angle = R::splat(share(&self.arm, i, j)).mul_add(output, angle);
+            ratios[j] = ratio;
+        }
+        (angle, ratios)
+    }
+
+    /// Gears of all joints.
+    #[inline(always)]
+    pub(crate) fn drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
+        let mut trains = self.outlined_drive_trains(x);
+        for i in 0..N {
+            self.add_drive_train(x, i, &mut trains);
+        }
+        trains
+    }
+
+    /// Gears of all joints, computed in a separate function; zeros for arms whose equations are not
+    /// outlined, to which [`Plant::add_drive_train`] adds them where they are needed.
+    #[inline(always)]
+    fn outlined_drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
+        if A::HAS_OUTLINED_EQUATIONS {
+            run_out_of_line::<R, _>(DriveTrainWork(self, x))
+        } else {
+            DriveTrains::zero()
+        }
+    }
+
+    /// Adds the gear of a joint, unless [`Plant::outlined_drive_trains`] has computed it.
+    #[inline(always)]
+    fn add_drive_train(&self, x: &State<R, N>, i: usize, trains: &mut DriveTrains<R, N>) {
+        if !A::HAS_OUTLINED_EQUATIONS {
+            self.compute_drive_train(x, i, trains);
+        }
+    }
+
+    #[inline(always)]
+    fn compute_drive_train(&self, x: &State<R, N>, i: usize, trains: &mut DriveTrains<R, N>) {
+        if self.is_rigid(i) {
+            return;
+        }
         let (mut angle, mut velocity) = (x.link_angle[i], x.link_velocity[i]);
         if EFFECTS {
-            angle = angle - joint.effects.base_rotation(x.base_torque[i]);
-            velocity = velocity - joint.effects.base_rotation(x.base_torque_rate[i]);
+            let effects = &self.joints[i].effects;
+            angle = angle - effects.base_rotation(x.base_torque[i]);
+            velocity = velocity - effects.base_rotation(x.base_torque_rate[i]);
         }
-        joint.gear::<EFFECTS>([x.motor_angle[i], angle], [x.motor_velocity[i], velocity])
+        let torsion = if self.arm.transmission().is_none() {
+            let [angle, ratio] = self.output(x.motor_angle[i], i, -angle);
+            trains.ratio[i] = ratio;
+            let rate = ratio.mul_add(x.motor_velocity[i], -velocity);
+            Torsion { angle, rate }
+        } else {
+            let (angle, ratios) = self.driven_angle(&x.motor_angle, i, -angle);
+            trains.ratio[i] = ratios[i];
+            let rate = link_of(&self.arm, i, &ratios, &x.motor_velocity, -velocity);
+            Torsion { angle, rate }
+        };
+        trains.torque[i] = self.joints[i].transmitted::<EFFECTS>(&torsion, x.hysteresis[i]);
+        trains.torsion[i] = torsion;
+    }
+
+    /// Gear ratios n.
+    #[inline(always)]
+    pub(crate) fn ratios(&self) -> [R; N] {
+        let mut all = [R::splat(0.0); N];
+        for i in 0..N {
+            all[i] = self.joints[i].ratio;
+        }
+        all
     }
 
     /// State of the spring under the `i`-th joint's base.
@@ -192,9 +278,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             let compliance = joint.effects.base_rotation(R::splat(1.0));
             let mut converged_at = None;
             for round in 0..400 {
-                let torsion = self.gear(x, i).torsion;
-                let torque = self.transmitted(x, i, &torsion);
-                let strain = joint.effects.strain(torsion.angle);
+                let trains = self.drive_trains(x);
+                let torque = trains.torque[i];
+                let strain = joint.effects.strain(trains.torsion[i].angle);
                 let slope = R::splat(1.0) + compliance * joint.spring.stiffness(strain);
                 let change = (torque + x.base_torque[i]) / slope;
                 x.base_torque[i] = x.base_torque[i] - change;
@@ -259,21 +345,22 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         loads
     }
 
-    /// Torque of the `i`-th joint's gear [N m].
-    #[inline(always)]
-    pub(crate) fn transmitted(&self, x: &State<R, N>, i: usize, torsion: &Torsion<R>) -> R {
-        self.joints[i].transmitted::<EFFECTS>(torsion, x.hysteresis[i])
-    }
-
     /// Hysteresis states at a stage `t` after the beginning.
     #[inline(always)]
     fn hysteresis_states(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
         let mut z = begin.hysteresis;
+        let mut any = false;
+        for i in 0..N {
+            any = any || self.joints[i].effects.hysteresis.is_some();
+        }
+        if !any {
+            return z;
+        }
+        let [from, to] = [self.drive_trains(begin), self.drive_trains(stage)];
         for i in 0..N {
             let effects = &self.joints[i].effects;
             if effects.hysteresis.is_some() {
-                let (from, to) = (self.gear(begin, i).torsion, self.gear(stage, i).torsion);
-                z[i] = effects.hysteresis_after(z[i], &from, &to, t);
+                z[i] = effects.hysteresis_after(z[i], &from.torsion[i], &to.torsion[i], t);
             }
         }
         z
@@ -316,7 +403,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     ///
     /// A rigid gear has no separate row: the inertia and friction of its motor enter the link's
     /// row as m_M/n^2 and d_M/n^2, (5). A sticking motor behind a rigid gear holds its link: the
-    /// row and column of that link are removed from the equations.
+    /// row and column of that link are removed from the equations. Behind a transmission, the
+    /// outputs of the gears replace the links in these rows.
     #[inline(always)]
     fn accelerations(
         &self,
@@ -331,21 +419,30 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         if EFFECTS {
             [part, loads] = self.part_accelerations_and_loads(x);
         }
-        let mut motor = [R::splat(0.0); N];
-        let mut force = [R::splat(0.0); N];
+        let (mut trains, zero) = (self.outlined_drive_trains(x), R::splat(0.0));
+        for i in 0..N {
+            let load = self.joints[i]
+                .link_viscous
+                .mul_add(x.link_velocity[i], bias[i]);
+            loads[i] = if EFFECTS { load + loads[i] } else { load };
+        }
+        let block = self.rigid_block();
+        if let Some(block) = &block {
+            reflect(block, &mut inertia, &mut loads);
+        }
+        let mut motor = [zero; N];
+        let mut force = [zero; N];
         for i in 0..N {
             let joint = &self.joints[i];
-            let mut load = joint.link_viscous.mul_add(x.link_velocity[i], bias[i]);
             let mut applied = torque[i];
             if EFFECTS {
-                load = load + loads[i];
                 applied = applied + self.added_torque(x, i);
             }
             if self.is_rigid(i) {
-                let drive = self.drive_torque(x, modes, [applied, R::splat(0.0)], i);
+                let drive = self.drive_torque(x, modes, [applied, zero], i);
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
-                force[i] = modes.free[i] * (drive * row - load);
+                force[i] = modes.free[i] * (drive * row - loads[i]);
                 for j in 0..N {
                     if j != i {
                         inertia[i][j] = inertia[i][j] * modes.free[i];
@@ -353,28 +450,31 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                     }
                 }
             } else {
-                let gear = self.gear(x, i);
-                let transmitted = self.transmitted(x, i, &gear.torsion);
-                let at_motor = gear.local_ratio * transmitted;
+                self.add_drive_train(x, i, &mut trains);
+                let ratio = trains.ratio[i];
+                let at_motor = motor_of(&self.arm, i, ratio, &trains.torque, zero);
                 let drive = self.drive_torque(x, modes, [applied, at_motor], i);
-                let net = (-gear.local_ratio).mul_add(transmitted, drive);
+                let net = motor_of(&self.arm, i, -ratio, &trains.torque, drive);
                 let settling = (modes.free[i] - R::splat(1.0)) * joint.settling_rate;
                 motor[i] = settling.mul_add(
                     x.motor_velocity[i],
                     modes.free[i] * joint.motor_mobility * net,
                 );
-                force[i] = transmitted - load;
+                force[i] = trains.torque[i] - loads[i];
                 if EFFECTS {
                     let bearing = Self::base_torque(x, i);
-                    base[i] = joint.effects.base_acceleration(&bearing, transmitted);
+                    base[i] = joint.effects.base_acceleration(&bearing, trains.torque[i]);
                 }
             }
         }
-        let link = solve(&inertia, &force);
+        let mut link = solve(&inertia, &force);
         for i in 0..N {
             if self.is_rigid(i) {
                 motor[i] = link[i] / self.joints[i].ratio;
             }
+        }
+        if let Some(block) = &block {
+            link = product(block, &link);
         }
         Acceleration {
             motor,
@@ -382,6 +482,27 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             part,
             base,
         }
+    }
+
+    /// The transmission of the joints behind rigid gears, with rows of the identity for the others;
+    /// `None` if no transmission couples joints behind rigid gears.
+    #[inline(always)]
+    fn rigid_block(&self) -> Option<[[R; N]; N]> {
+        if !G::RIGID || self.arm.transmission().is_none() {
+            return None;
+        }
+        let mut block = [[R::splat(0.0); N]; N];
+        let mut any = false;
+        for i in 0..N {
+            block[i][i] = R::splat(1.0);
+            if self.is_rigid(i) {
+                any = true;
+                for j in 0..N {
+                    block[i][j] = R::splat(share(&self.arm, i, j));
+                }
+            }
+        }
+        any.then_some(block)
     }
 
     /// Torque [N m] that drives a motor: the torque `applied` to it minus friction, with a gear
@@ -407,6 +528,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// Sgn(0) = [-1, 1].
     #[inline(always)]
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
+        let mut trains = self.outlined_drive_trains(x);
         let mut holding = [R::splat(0.0); N];
         for i in 0..N {
             let joint = &self.joints[i];
@@ -416,9 +538,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
             if !self.is_rigid(i) {
                 let brake = joint.motor_inertia * joint.settling_rate - joint.motor_viscous;
-                let gear = self.gear(x, i);
-                let transmitted = self.transmitted(x, i, &gear.torsion);
-                holding[i] = (-gear.local_ratio).mul_add(transmitted, holding[i]);
+                self.add_drive_train(x, i, &mut trains);
+                let ratio = -trains.ratio[i];
+                holding[i] = motor_of(&self.arm, i, ratio, &trains.torque, holding[i]);
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
@@ -430,8 +552,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         holding
     }
 
-    /// Subtracts the loads behind rigid gears from the `holding` torques: the torque of the link's
-    /// row with that link at rest.
+    /// Subtracts the loads behind rigid gears from the `holding` torques: the torque of the motor's
+    /// row with that motor at rest.
     #[inline(always)]
     fn subtract_rigid_loads(
         &self,
@@ -455,16 +577,20 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             held.direction[i] = R::splat(0.0);
             held.free[i] = R::splat(0.0);
             let others = self.accelerations_at(x, &at, torque, &held).link;
-            let mut load = bias[i];
-            if EFFECTS {
-                load = load + loads[i];
-            }
-            for j in 0..N {
-                if j != i {
-                    load = inertia[i][j].mul_add(others[j], load);
+            let mut torques = bias;
+            for k in 0..N {
+                let viscous = self.joints[k].link_viscous;
+                torques[k] = viscous.mul_add(x.link_velocity[k], torques[k]);
+                if EFFECTS {
+                    torques[k] = torques[k] + loads[k];
+                }
+                for j in 0..N {
+                    torques[k] = inertia[k][j].mul_add(others[j], torques[k]);
                 }
             }
-            holding[i] = holding[i] - self.joints[i].ratio * load;
+            let ratio = self.joints[i].ratio;
+            let zero = R::splat(0.0);
+            holding[i] = holding[i] - motor_of(&self.arm, i, ratio, &torques, zero);
         }
         holding
     }
@@ -591,7 +717,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             motor_velocity: x.motor_velocity[i],
             link_angle: x.link_angle[i],
             angle_in_space: angle_in_space::<A, R, N>(&x.link_angle, i),
-            torsion: self.gear(x, i).torsion,
+            torsion: self.drive_trains(x).torsion[i],
             z: x.hysteresis[i],
             deflection: Self::deflection(x, i),
             part_velocity: x.part_velocity[i],
@@ -601,12 +727,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Power [W] dissipated by friction and damping in given friction modes.
     pub fn dissipation(&self, x: &State<R, N>, modes: &Modes<R, N>) -> R {
-        let mut power = R::splat(0.0);
+        let (mut power, limits) = (R::splat(0.0), self.friction_limits(x));
         for (i, joint) in self.joints.iter().enumerate() {
             let v = x.motor_velocity[i];
             let w = x.link_velocity[i];
             power = power + joint.motor_viscous * v * v + joint.link_viscous * w * w;
-            let dry = self.dry_friction_in(x, i);
+            let dry = limits[i];
             power = power + (dry * modes.direction[i] + joint.offset) * v;
             let at = self.at(x, i);
             power = power + joint.effects.loss(&at);
@@ -619,13 +745,32 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Torque [N m] of each gear at its link; zero for a rigid gear.
     pub fn gear_torques(&self, x: &State<R, N>) -> [R; N] {
-        std::array::from_fn(|i| {
-            if self.is_rigid(i) {
-                R::splat(0.0)
-            } else {
-                self.transmitted(x, i, &self.gear(x, i).torsion)
-            }
-        })
+        self.drive_trains(x).torque
+    }
+
+    /// Torsion [rad] of each gear at its link; zero for a rigid gear.
+    pub fn torsions(&self, x: &State<R, N>) -> [R; N] {
+        self.drive_trains(x).torsion.map(|torsion| torsion.angle)
+    }
+}
+
+/// [`Plant::drive_trains`].
+struct DriveTrainWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+    &'p Plant<A, R, G, N, EFFECTS>,
+    &'p State<R, N>,
+);
+
+impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+    for DriveTrainWork<'_, A, R, G, N, EFFECTS>
+{
+    type Output = DriveTrains<R, N>;
+    #[inline(always)]
+    fn run(self) -> Self::Output {
+        let mut trains = DriveTrains::zero();
+        for i in 0..N {
+            self.0.compute_drive_train(self.1, i, &mut trains);
+        }
+        trains
     }
 }
 

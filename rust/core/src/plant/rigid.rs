@@ -1,6 +1,7 @@
 //! The arm with rigid gears, (5)-(7): torques of a motion, linear in the base parameters.
 
 use crate::arm::Arm;
+use crate::arm::transmission::{motor_of, outputs_of};
 use crate::joint::gear::AllLaws;
 use crate::plant::Plant;
 
@@ -34,19 +35,28 @@ pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
     dq: &[f64; N],
     ddq: &[f64; N],
 ) -> [f64; N] {
-    let mut torque = plant
-        .arm
-        .torques(&plant.base, &plant.arm.posture(q), dq, ddq);
+    let at = plant.arm.posture(q);
+    let mut load = plant.arm.torques(&plant.base, &at, dq, ddq);
     for (i, joint) in plant.joints.iter().enumerate() {
-        let n = joint.ratio;
-        let direction = if dq[i] == 0.0 { 0.0 } else { dq[i].signum() };
-        let friction = joint.motor_viscous * dq[i] / n
-            + plant.dry_friction(dq[i] / n, 0.0, i) * direction
-            + joint.offset;
-        torque[i] = n * (torque[i] + joint.link_viscous * dq[i])
-            + joint.motor_inertia * ddq[i] / n
-            + friction;
-        torque[i] += n * joint.effects.load(q[i]) - joint.effects.motor_torque(q[i] / n, dq[i] / n);
+        load[i] += joint.link_viscous * dq[i];
     }
-    torque
+    let [outputs, rates, accelerations] = [q, dq, ddq].map(|all| outputs_of(&plant.arm, all));
+    let effect_loads: [f64; N] = std::array::from_fn(|i| plant.joints[i].effects.load(q[i]));
+    std::array::from_fn(|j| {
+        let (joint, n) = (&plant.joints[j], plant.joints[j].ratio);
+        let (angle, velocity) = (outputs[j] / n, rates[j] / n);
+        let direction = if velocity == 0.0 {
+            0.0
+        } else {
+            velocity.signum()
+        };
+        let friction = joint.motor_viscous * rates[j] / n
+            + plant.dry_friction(velocity, 0.0, j) * direction
+            + joint.offset;
+        let at_motor = |torques| motor_of(&plant.arm, j, n, torques, 0.0);
+        at_motor(&load)
+            + joint.motor_inertia * accelerations[j] / n
+            + friction
+            + (at_motor(&effect_loads) - joint.effects.motor_torque(angle, velocity))
+    })
 }

@@ -4,6 +4,7 @@
 
 use crate::actuation::current_loop::{CurrentLoop, StepTorque};
 use crate::arm::Arm;
+use crate::arm::transmission::{link_of, outputs_of};
 use crate::experiment::simulate::Simulation;
 use crate::experiment::{Member, Quantity, Source, Task};
 use crate::joint::gear::Gears;
@@ -34,7 +35,7 @@ pub(crate) struct LinearisedSpan<S, const N: usize> {
     /// Length [s].
     pub(crate) duration: f64,
     /// The event at the end; `None` at the end of the step.
-    pub(crate) event: Option<EventSensitivity>,
+    pub(crate) event: Option<EventSensitivity<N>>,
     /// Derivatives of the state at the end with respect to the length [s].
     pub(crate) rates: Tangent<S, N>,
     pub(crate) torque_rates: [S; N],
@@ -87,7 +88,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
         let ratio = task.config.joints.map(|joint| joint.ratio);
         let half = 0.5 * task.clock.step;
         let width = directions.len().min(V::LANES);
-        let tangent = tangent_of(&dual.motion, &ratio, half);
+        let tangent = tangent_of(&task.config.arm, &dual.motion, &ratio, half);
         let mut trajectory = Self {
             block: TangentBlock::new(&task.config, directions, tangent),
             has_torque_derivatives: task.servo.is_some()
@@ -127,7 +128,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
             nominal,
             &self.block.tangent,
             &self.torque,
-            (&self.ratio, self.half),
+            (&self.dual.plant.arm, &self.ratio, self.half),
         )
     }
 
@@ -247,14 +248,11 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     }
 
     #[inline(always)]
-    fn imu_readings(&self, quantity: Quantity) -> [V; N] {
-        let block_sensors = self.block_sensors.as_ref();
-        match (
-            quantity.imu_signal(),
-            block_sensors.and_then(|all| all.imus.as_ref()),
-        ) {
-            (Some(position), Some(imus)) => imus.readings[position],
-            _ => [V::splat(0.0); N],
+    fn link_signal(&self, signal: usize) -> [V; N] {
+        let sensors = self.block_sensors.as_ref();
+        match sensors.and_then(|all| all.imus.as_ref()) {
+            Some(imus) => imus.readings[signal],
+            None => [V::splat(0.0); N],
         }
     }
 
@@ -273,7 +271,9 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
             let row = match quantity {
                 Quantity::Voltage => self.dual.voltage.map(|number| number.tangent),
                 Quantity::MotorTorque => self.torque,
-                Quantity::MotorAngle | Quantity::Encoder => x.motor_angles(&self.ratio),
+                Quantity::MotorAngle | Quantity::Encoder => {
+                    x.motor_angles(&self.dual.plant.arm, &self.ratio)
+                }
                 Quantity::MotorVelocity => x.motor_velocities(&self.ratio, self.half),
                 Quantity::LinkAngle => x.angle,
                 Quantity::LinkVelocity => x.link_velocities(self.half),
@@ -281,13 +281,10 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                     response.link.map(|one| per_second * per_second * one)
                 }
                 Quantity::GearTorque => response.gear,
+                Quantity::Torsion => x.torsion,
                 Quantity::Accelerometer => self.reading(0),
                 Quantity::Gyro => self.reading(1),
-                Quantity::SpecificForceX
-                | Quantity::SpecificForceY
-                | Quantity::AngularAcceleration
-                | Quantity::SquaredRate
-                | Quantity::AngularRate => self.imu_readings(*quantity),
+                Quantity::LinkSignal(signal) => self.link_signal(*signal),
                 Quantity::Sliding => continue,
             };
             for i in 0..N {
@@ -332,7 +329,7 @@ fn joint_parameter_indices<A: Arm<N>, const N: usize>(
     directions.iter().map(position).collect()
 }
 
-/// Converts link-side values to motor-side values.
+/// Converts outputs of the gears to motor-side values.
 #[inline(always)]
 fn to_motor_side<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) -> [V; N] {
     let mut motor = *link_side;
@@ -345,12 +342,12 @@ fn to_motor_side<V: Real, const N: usize>(ratio: &[f64; N], link_side: &[V; N]) 
 impl<V: Real, const N: usize> Tangent<V, N> {
     /// Derivatives of the motor angles [rad].
     #[inline(always)]
-    fn motor_angles(&self, ratio: &[f64; N]) -> [V; N] {
+    fn motor_angles<A: Arm<N>>(&self, arm: &A, ratio: &[f64; N]) -> [V; N] {
         let mut link_side = self.torsion;
         for i in 0..N {
             link_side[i] = self.torsion[i] + self.angle[i];
         }
-        to_motor_side(ratio, &link_side)
+        to_motor_side(ratio, &outputs_of(arm, &link_side))
     }
 
     /// Derivatives of the motor velocities [rad/s]; `half` [s] is half a step.
@@ -368,16 +365,16 @@ impl<V: Real, const N: usize> Tangent<V, N> {
 
 /// A motion with derivatives, over dual numbers.
 #[inline(always)]
-fn lift_motion<S: Real, V: Real, const N: usize>(
+fn lift_motion<A: Arm<N>, S: Real, V: Real, const N: usize>(
     nominal: &Motion<S, N>,
     x: &Tangent<V, N>,
     torque: &[V; N],
-    (ratio, half): (&[f64; N], f64),
+    (arm, ratio, half): (&A, &[f64; N], f64),
 ) -> Motion<Dual<S, V>, N> {
     let state = &nominal.state;
     Motion {
         state: State {
-            motor_angle: pair(&state.motor_angle, &x.motor_angles(ratio)),
+            motor_angle: pair(&state.motor_angle, &x.motor_angles(arm, ratio)),
             motor_velocity: pair(&state.motor_velocity, &x.motor_velocities(ratio, half)),
             link_angle: pair(&state.link_angle, &x.angle),
             link_velocity: pair(&state.link_velocity, &x.link_velocities(half)),
@@ -404,18 +401,20 @@ fn pair<S: Real, V: Real, const N: usize>(values: &[S; N], tangents: &[V; N]) ->
 }
 
 /// Derivatives of a motion in the coordinates of the variational equations.
-fn tangent_of<S: Real, V: Real, const N: usize>(
+fn tangent_of<A: Arm<N>, S: Real, V: Real, const N: usize>(
+    arm: &A,
     motion: &Motion<Dual<S, V>, N>,
     ratio: &[f64; N],
     half: f64,
 ) -> Tangent<V, N> {
     let x = &motion.state;
     let angle = x.link_angle.map(|number| number.tangent);
-    let at_links = |i: usize, motor: &[Dual<S, V>; N]| V::splat(ratio[i]) * motor[i].tangent;
+    let ratios = ratio.map(V::splat);
+    let motor_angle = x.motor_angle.map(|number| number.tangent);
     Tangent {
-        torsion: std::array::from_fn(|i| at_links(i, &x.motor_angle) - angle[i]),
+        torsion: std::array::from_fn(|i| link_of(arm, i, &ratios, &motor_angle, -angle[i])),
         angle,
-        motor: std::array::from_fn(|i| V::splat(half) * at_links(i, &x.motor_velocity)),
+        motor: std::array::from_fn(|i| V::splat(half) * (ratios[i] * x.motor_velocity[i].tangent)),
         link: x
             .link_velocity
             .map(|number| V::splat(half) * number.tangent),

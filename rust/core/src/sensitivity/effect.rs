@@ -128,9 +128,9 @@ impl<R: Real> SizeDerivatives<R> {
 
 impl<L: Real> OneSize<L> {
     /// Derivatives at the event at the end of a span.
-    pub(crate) fn at_event<S: Real>(
+    pub(crate) fn at_event<S: Real, const N: usize>(
         &self,
-        holding: &Holding<S>,
+        holding: &Holding<S, N>,
         z: f64,
         base: BaseTorque<f64>,
     ) -> SizeDerivatives<f64> {
@@ -139,7 +139,7 @@ impl<L: Real> OneSize<L> {
             motor_velocity: holding.speed,
             link_angle: 0.0, // the load on the link does not hold the motor
             angle_in_space: 0.0,
-            torsion: holding.torsion.lane(0),
+            torsion: holding.torsion[holding.joint].angle.lane(0),
             z,
             load: holding.ratio * holding.transmitted,
             stiffness: holding.stiffness,
@@ -229,13 +229,13 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         &self,
         quads: &mut Quads<N>,
         plant: &Plant<A, L, G, N>,
-        (trace, h): (&Trace<N>, f64),
+        (trace, h): (&Trace<A, N>, f64),
         modes: &Modes<S, N>,
         push: &[f64; N],
     ) {
         for i in 0..N {
             let z = self.hysteresis_states(trace, h, i);
-            let part_accelerations = self.part_accelerations::<A>(trace, h, i);
+            let part_accelerations = self.part_accelerations(trace, h, i);
             let base_stages = self.base_stages(plant, trace, h, i);
             for first in (0..4).step_by(L::LANES) {
                 let each = |number: fn(&Stage<N>) -> &[f64; N]| {
@@ -285,7 +285,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
 
     /// z of one gear at the stages of a step of length `h`.
     #[inline(always)]
-    fn hysteresis_states(&self, trace: &Trace<N>, h: f64, i: usize) -> [f64; 4] {
+    fn hysteresis_states<A: Arm<N>>(&self, trace: &Trace<A, N>, h: f64, i: usize) -> [f64; 4] {
         let Some(law) = &self.hysteresis[i] else {
             return [0.0; 4];
         };
@@ -296,7 +296,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
 
     /// Accelerations of the flexible part of one link at the stages of a step of length `h`.
     #[inline(always)]
-    fn part_accelerations<A: Arm<N>>(&self, trace: &Trace<N>, h: f64, i: usize) -> Stages {
+    fn part_accelerations<A: Arm<N>>(&self, trace: &Trace<A, N>, h: f64, i: usize) -> Stages {
         let Some(law) = &self.flexible[i] else {
             return [0.0; 4];
         };
@@ -315,7 +315,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     fn base_stages<A: Arm<N>, G: Gears>(
         &self,
         plant: &Plant<A, L, G, N>,
-        trace: &Trace<N>,
+        trace: &Trace<A, N>,
         h: f64,
         i: usize,
     ) -> SecondOrderStages {
@@ -342,17 +342,14 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
     pub(crate) fn advance_effect_states<A: Arm<N>, S: Real, G: Gears>(
         &mut self,
         plant: &Plant<A, L, G, N>,
-        trace: &Trace<N>,
+        trace: &Trace<A, N>,
         end: &State<S, N>,
         h: f64,
     ) {
         for i in 0..N {
             if self.flexible[i].is_some() {
-                self.part[i] = advance_second_order(
-                    self.part[i],
-                    &self.part_accelerations::<A>(trace, h, i),
-                    h,
-                );
+                self.part[i] =
+                    advance_second_order(self.part[i], &self.part_accelerations(trace, h, i), h);
             }
             if self.soft[i].is_some() {
                 let base_stages = self.base_stages(plant, trace, h, i);

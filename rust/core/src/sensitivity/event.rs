@@ -1,6 +1,9 @@
 //! Derivatives of the margin of a friction event with respect to the motion and to parameters.
 
+use std::ops::Range;
+
 use crate::arm::Arm;
+use crate::arm::transmission::coupled;
 use crate::joint::effects::EFFECT_PARAMETER_COUNT;
 use crate::joint::gear::{Gears, MAX_LAW_PARAMETERS, Spring};
 use crate::joint::transmission::DRIVE;
@@ -16,47 +19,49 @@ use crate::sensitivity::tangent::Tangent;
 const MAX_JOINT_PARAMETERS: usize = DRIVE.len() + MAX_LAW_PARAMETERS + 2 + EFFECT_PARAMETER_COUNT;
 
 /// Linear form of the derivatives of [`Plant::margins`] at the event at the end of a span.
-pub(crate) struct EventSensitivity {
+pub(crate) struct EventSensitivity<const N: usize> {
     pub(crate) joint: usize,
-    /// Derivatives with respect to the joint's torsion, and to n dtheta_M and dtheta_L times half a
-    /// step.
-    torsion: f64,
-    motor: f64,
-    link: f64,
+    /// Joints on which the margin depends.
+    coupled: Range<usize>,
+    /// Derivatives with respect to torsions, and to n dtheta_M and dtheta_L times half a step.
+    torsion: [f64; N],
+    motor: [f64; N],
+    link: [f64; N],
     /// Derivative with respect to the joint's motor torque.
     torque: f64,
-    /// Derivatives with respect to each of the joint's parameters, in the order of their names.
-    by_parameter: [f64; MAX_JOINT_PARAMETERS],
+    /// Derivatives with respect to each parameter of the joints, in the order of their names.
+    by_parameter: [[f64; MAX_JOINT_PARAMETERS]; N],
 }
 
-impl EventSensitivity {
-    /// At the event of a joint at the end of a span. `half` [s] is half a step; `requested` is the
-    /// joint with the effects of size zero.
+impl<const N: usize> EventSensitivity<N> {
+    /// At the event of a joint at the end of a span. `half` [s] is half a step; `requested` are the
+    /// joints with the effects of size zero.
     ///
     /// The margin of a motor that stops instantly is its speed. Otherwise it is the friction limit
     /// minus the holding torque; for a sliding motor that will settle, times -tau/m_M.
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
+    pub(crate) fn new<A: Arm<N>, S: Real, G: Gears, L: Real>(
         plant: &Plant<A, S, G, N>,
-        requested: &JointConfig,
+        requested: &[JointConfig; N],
         effects: Option<&EffectSensitivity<L, N>>,
         end: &Motion<S, N>,
         (joint, half): (usize, f64),
     ) -> Self {
         let mut slopes = Self {
             joint,
-            torsion: 0.0,
-            motor: 0.0,
-            link: 0.0,
+            coupled: coupled(&plant.arm, joint),
+            torsion: [0.0; N],
+            motor: [0.0; N],
+            link: [0.0; N],
             torque: 0.0,
-            by_parameter: [0.0; MAX_JOINT_PARAMETERS],
+            by_parameter: [[0.0; MAX_JOINT_PARAMETERS]; N],
         };
         let drive = &plant.joints[joint];
         let plain = |number: S| number.lane(0);
         let slides = plain(end.modes.free[joint]) != 0.0;
         let time = plain(drive.settling_time);
         if slides && time == 0.0 {
-            slopes.motor = plain(end.modes.direction[joint]) / plain(drive.ratio) / half;
+            slopes.motor[joint] = plain(end.modes.direction[joint]) / plain(drive.ratio) / half;
             return slopes;
         }
         let holding = Holding::new(plant, end, joint);
@@ -68,30 +73,26 @@ impl EventSensitivity {
         };
         let by_torque = side * scale;
         slopes.torque = by_torque;
-        slopes.torsion = by_torque * holding.by_torsion;
-        slopes.motor = by_torque * holding.by_motor / half;
-        slopes.link = by_torque * holding.by_link / half;
-        slopes.by_parameter = by_parameters(
-            &drive.spring,
-            requested,
-            effects,
-            &holding,
-            [by_torque, scale],
-        );
+        for i in slopes.coupled.clone() {
+            slopes.torsion[i] = by_torque * holding.by_torsion[i];
+            slopes.motor[i] = by_torque * holding.by_motor[i] / half;
+            slopes.link[i] = by_torque * holding.by_link[i] / half;
+        }
+        slopes.by_parameter =
+            by_parameters(plant, requested, effects, &holding, [by_torque, scale]);
         slopes
     }
 
     /// Derivative along given derivatives of the motion and the torques.
     #[inline(always)]
-    pub(crate) fn directional_derivative<V: Real, const N: usize>(
-        &self,
-        x: &Tangent<V, N>,
-        torque: &[V; N],
-    ) -> V {
-        let (c, i) = (V::splat, self.joint);
-        let sum = c(self.motor).mul_add(x.motor[i], c(self.link) * x.link[i]);
-        let sum = c(self.torsion).mul_add(x.torsion[i], sum);
-        c(self.torque).mul_add(torque[i], sum)
+    pub(crate) fn directional_derivative<V: Real>(&self, x: &Tangent<V, N>, torque: &[V; N]) -> V {
+        let (c, mut sum) = (V::splat, V::splat(0.0));
+        for i in self.coupled.clone() {
+            sum = c(self.link[i]).mul_add(x.link[i], sum);
+            sum = c(self.motor[i]).mul_add(x.motor[i], sum);
+            sum = c(self.torsion[i]).mul_add(x.torsion[i], sum);
+        }
+        c(self.torque).mul_add(torque[self.joint], sum)
     }
 
     /// Derivatives with respect to the parameters of directions, each a joint and an index among
@@ -100,39 +101,43 @@ impl EventSensitivity {
     pub(crate) fn by_parameters<V: Real>(&self, parameters: &[Option<(usize, usize)>]) -> V {
         let mut all = V::splat(0.0);
         for (lane, parameter) in parameters.iter().enumerate() {
-            if let &Some((joint, position)) = parameter
-                && joint == self.joint
-            {
-                all.set_lane(lane, self.by_parameter[position]);
+            if let &Some((joint, position)) = parameter {
+                all.set_lane(lane, self.by_parameter[joint][position]);
             }
         }
         all
     }
 }
 
-/// Derivatives of a margin with respect to the parameters of its joint. `by_torque` is the
+/// Derivatives of a margin with respect to the parameters of all joints. `by_torque` is the
 /// derivative with respect to the holding torque, `-scale` that with respect to the friction limit.
 #[inline(always)]
-fn by_parameters<S: Real, L: Real, const N: usize>(
-    spring: &impl Spring<S>,
-    requested: &JointConfig,
+fn by_parameters<A: Arm<N>, S: Real, G: Gears, L: Real, const N: usize>(
+    plant: &Plant<A, S, G, N>,
+    requested: &[JointConfig; N],
     effects: Option<&EffectSensitivity<L, N>>,
-    holding: &Holding<S>,
+    holding: &Holding<S, N>,
     [by_torque, scale]: [f64; 2],
-) -> [f64; MAX_JOINT_PARAMETERS] {
-    let mut by = [0.0; MAX_JOINT_PARAMETERS];
-    let (speed, by_gear) = (by_torque * holding.speed, -by_torque * holding.ratio);
-    by[..4].copy_from_slice(&[speed * holding.settling, -speed, -scale, -by_torque]);
-    // the link's friction does not hold the motor
-    let mut next = DRIVE.len();
-    let of_law = spring.by_parameters(holding.torsion, &spring.shared());
-    for slope in &of_law[..requested.gear.parameters.len()] {
-        by[next] = by_gear * slope.lane(0);
-        next += 1;
+) -> [[f64; MAX_JOINT_PARAMETERS]; N] {
+    let mut all = [[0.0; MAX_JOINT_PARAMETERS]; N];
+    // behind the drive's parameters those of the law, damping and settling time
+    let of_law = |i: usize| DRIVE.len()..DRIVE.len() + requested[i].gear.parameters.len();
+    for i in holding.coupled.clone() {
+        let (spring, torsion) = (&plant.joints[i].spring, &holding.torsion[i]);
+        let by_gear = by_torque * holding.by_gear[i];
+        let slopes = spring.by_parameters(torsion.angle, &spring.shared());
+        for (position, slope) in of_law(i).zip(slopes) {
+            all[i][position] = by_gear * slope.lane(0);
+        }
+        all[i][of_law(i).end] = by_gear * torsion.rate.lane(0);
     }
-    by[next] = by_gear * holding.rate;
-    by[next + 1] = -speed * holding.settling * holding.settling * holding.inertia;
+    let (own, next) = (&mut all[holding.joint], of_law(holding.joint).end);
+    let speed = by_torque * holding.speed;
+    // the link's friction does not hold the motor
+    own[..4].copy_from_slice(&[speed * holding.settling, -speed, -scale, -by_torque]);
+    own[next + 1] = -speed * holding.settling * holding.settling * holding.inertia;
     if let Some(effects) = effects {
+        let by_gear = by_torque * holding.by_gear[holding.joint];
         for size in effects.of(holding.joint) {
             let derivatives = size.at_event(
                 holding,
@@ -141,9 +146,9 @@ fn by_parameters<S: Real, L: Real, const N: usize>(
             );
             let gear = by_gear * derivatives.gear
                 - by_torque * derivatives.local_ratio * holding.transmitted;
-            by[next + 2 + size.position] =
+            own[next + 2 + size.position] =
                 gear + by_torque * derivatives.motor - scale * derivatives.friction;
         }
     }
-    by
+    all
 }

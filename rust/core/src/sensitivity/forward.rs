@@ -84,7 +84,7 @@ struct VariationalSimulation<
     unforced: TangentBlock<S, N>,
     /// Current loops over a variable time.
     differentiable_current: CurrentLoop<Dual<S, S>, N>,
-    trace: Trace<N>,
+    trace: Trace<A, N>,
     linear: LinearisedStep<A, L, G, N>,
     blocks: Vec<BlockTrajectory<'a, A, S, V, G, N, EFFECTS>>,
     /// The sensors that are recorded, if any.
@@ -125,7 +125,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
             commanded: false,
             unforced: TangentBlock::new(&task.config, &[], Tangent::zero()),
             differentiable_current: task.config.current_loop(task.clock.step),
-            trace: Trace::new(task.config.joints.map(|joint| joint.ratio)),
+            trace: Trace::new(task.config.arm, task.config.joints.map(|joint| joint.ratio)),
             linear,
             blocks: (0..width).step_by(V::LANES).map(trajectory).collect(),
             sensing,
@@ -273,8 +273,7 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
         let slides = |i: usize| from.modes.free[i].lane(0) != 0.0;
         let (requested, effects) = (&self.requested.config.joints, self.linear.effects.as_ref());
         let half = self.linear.half;
-        let margin =
-            |joint| EventSensitivity::new(plant, &requested[joint], effects, &end, (joint, half));
+        let margin = |joint| EventSensitivity::new(plant, requested, effects, &end, (joint, half));
         LinearisedSpan {
             is_stuck: std::array::from_fn(|i| stops_instantly(i) && !slides(i)),
             stops_motor: event.is_some_and(|(_, joint)| stops_instantly(joint) && slides(joint)),

@@ -1,70 +1,90 @@
-//! State of a joint at a friction event.
+//! State of a motor at a friction event.
+
+use std::ops::Range;
 
 use crate::arm::Arm;
+use crate::arm::transmission::{coupled, share};
+use crate::joint::effects::Torsion;
 use crate::joint::gear::{Gears, Spring};
 use crate::plant::Plant;
 use crate::plant::friction::Motion;
 use crate::scalar::Real;
 
-/// Motor and gear of a joint that friction holds, or is about to hold.
-pub(crate) struct Holding<S> {
+/// A motor that friction holds, or is about to hold, and the gears that load it.
+pub(crate) struct Holding<S, const N: usize> {
     pub(crate) joint: usize,
+    /// Joints whose gears load the motor.
+    pub(crate) coupled: Range<usize>,
     pub(crate) ratio: f64,
     pub(crate) inertia: f64,
-    pub(crate) torsion: S,
-    pub(crate) rate: f64,
     pub(crate) motor_angle: f64,
     /// dtheta_M [rad/s].
     pub(crate) speed: f64,
     /// 1/tau; zero for an instant stop.
     pub(crate) settling: f64,
-    /// Torque [N m] of the gear.
-    pub(crate) transmitted: f64,
     /// Torque [N m] that holds the motor.
     pub(crate) torque: f64,
+    /// Torsions of the gears.
+    pub(crate) torsion: [Torsion<S>; N],
+    /// Torque [N m], stiffness and damping of the motor's own gear.
+    pub(crate) transmitted: f64,
     pub(crate) stiffness: f64,
     pub(crate) damping: f64,
-    /// Derivatives of the holding torque with respect to the torsion, n dtheta_M and dtheta_L.
-    pub(crate) by_torsion: f64,
-    pub(crate) by_motor: f64,
-    pub(crate) by_link: f64,
+    /// Derivatives of the holding torque with respect to the torques of the gears.
+    pub(crate) by_gear: [f64; N],
+    /// Derivatives of the holding torque with respect to torsions, n dtheta_M and dtheta_L.
+    pub(crate) by_torsion: [f64; N],
+    pub(crate) by_motor: [f64; N],
+    pub(crate) by_link: [f64; N],
 }
 
-impl<S: Real> Holding<S> {
+impl<S: Real, const N: usize> Holding<S, N> {
     #[inline(always)]
-    pub(crate) fn new<A: Arm<N>, G: Gears, const N: usize>(
+    pub(crate) fn new<A: Arm<N>, G: Gears>(
         plant: &Plant<A, S, G, N>,
         end: &Motion<S, N>,
-        i: usize,
+        joint: usize,
     ) -> Self {
-        let (drive, x) = (&plant.joints[i], &end.state);
+        let (drive, x, arm) = (&plant.joints[joint], &end.state, &plant.arm);
         let plain = |number: S| number.lane(0);
-        let gear = plant.gear(x, i);
         let (ratio, inertia) = (plain(drive.ratio), plain(drive.motor_inertia));
-        let stiffness = plain(drive.spring.stiffness(gear.torsion.angle));
-        let damping = plain(drive.gear_damping);
         let (mut settling, mut brake) = (0.0, 0.0);
         if plain(drive.settling_time) > 0.0 {
             settling = plain(drive.settling_rate);
             brake = inertia * settling - plain(drive.motor_viscous);
         }
-        let holding = plant.holding_torques(x, &end.torque, &end.modes);
+        let trains = plant.drive_trains(x);
+        let stiffness = |i: usize| plain(plant.joints[i].spring.stiffness(trains.torsion[i].angle));
+        let mut by = [[0.0; N]; 4];
+        by[2][joint] = brake / ratio;
+        for i in coupled(arm, joint) {
+            let at_motor = share(arm, i, joint) * ratio;
+            let damping = plain(plant.joints[i].gear_damping);
+            by[0][i] = -at_motor;
+            by[1][i] = -at_motor * stiffness(i);
+            by[3][i] = at_motor * damping;
+            for k in coupled(arm, i) {
+                by[2][k] -= at_motor * damping * share(arm, i, k);
+            }
+        }
+        let [by_gear, by_torsion, by_motor, by_link] = by;
         Self {
-            joint: i,
+            joint,
+            coupled: coupled(arm, joint),
             ratio,
             inertia,
-            torsion: gear.torsion.angle,
-            rate: plain(gear.torsion.rate),
-            motor_angle: plain(x.motor_angle[i]),
-            speed: plain(x.motor_velocity[i]),
+            motor_angle: plain(x.motor_angle[joint]),
+            speed: plain(x.motor_velocity[joint]),
             settling,
-            transmitted: plain(plant.transmitted(x, i, &gear.torsion)),
-            torque: plain(holding[i]),
-            stiffness,
-            damping,
-            by_torsion: -ratio * stiffness,
-            by_motor: brake / ratio - ratio * damping,
-            by_link: ratio * damping,
+            torque: plain(plant.holding_torques(x, &end.torque, &end.modes)[joint]),
+            stiffness: stiffness(joint),
+            damping: plain(drive.gear_damping),
+            transmitted: plain(trains.torque[joint]),
+            torsion: trains.torsion,
+            by_gear,
+            by_torsion,
+            by_motor,
+            by_link,
         }
     }
 }

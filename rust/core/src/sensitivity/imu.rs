@@ -1,23 +1,23 @@
 //! Derivatives of the readings of an IMU.
 
 use crate::arm::Arm;
-use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes};
+use crate::arm::link_signals::{LINK_SIGNALS, LinkSignalSlopes, RATE};
 use crate::plant::{Instant, State};
 use crate::scalar::Real;
 use crate::sensitivity::tangent::{Response, Tangent};
-use crate::sensors::imu::{IMU_SIGNALS, Imus, Signals};
+use crate::sensors::imu::{Imus, Signals};
 use crate::sensors::low_pass::{Feedthrough, LowPass};
 
 /// Low-passes and slopes for all blocks.
 pub(crate) struct ImuSensing<V, const N: usize> {
-    filters: [[Option<Feedthrough<V, 2>>; N]; IMU_SIGNALS],
+    filters: [[Option<Feedthrough<V, 2>>; N]; LINK_SIGNALS],
     slopes: [LinkSignalSlopes<f64, N>; N],
 }
 
 /// States of the low-passes and readings of one block.
 #[derive(Clone)]
 pub(crate) struct ImuReadings<V, const N: usize> {
-    states: [[[V; 2]; N]; IMU_SIGNALS],
+    states: [[[V; 2]; N]; LINK_SIGNALS],
     pub(crate) readings: Signals<V, N>,
 }
 
@@ -48,7 +48,7 @@ impl<V: Real, const N: usize> ImuSensing<V, N> {
         let (dq, ddq) = (&x.link_velocity, &now.acceleration.link);
         let slopes = arm.link_signal_slopes(&now.posture, dq, ddq);
         for (entries, from) in self.slopes.iter_mut().zip(&slopes) {
-            for k in 0..LINK_SIGNALS {
+            for &k in A::LINK_SIGNALS {
                 for j in 0..N {
                     entries.angle[k][j] = from.angle[k][j].lane(0);
                     entries.velocity[k][j] = rate * from.velocity[k][j].lane(0);
@@ -58,29 +58,23 @@ impl<V: Real, const N: usize> ImuSensing<V, N> {
         }
     }
 
-    /// Derivatives of the signals before any low-pass.
+    /// Derivative of a link's signal before any low-pass.
     #[inline(always)]
-    fn tangents<A: Arm<N>>(
+    fn tangent<A: Arm<N>>(
         &self,
-        rates: [V; N],
+        [k, i]: [usize; 2],
         x: &Tangent<V, N>,
         response: &Response<V, N>,
-    ) -> Signals<V, N> {
-        let mut all = [[V::splat(0.0); N]; IMU_SIGNALS];
-        for (i, slopes) in self.slopes.iter().enumerate() {
-            for k in 0..LINK_SIGNALS {
-                for j in 0..=i {
-                    let mut sum = all[k][i];
-                    sum = V::splat(slopes.velocity[k][j]).mul_add(x.link[j], sum);
-                    if A::DEPENDS_ON_ANGLE[j] {
-                        sum = V::splat(slopes.angle[k][j]).mul_add(x.angle[j], sum);
-                    }
-                    let slope = V::splat(slopes.acceleration[k][j]);
-                    all[k][i] = slope.mul_add(response.link[j], sum);
-                }
+    ) -> V {
+        let (slopes, mut all) = (&self.slopes[i], V::splat(0.0));
+        for j in 0..=i {
+            all = V::splat(slopes.velocity[k][j]).mul_add(x.link[j], all);
+            if A::DEPENDS_ON_ANGLE[j] {
+                all = V::splat(slopes.angle[k][j]).mul_add(x.angle[j], all);
             }
+            let slope = V::splat(slopes.acceleration[k][j]);
+            all = slope.mul_add(response.link[j], all);
         }
-        all[LINK_SIGNALS] = rates;
         all
     }
 }
@@ -98,7 +92,7 @@ impl<V: Real, const N: usize> ImuReadings<V, N> {
         }
     }
 
-    /// Updates the readings at an instant; `rates` are those of the links in space.
+    /// Updates the readings at an instant; `rates` are those of a planar arm's links in space.
     #[inline(always)]
     pub(crate) fn sense<A: Arm<N>>(
         &mut self,
@@ -107,13 +101,17 @@ impl<V: Real, const N: usize> ImuReadings<V, N> {
         x: &Tangent<V, N>,
         response: &Response<V, N>,
     ) {
-        self.readings = sensing.tangents::<A>(rates, x, response);
-        for k in 0..IMU_SIGNALS {
+        for &k in A::LINK_SIGNALS {
             for i in 0..N {
-                if let Some(filter) = &sensing.filters[k][i] {
-                    let reading = &mut self.readings[k][i];
-                    *reading = filter.update(&mut self.states[k][i], *reading);
-                }
+                let tangent = if A::PLANAR && k == RATE {
+                    rates[i]
+                } else {
+                    sensing.tangent::<A>([k, i], x, response)
+                };
+                self.readings[k][i] = match &sensing.filters[k][i] {
+                    Some(filter) => filter.update(&mut self.states[k][i], tangent),
+                    None => tangent,
+                };
             }
         }
     }

@@ -81,7 +81,7 @@ impl<V: Real, const N: usize> Sensing<V, N> {
         if let Some(imus) = &mut self.imus {
             imus.compute_slopes(arm, self.rate, x, now);
         }
-        if !A::PLANAR {
+        if !A::PLANAR && self.gyros.is_some() {
             self.rates.compute_slopes(arm, self.rate, x, now);
         }
         if self.accelerometers.is_none() {

@@ -4,6 +4,7 @@
 //! The rest follows from the variational equations.
 
 use crate::arm::Arm;
+use crate::arm::transmission::link_of;
 use crate::joint::gear::Gears;
 use crate::scalar::{Lanes, Real};
 use crate::sensitivity::tangent::Tangent;
@@ -24,12 +25,13 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
     /// Derivatives for a step of length `h` with its trace.
     #[inline(always)]
     pub(crate) fn new<A: Arm<N>, L: Lanes, G: Gears>(
-        trace: &Trace<N>,
+        trace: &Trace<A, N>,
         step: &LinearisedStep<A, L, G, N>,
         torque: [[S; N]; 2],
         h: f64,
     ) -> Self {
         let mut all = [Tangent::zero(); 4];
+        let mut positions = [[0.0; N]; 4];
         for i in 0..N {
             let link = LengthDerivative::of(
                 trace.each(|stage| stage.velocity[i]),
@@ -46,10 +48,16 @@ impl<S: Real, const N: usize> StepLengthSensitivity<S, N> {
             let n = trace.ratio[i];
             for k in 0..4 {
                 let tangent = &mut all[k];
-                tangent.torsion[i] = S::splat(n * motor.position[k] - link.position[k]);
+                positions[k][i] = motor.position[k];
                 tangent.angle[i] = S::splat(link.position[k]);
                 tangent.motor[i] = S::splat(step.half * n * motor.velocity[k]);
                 tangent.link[i] = S::splat(step.half * link.velocity[k]);
+            }
+        }
+        for (tangent, positions) in all.iter_mut().zip(&positions) {
+            for i in 0..N {
+                let driven = link_of(&step.plant.arm, i, &trace.ratio, positions, 0.0);
+                tangent.torsion[i] = S::splat(driven - tangent.angle[i].lane(0));
             }
         }
         let [second, third, fourth, end] = all;

@@ -1,6 +1,7 @@
 //! Derivatives of the motion, and of the accelerations.
 
 use crate::arm::Arm;
+use crate::arm::transmission::link_of;
 use crate::scalar::Real;
 
 /// Derivatives of torsions and link angles, and of the velocities of motors and links.
@@ -11,7 +12,7 @@ use crate::scalar::Real;
 pub(crate) struct Tangent<V, const N: usize> {
     pub(crate) torsion: [V; N],
     pub(crate) angle: [V; N],
-    /// n dtheta_M' times half a step.
+    /// n dtheta_M' of each motor times half a step.
     pub(crate) motor: [V; N],
     /// dtheta_L' times half a step.
     pub(crate) link: [V; N],
@@ -53,9 +54,11 @@ impl<V: Real, const N: usize> Tangent<V, N> {
 
     /// Adds the displacement of accelerations; `square` is half of the square of a time.
     #[inline(always)]
-    pub(crate) fn shift(&mut self, square: V, a: &Response<V, N>) {
+    pub(crate) fn shift<A: Arm<N>>(&mut self, arm: &A, square: V, a: &Response<V, N>) {
+        let one = [V::splat(1.0); N];
         for i in 0..N {
-            self.torsion[i] = square.mul_add(a.motor[i] - a.link[i], self.torsion[i]);
+            let twist = link_of(arm, i, &one, &a.motor, -a.link[i]);
+            self.torsion[i] = square.mul_add(twist, self.torsion[i]);
             self.angle[i] = square.mul_add(a.link[i], self.angle[i]);
         }
     }

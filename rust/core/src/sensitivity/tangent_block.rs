@@ -2,6 +2,7 @@
 
 use crate::actuation::current_loop::StepTorque;
 use crate::arm::Arm;
+use crate::arm::transmission::{link_of, motor_of, share};
 use crate::experiment::Source;
 use crate::joint::gear::Gears;
 use crate::plant::config::{Config, Role};
@@ -74,19 +75,14 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             link: zero,
         };
         let forced = |row, joint| self.forcing.of(&step.quads, row, joint, k);
+        let (arm, one) = (&step.plant.arm, [c(1.0); N]);
         let mut load = zero;
         for i in 0..N {
-            let rate = x.motor[i] - x.link[i];
+            let rate = link_of(arm, i, &one, &x.motor, -x.link[i]);
             let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
             let gear = c(step.stiffness[i][k]).mul_add(x.torsion[i], damped);
-            let mut motor = forced(Row::Motor, i);
-            if let Some(torque) = torque {
-                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
-            }
-            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
             response.rate[i] = rate;
             response.gear[i] = gear;
-            response.motor[i] = c(step.motor[0][i]).mul_add(gear, dragged);
             let mut link_load = forced(Row::Link, i);
             for j in 0..N {
                 if A::DEPENDS_ON_ANGLE[j] {
@@ -95,6 +91,15 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
                 link_load = c(step.by_velocity[i][j][k]).mul_add(x.link[j], link_load);
             }
             load[i] = gear - link_load;
+        }
+        for i in 0..N {
+            let mut motor = forced(Row::Motor, i);
+            if let Some(torque) = torque {
+                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
+            }
+            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
+            let slope = c(step.motor[0][i]);
+            response.motor[i] = motor_of(arm, i, slope, &response.gear, dragged);
         }
         for i in 0..N {
             let mut link = c(step.inverse[i][0][k]) * load[0];
@@ -153,12 +158,13 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let [positions, velocities] = first.sums(&second, &third);
         let fourth = self.respond(step, 3, &at, end);
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
+        let (arm, one) = (&step.plant.arm, [c(1.0); N]);
         let mut to = x;
         for i in 0..N {
             to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
             to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
             to.angle[i] = square.mul_add(positions.link[i], twice(x.angle[i], x.link[i]));
-            let torsion = positions.motor[i] - positions.link[i];
+            let torsion = link_of(arm, i, &one, &positions.motor, -positions.link[i]);
             to.torsion[i] = square.mul_add(torsion, twice(x.torsion[i], first.rate[i]));
         }
         self.tangent = self.settle_held_motors(step, to, &x, (0.0, 1));
@@ -180,12 +186,12 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let a2 = self.respond(step, 1, &second, Some(middle));
         third.push(half, &a2);
         let a3 = self.respond(step, 2, &third, Some(middle));
-        fourth.shift(c(0.5 * time * time), &a2);
+        fourth.shift(&step.plant.arm, c(0.5 * time * time), &a2);
         fourth.push(c(time), &a3);
         let a4 = self.respond(step, 3, &fourth, Some(end));
         let mut to = by.end;
         for a in [&a2, &a3] {
-            to.shift(c(time * sixth), a);
+            to.shift(&step.plant.arm, c(time * sixth), a);
             to.push(c(2.0 * sixth), a);
         }
         to.push(c(sixth), &a4);
@@ -212,9 +218,16 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
             // velocity at the start of the step minus velocity with which the stage was advanced
             let difference = motor - before.motor[i];
-            stage.torsion[i] = c(elapsed).mul_add(difference, stage.torsion[i]);
-            stage.torsion[i] = c(settling.angle[end]).mul_add(motor, stage.torsion[i]);
-            stage.torsion[i] = by_time.mul_add(self.settling[i], stage.torsion[i]);
+            for j in 0..N {
+                if j != i && step.plant.arm.transmission().is_none() {
+                    continue;
+                }
+                let share = c(share(&step.plant.arm, j, i));
+                let torsion = &mut stage.torsion[j];
+                *torsion = (share * c(elapsed)).mul_add(difference, *torsion);
+                *torsion = (share * c(settling.angle[end])).mul_add(motor, *torsion);
+                *torsion = (share * by_time).mul_add(self.settling[i], *torsion);
+            }
             stage.motor[i] = c(settling.velocity[end]).mul_add(motor, stage.motor[i]);
             stage.motor[i] = velocity_by_time.mul_add(self.settling[i], stage.motor[i]);
         }

@@ -1,5 +1,7 @@
 //! Stages of a Runge-Kutta step of the simulation.
 
+use crate::arm::Arm;
+use crate::arm::transmission::link_of;
 use crate::joint::effects::Torsion;
 use crate::plant::{Acceleration, State, Watch};
 use crate::scalar::Real;
@@ -12,7 +14,8 @@ pub(crate) type Stages = [f64; 4];
 /// Stages are stored one by one, not by quantity: a vector loaded from numbers that were just
 /// stored one by one would wait until the whole step has retired.
 #[derive(Clone, Copy)]
-pub(crate) struct Trace<const N: usize> {
+pub(crate) struct Trace<A, const N: usize> {
+    arm: A,
     pub(crate) ratio: [f64; N],
     pub(crate) stages: [Stage<N>; 4],
 }
@@ -29,8 +32,8 @@ pub(crate) struct Stage<const N: usize> {
     pub(crate) link_acceleration: [f64; N],
 }
 
-impl<const N: usize> Trace<N> {
-    pub(crate) fn new(ratio: [f64; N]) -> Self {
+impl<A: Arm<N>, const N: usize> Trace<A, N> {
+    pub(crate) fn new(arm: A, ratio: [f64; N]) -> Self {
         let zero = [0.0; N];
         let stage = Stage {
             angle: zero,
@@ -42,6 +45,7 @@ impl<const N: usize> Trace<N> {
             link_acceleration: zero,
         };
         Self {
+            arm,
             ratio,
             stages: [stage; 4],
         }
@@ -74,14 +78,17 @@ impl<const N: usize> Trace<N> {
     }
 }
 
-impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
+impl<A: Arm<N>, S: Real, const N: usize> Watch<S, N> for Trace<A, N> {
     #[inline(always)]
     fn stage(&mut self, k: usize, x: &State<S, N>, a: &Acceleration<S, N>) {
-        let stage = &mut self.stages[k];
+        let mut ratios = x.motor_angle;
         for i in 0..N {
-            let n = S::splat(self.ratio[i]);
-            let torsion = n.mul_add(x.motor_angle[i], -x.link_angle[i]);
-            let rate = n.mul_add(x.motor_velocity[i], -x.link_velocity[i]);
+            ratios[i] = S::splat(self.ratio[i]);
+        }
+        let (arm, stage) = (&self.arm, &mut self.stages[k]);
+        for i in 0..N {
+            let torsion = link_of(arm, i, &ratios, &x.motor_angle, -x.link_angle[i]);
+            let rate = link_of(arm, i, &ratios, &x.motor_velocity, -x.link_velocity[i]);
             stage.angle[i] = x.link_angle[i].lane(0);
             stage.velocity[i] = x.link_velocity[i].lane(0);
             stage.torsion[i] = torsion.lane(0);
@@ -93,7 +100,7 @@ impl<S: Real, const N: usize> Watch<S, N> for Trace<N> {
     }
 }
 
-impl<const N: usize> Trace<N> {
+impl<A: Arm<N>, const N: usize> Trace<A, N> {
     /// Torsion of gear `i` at stage `k`.
     #[inline(always)]
     pub(crate) fn torsion_at(&self, i: usize, k: usize) -> Torsion<f64> {
@@ -107,10 +114,11 @@ impl<const N: usize> Trace<N> {
     /// Torsion of gear `i` in a state.
     #[inline(always)]
     pub(crate) fn torsion_of<S: Real>(&self, i: usize, x: &State<S, N>) -> Torsion<f64> {
-        let n = S::splat(self.ratio[i]);
+        let ratios = self.ratio.map(S::splat);
+        let of = |motors, link: S| link_of(&self.arm, i, &ratios, motors, -link).lane(0);
         Torsion {
-            angle: n.mul_add(x.motor_angle[i], -x.link_angle[i]).lane(0),
-            rate: n.mul_add(x.motor_velocity[i], -x.link_velocity[i]).lane(0),
+            angle: of(&x.motor_angle, x.link_angle[i]),
+            rate: of(&x.motor_velocity, x.link_velocity[i]),
         }
     }
 }

@@ -25,7 +25,7 @@ use crate::sensitivity::trace::{Stages, Trace};
 /// Coefficients of the linear equations at the four stages, in the units of
 /// [`crate::sensitivity::tangent::Tangent`].
 pub(crate) struct LinearisedStep<A: Arm<N>, L: Lanes, G: Gears, const N: usize> {
-    plant: Plant<A, L, G, N>,
+    pub(crate) plant: Plant<A, L, G, N>,
     shared: [Shared<L, G>; N],
     /// Number of parameters of each gear's law.
     of_law: [usize; N],
@@ -114,7 +114,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     #[inline(always)]
     pub(crate) fn update<S: Real>(
         &mut self,
-        trace: &Trace<N>,
+        trace: &Trace<A, N>,
         begin: &A::Posture<S>,
         modes: &Modes<S, N>,
         h: f64,
@@ -142,7 +142,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     #[inline(always)]
     pub(crate) fn advance_effect_states<S: Real>(
         &mut self,
-        trace: &Trace<N>,
+        trace: &Trace<A, N>,
         end: &State<S, N>,
         h: f64,
     ) {
@@ -153,7 +153,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
 
     /// Coefficients of one motor, sliding or held.
     #[inline(always)]
-    fn motor<S: Real>(&mut self, trace: &Trace<N>, modes: &Modes<S, N>, i: usize, h: f64) {
+    fn motor<S: Real>(&mut self, trace: &Trace<A, N>, modes: &Modes<S, N>, i: usize, h: f64) {
         let (joint, half) = (&self.plant.joints[i], self.half);
         let (time, n) = (joint.settling_time.lane(0), joint.ratio.lane(0));
         self.settling[i] = None;
@@ -177,7 +177,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
 
     /// Coefficients of the links, for the stages from the `first`.
     #[inline(always)]
-    fn links(&mut self, trace: &Trace<N>, begin: &A::Posture<L>, first: usize) {
+    fn links(&mut self, trace: &Trace<A, N>, begin: &A::Posture<L>, first: usize) {
         let mut rotation: [L; N] = trace.joints(first, |stage| &stage.angle);
         for i in 0..N {
             rotation[i] = rotation[i] - L::splat(trace.stages[0].angle[i]);
@@ -227,7 +227,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
 
     /// Coefficients of one gear, for the stages from the `first`.
     #[inline(always)]
-    fn gear(&mut self, trace: &Trace<N>, i: usize, first: usize) {
+    fn gear(&mut self, trace: &Trace<A, N>, i: usize, first: usize) {
         let (joint, quads) = (&self.plant.joints[i], &mut self.quads.drive_train[i]);
         let torsion = trace.across::<L>(first, |stage| stage.torsion[i]);
         let rate = trace.across::<L>(first, |stage| stage.rate[i]);

@@ -8,8 +8,8 @@ mod vector;
 pub use kinematics::Kinematics;
 pub use placement::{ChainJoint, JointPosture, JointType};
 
-use super::link_signals::LINK_SIGNALS;
-use super::{Arm, Name};
+use super::link_signals::{LINK_SIGNALS, of_link};
+use super::{Arm, Name, Transmission};
 use crate::parameter::{Parameter, Sign};
 use crate::scalar::{Real, Work, run_out_of_line};
 use placement::Placement;
@@ -103,8 +103,7 @@ const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 /// The accelerometer of a link is at `accelerometer_distance` across the joint's axis, along the
 /// projection of the frame's x axis (of its y axis if the joint's axis is x), and reads
 /// perpendicular to both. On a prismatic joint it is at the link's origin and reads along the
-/// axis. A gyro reads the rate about the axis. The link signals are those in the plane across the
-/// axis: all that an IMU reads if the axes are parallel, and a part of it otherwise.
+/// axis. A gyro reads the rate about the axis.
 ///
 /// Derivatives with respect to the motion follow from the recursion over [`crate::scalar::Jet`]s.
 #[derive(Clone, Copy, Debug)]
@@ -112,6 +111,7 @@ pub struct SerialChain<const N: usize> {
     joints: [Placement; N],
     /// [m/s^2] in the base frame.
     gravity: [f64; 3],
+    transmission: Option<Transmission<N>>,
 }
 
 impl<const N: usize> SerialChain<N> {
@@ -130,7 +130,19 @@ impl<const N: usize> SerialChain<N> {
         let Ok(joints) = joints.try_into() else {
             unreachable!("the number of joints is unchanged");
         };
-        Ok(Self { joints, gravity })
+        Ok(Self {
+            joints,
+            gravity,
+            transmission: None,
+        })
+    }
+
+    /// The same chain with a transmission between motors and joints.
+    pub fn with_transmission(self, transmission: Transmission<N>) -> Self {
+        Self {
+            transmission: Some(transmission),
+            ..self
+        }
     }
 
     /// A planar arm whose gravity [m/s^2] acts against y.
@@ -209,21 +221,38 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
 
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
-        std::array::from_fn(|i| self.joints[i].posture(q[i]))
+        let mut all = [self.joints[0].posture(q[0]); N];
+        for i in 1..N {
+            all[i] = self.joints[i].posture(q[i]);
+        }
+        all
     }
 
     #[inline(always)]
     fn near<R: Real>(&self, from: &Posture<R, N>, increment: &[R; N]) -> Posture<R, N> {
-        std::array::from_fn(|i| self.joints[i].near(&from[i], increment[i]))
+        let mut all = *from;
+        for i in 0..N {
+            self.joints[i].advance(&mut all[i], increment[i]);
+        }
+        all
     }
 
     #[inline(always)]
     fn map_posture<R: Real, L: Real>(at: &Posture<R, N>, to: impl Fn(R) -> L) -> Posture<L, N> {
-        std::array::from_fn(|i| at[i].map(&to))
+        let mut all = [at[0].map(&to); N];
+        for i in 1..N {
+            all[i] = at[i].map(&to);
+        }
+        all
     }
 
     fn chain(&self) -> Self {
         *self
+    }
+
+    #[inline(always)]
+    fn transmission(&self) -> Option<&Transmission<N>> {
+        self.transmission.as_ref()
     }
 
     #[inline(always)]
@@ -322,12 +351,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
             .iter()
             .enumerate()
         {
-            let placed = &self.joints[i];
-            let rate = dot(&splat(&placed.axis), &motion.rate);
-            all[0][i] = dot(&splat(&placed.x), &motion.force);
-            all[1][i] = dot(&splat(&placed.y), &motion.force);
-            all[2][i] = dot(&splat(&placed.axis), &motion.turning);
-            all[3][i] = rate * rate;
+            let signals = of_link([motion.force, motion.turning, motion.rate]);
+            for k in 0..LINK_SIGNALS {
+                all[k][i] = signals[k];
+            }
         }
         all
     }

@@ -122,29 +122,31 @@ impl Placement {
     #[inline(always)]
     pub(super) fn posture<R: Real>(&self, q: R) -> JointPosture<R> {
         let angle = if self.is_revolute() { q } else { R::splat(0.0) };
-        self.rotated(SineCosine::of(angle), q)
+        let mut at = JointPosture {
+            turn: SineCosine::of(angle),
+            shift: q,
+            rotation: [[q; 3]; 3],
+        };
+        self.rotate(&mut at);
+        at
     }
 
+    /// Moves a posture by a small angle or a displacement.
     #[inline(always)]
-    pub(super) fn near<R: Real>(&self, from: &JointPosture<R>, increment: R) -> JointPosture<R> {
-        let mut turn = from.turn;
+    pub(super) fn advance<R: Real>(&self, at: &mut JointPosture<R>, increment: R) {
         if self.is_revolute() {
-            turn = turn.plus_small_angle(increment);
+            at.turn = at.turn.plus_small_angle(increment);
         }
-        self.rotated(turn, from.shift + increment)
+        at.shift = at.shift + increment;
+        self.rotate(at);
     }
 
+    /// Sets the rotation of a posture.
     #[inline(always)]
-    fn rotated<R: Real>(&self, turn: SineCosine<R>, shift: R) -> JointPosture<R> {
-        let mut rotation = [[R::splat(0.0); 3]; 3];
+    fn rotate<R: Real>(&self, at: &mut JointPosture<R>) {
         for k in 0..3 {
-            let fixed = scaled(turn.sin, &splat(&self.sin[k]), &splat(&self.fixed[k]));
-            rotation[k] = scaled(turn.cos, &splat(&self.cos[k]), &fixed);
-        }
-        JointPosture {
-            turn,
-            shift,
-            rotation,
+            let fixed = scaled(at.turn.sin, &splat(&self.sin[k]), &splat(&self.fixed[k]));
+            at.rotation[k] = scaled(at.turn.cos, &splat(&self.cos[k]), &fixed);
         }
     }
 
@@ -173,12 +175,18 @@ pub struct JointPosture<R> {
 
 impl<R: Real> JointPosture<R> {
     #[inline(always)]
-    pub(super) fn map<L>(&self, to: &impl Fn(R) -> L) -> JointPosture<L> {
-        let row = |row: Vector<R>| row.map(to);
+    pub(super) fn map<L: Copy>(&self, to: &impl Fn(R) -> L) -> JointPosture<L> {
+        let shift = to(self.shift);
+        let mut rotation = [[shift; 3]; 3];
+        for row in 0..3 {
+            for column in 0..3 {
+                rotation[row][column] = to(self.rotation[row][column]);
+            }
+        }
         JointPosture {
             turn: self.turn.map(to),
-            shift: to(self.shift),
-            rotation: self.rotation.map(row),
+            shift,
+            rotation,
         }
     }
 }
