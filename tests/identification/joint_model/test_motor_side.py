@@ -253,8 +253,8 @@ def test_the_search_finds_the_gears_of_a_spatial_chain(monkeypatch: pytest.Monke
     parts = family.parts(best.point)
     for name in ("gear_stiffness", "gear_damping", "motor_inertia"):
         np.testing.assert_allclose(parts[name], getattr(linear, name), rtol=1e-3, err_msg=name)
-    # two motor shares are unknown: the product of the joints has 14^3 4^2 = 43,904 points
-    assert sum(evaluated) / len(records) < 1000
+    # pairs of neighbours have (14 4)^2 + 14^2 4 points, the product of the joints 14^3 4^2 = 43,904
+    assert sum(evaluated) / len(records) < 5000
 
 
 @pytest.mark.parametrize("n", [1, 2, 4])

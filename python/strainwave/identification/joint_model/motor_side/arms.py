@@ -8,7 +8,6 @@ coordinates too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,6 +32,7 @@ _DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
 # minimum relative standard deviation of a motor inertia from the rigid model
 _MIN_RELATIVE_STD = 0.02
 _START_DECAY_RATE = 0.5  # [1/s] starting value of c_0 / c_1
+_MIN_DECAY_RATE = 0.01  # [1/s] least c_0 / c_1 of a rigid model
 # motor's share of the viscous friction, which motor signals do not determine
 _MOTOR_VISCOUS_SHARE = 0.5
 
@@ -47,9 +47,16 @@ class Posture:
 
 def posture_of(arm: Arm, angle: FloatArray) -> Posture:
     """Inertia matrix and gravity stiffness per base parameter, at link angles (n_joints,) [rad]."""
-    unit = np.eye(len(arm.base_names))
-    inertia = np.stack([arm.inertia_matrix(unit_vector, angle) for unit_vector in unit])
-    return Posture(inertia, _gravity_slopes(arm, angle))
+    unit = np.eye(arm.n_joints)
+    rest, angles = np.zeros_like(unit), np.tile(angle, (arm.n_joints, 1))
+    inertia = arm.base_regressor(angles, rest, unit) - arm.base_regressor(angles, rest, rest)
+    above, below = (
+        arm.base_regressor(angle + step * unit, rest, rest)
+        for step in (_DIFFERENCE_STEP, -_DIFFERENCE_STEP)
+    )
+    gravity = (above - below) / (2.0 * _DIFFERENCE_STEP)
+    # by moved joint, torque and parameter
+    return Posture(np.transpose(inertia, (2, 1, 0)), np.transpose(gravity, (2, 1, 0)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,45 +183,16 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
             share[i] = min(0.95, parameter.value / total[i])
             relative_std = (parameter.std or 0.0) / parameter.value
             share_std[i] = max(relative_std, _MIN_RELATIVE_STD)
+    numbers = range(1, n + 1)
+    viscous = [model.value("total_viscous_friction", i) or 0.0 for i in numbers]
+    coulomb = [model.value("motor_coulomb_friction", i) or 0.0 for i in numbers]
     return Family(
         arm,
         ratio,
         total,
-        np.array(
-            [
-                _viscous_friction(model, "total_viscous_friction", i, total[i - 1])
-                for i in _numbers(n)
-            ]
-        ),
-        np.array([max(0.0, _value(model, "motor_coulomb_friction", i)) for i in _numbers(n)]),
+        np.maximum(viscous, _MIN_DECAY_RATE * total),
+        np.maximum(coulomb, 0.0),
         base_parameters(model, arm),
         share,
         share_std,
     )
-
-
-def _numbers(n: int) -> Sequence[int]:
-    return range(1, n + 1)
-
-
-def _value(model: RigidModel, name: str, joint: int) -> float:
-    return model.value(name, joint) or 0.0
-
-
-def _viscous_friction(model: RigidModel, name: str, joint: int, inertia: float) -> float:
-    """Viscous friction of the rigid model, at least 1 % of the inertia per second."""
-    return max(_value(model, name, joint), 0.01 * float(inertia))
-
-
-def _gravity_slopes(arm: Arm, angle: FloatArray) -> FloatArray:
-    """Derivative of gravity torques by link angle, per base parameter: (n_base, n, n)."""
-    n = arm.n_joints
-    shifted = np.concatenate(
-        [angle + _DIFFERENCE_STEP * np.eye(n), angle - _DIFFERENCE_STEP * np.eye(n)]
-    )
-    zero = np.zeros_like(shifted)
-    regressor = arm.base_regressor(shifted, zero, zero)  # (2n, n, n_base)
-    slope = (regressor[:n] - regressor[n:]) / (
-        2.0 * _DIFFERENCE_STEP
-    )  # by angle, torque, parameter
-    return np.asarray(np.transpose(slope, (2, 1, 0)))

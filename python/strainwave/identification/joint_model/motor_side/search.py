@@ -22,7 +22,7 @@ from strainwave.identification.joint_model.motor_side.arms import (
 )
 from strainwave.identification.joint_model.motor_side.impedance import velocities
 from strainwave.identification.joint_model.motor_side.spectra import Piece
-from strainwave.numerics.coordinate_search import Choice, CoordinateSearch, replaced
+from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
 # number of anti-resonances per joint on the grid, within the band of the records
 _N_ANTI_RESONANCES = 14
@@ -148,30 +148,26 @@ def _starts(family: Family, records: Sequence[_PieceInPosture]) -> list[FloatArr
             cost[proper] = sum(_costs(family, arms[proper], each) for each in records)
         return np.asarray(cost)
 
-    rings = range(_N_ANTI_RESONANCES)
     alike = [
         tuple(ring * size + min(other, size - 1) for size in sizes)
-        for ring in rings
+        for ring in range(_N_ANTI_RESONANCES)
         for other in range(max(sizes))
     ]
-    search = CoordinateSearch(cost_of)
-    best = search.minimise(alike, [_N_ANTI_RESONANCES * size for size in sizes])
-    if search.costs[best] >= _IMPROPER_COST:
+    search, counts = CoordinateSearch(cost_of), [_N_ANTI_RESONANCES * size for size in sizes]
+    best, starts = search.minimise(alike, counts), []
+    for first, choices in enumerate(search.pairs(best, [range(count) for count in counts])):
+        shape = [n for size in sizes[first : first + 2] for n in (_N_ANTI_RESONANCES, size)]
+        cost = np.reshape(search.evaluate(choices), shape)
+        others = tuple(range(1, cost.ndim, 2))
+        by_ring = cost.min(axis=others)
+        around = sliding_window_view(
+            np.pad(by_ring, 1, constant_values=np.inf), (3,) * by_ring.ndim
+        )
+        lowest = around.min(axis=tuple(range(by_ring.ndim, 2 * by_ring.ndim)))
+        lowest = np.where(lowest < _IMPROPER_COST, lowest, -np.inf)
+        starts += [choices[k] for k in np.flatnonzero(cost <= np.expand_dims(lowest, others))]
+    if not starts:
         raise NotIdentifiable(NO_ARM)
-    of_ring = [  # candidate of each joint with the least cost at an anti-resonance
-        [
-            search.least([replaced(best, {i: ring * size + other}) for other in range(size)])[i]
-            for ring in rings
-        ]
-        for i, size in enumerate(sizes)
-    ]
-    starts: list[Choice] = []
-    for choices in search.pairs(best, of_ring):
-        cost = np.reshape(search.evaluate(choices), (_N_ANTI_RESONANCES,) * min(2, family.n_joints))
-        around = sliding_window_view(np.pad(cost, 1, constant_values=np.inf), (3,) * cost.ndim)
-        lowest = around.min(axis=tuple(range(cost.ndim, 2 * cost.ndim)))
-        is_minimum = (cost <= lowest) & (cost < _IMPROPER_COST)
-        starts += [choices[k] for k in np.flatnonzero(is_minimum)]
     starts = sorted(dict.fromkeys(starts), key=search.costs.__getitem__)
     return list(points(starts[:_MAX_STARTS]))
 
