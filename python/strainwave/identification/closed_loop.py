@@ -33,8 +33,8 @@ from strainwave.numerics.filters import differentiate, low_pass, noise_std
 from strainwave.signals.prepared_record import prepare_record
 from strainwave.signals.recorded_input import check_recorded_input, recorded_drive
 
-# minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model
-_MIN_SIGNAL_TO_NOISE = 10.0
+MIN_SIGNAL_TO_NOISE = 10.0
+"""Minimum ratio of signal to noise; below it, a fit measures the sensor instead of the model."""
 _READS = ("accelerometer",)  # quantities of the compared sensors
 
 
@@ -88,7 +88,7 @@ class Observation:
     @property
     def moves(self) -> tuple[bool, ...]:
         """Whether each channel clearly exceeds its noise."""
-        return tuple((np.std(self.measured, axis=0) > _MIN_SIGNAL_TO_NOISE * self.noise).tolist())
+        return tuple((np.std(self.measured, axis=0) > MIN_SIGNAL_TO_NOISE * self.noise).tolist())
 
     def simulate(self, arm: Arm, values: Mapping[Key, float]) -> FloatArray:
         """Simulated channels (n_rows, n_channels) of an arm in the same experiment.
@@ -191,7 +191,7 @@ def _warnings_at_rest(observation: Observation) -> Iterator[Diagnostic]:
         if not moves:
             place = Place.in_records(observation.log.name)
             yield Diagnostic(
-                "nothing-to-predict", place, "noise", channel=name, ratio=_MIN_SIGNAL_TO_NOISE
+                "nothing-to-predict", place, "noise", channel=name, ratio=MIN_SIGNAL_TO_NOISE
             )
 
 

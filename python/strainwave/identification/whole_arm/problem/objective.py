@@ -19,6 +19,7 @@ from strainwave.domain import FloatArray, IntArray
 from strainwave.domain.distributions import STD_PER_MEDIAN
 from strainwave.dynamics.rigid_prediction import fit_percent
 from strainwave.errors import InvalidInput, NumericalFailure
+from strainwave.identification.closed_loop import MIN_SIGNAL_TO_NOISE
 from strainwave.identification.whole_arm.problem.error_correlation import estimate_rows_per_error
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.weighted_rows import Evaluation, Rows, Weights
@@ -37,7 +38,6 @@ The error of the best models is about as large.
 BLOCKS_PER_RECORD = 10
 """Blocks per record whose errors are assumed independent."""
 
-_MIN_SIGNAL_TO_NOISE = 10.0  # minimum signal-to-noise ratio of a channel for a fit percentage
 _INITIAL_ERROR_SHARE = 0.1  # initial standard deviation of residuals, as a share of the channel's
 
 # predicted cost reduction at which the search for initial states ends
@@ -257,7 +257,7 @@ class Objective:
             residual = rows.residual * weights.stds
             fits = fit_percent(record.measured, record.measured + residual)
             std = np.std(record.measured, axis=0)
-            fits[std < _MIN_SIGNAL_TO_NOISE * record.noise] = np.nan
+            fits[std < MIN_SIGNAL_TO_NOISE * record.noise] = np.nan
             names = record.channel_names
             percentages[record.log.name] = dict(zip(names, fits.tolist(), strict=True))
         return percentages
