@@ -59,9 +59,9 @@ class BaseParameters:
         return particular
 
     @cached_property
-    def separate_links(self) -> frozenset[Key]:
+    def separate_links(self) -> tuple[Key, ...]:
         """Parameters of links that are base parameters by themselves."""
-        return frozenset(column.key for column in self.columns if column.key in self.links)
+        return tuple(column.key for column in self.columns if column.key in self.links)
 
     def weights(self, row: Row) -> Row:
         """A combination of link parameters and motor inertias over the base parameters.

@@ -54,7 +54,7 @@ def starting_values_of(
         rigid=rigid,
     )
     start, rejected = kind_of(arm).starting_inertias(arm, estimates)
-    for key in arm.base.separate_links - start.keys():
+    for key in (key for key in arm.base.separate_links if key not in start):
         start[key] = estimates.require_rigid(key[0])
     for number in sorted(models):
         values = models[number].values
