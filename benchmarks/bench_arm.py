@@ -187,7 +187,7 @@ def _mujoco() -> float | None:
     except ImportError:
         return None
     parameters = tuple(
-        Parameter(name, joint, value, 0.0, "1", "truth")
+        Parameter(name, joint, value, 0.0, "1", "tuned")
         for (name, joint), value in scara.parameters().items()
     )
     arm = IdentifiedArm(scara.study(Path()), parameters, "truth")

@@ -257,7 +257,7 @@ def mujoco_sysid(problem: Problem) -> Values:
 
     def text(z: FloatArray) -> str:
         parameters = tuple(
-            Parameter(name, joint, value, 0.0, "1", "start")
+            Parameter(name, joint, value, 0.0, "1", "decoupled")
             for (name, joint), value in values(z).items()
         )
         return to_mjcf(IdentifiedArm(study, parameters, "start")).data.decode()

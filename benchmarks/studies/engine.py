@@ -117,7 +117,7 @@ def in_mujoco(
 
 def _model(arm: Arm, values: Values, plant: Plant) -> Any:
     parameters = tuple(
-        Parameter(name, joint, value, 0.0, "1", "truth") for (name, joint), value in values.items()
+        Parameter(name, joint, value, 0.0, "1", "tuned") for (name, joint), value in values.items()
     )
     # _CurrentLoop simulates the current loops
     joints = tuple(replace(joint, current_loop_hz=None) for joint in arm.joints)

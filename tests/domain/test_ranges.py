@@ -41,7 +41,7 @@ def test_drawn_arms_over_the_catalogue_are_plausible() -> None:
     for seed in range(60):
         rig = drawn(seed, 5)
         known = [
-            Parameter(name, joint, size, 0.0, "1", "truth")
+            Parameter(name, joint, size, 0.0, "1", "tuned")
             for (name, joint), size in rig.values.items()
         ]
         assert not list(implausible_joints(rig.study.arm, known))

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from results import arm_model, criticism
 from strainwave.domain import (
+    STAGES,
     Activity,
     AgreementTest,
     ArmModel,
@@ -25,6 +26,7 @@ from strainwave.domain import (
     Place,
     Prediction,
     RigidModel,
+    Stage,
     Study,
     Suspicion,
     Sweep,
@@ -68,7 +70,7 @@ def true(name: str, joint: int | None) -> float:
 
 
 def made(
-    name: str, joint: int | None, stage: str, size: float | None = 1.0, spread: float = 0.01
+    name: str, joint: int | None, stage: Stage, size: float | None = 1.0, spread: float = 0.01
 ) -> Parameter:
     """Parameter of `size` times its true value, with the relative standard deviation `spread`."""
     unit = "kg m^2" if joint is None else unit_of(name, ELASTIC.arm.joints[joint - 1])
@@ -123,7 +125,7 @@ def run(
     joints: Sizes | None = None,
     whole_arm: Sizes | None = None,
     *,
-    stages: tuple[str, ...] = ("rigid", "decoupled", "tuned"),
+    stages: tuple[Stage, ...] = ("rigid", "decoupled", "tuned"),
     study: Study = ELASTIC,
 ) -> Identification:
     """Run that estimates the true values times the given sizes; None means not identified.
@@ -220,7 +222,7 @@ def test_every_verdict_is_consistent_with_its_decisions(
     last: int,
 ) -> None:
     """The last stage decides, no impossible value is published, and the groups are disjoint."""
-    stages = ("rigid", "decoupled", "tuned")[:last]
+    stages = STAGES[:last]
     identification = run(rigid, joints, whole_arm, stages=stages)
     parameters, verdict = identification.parameters, identification.verdict
     keys = [(p.name, p.joint) for p in parameters]

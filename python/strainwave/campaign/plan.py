@@ -9,6 +9,7 @@ from typing import Any
 from strainwave.campaign.cases import Case
 from strainwave.campaign.store import Store
 from strainwave.campaign.tasks import FAILED_STATUS, Outcome, Task, merged
+from strainwave.domain import Stage
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class Plan:
 
     store: Store
     campaign: str  # its name in the rows of the runs
-    stages: tuple[str, ...]
+    stages: tuple[Stage, ...]
     options: Mapping[str, Mapping[str, Any]]
     retry_failed: bool = False
 

@@ -12,6 +12,7 @@ from strainwave import __version__
 from strainwave.campaign.cases import Case
 from strainwave.campaign.kinds import from_json, to_json
 from strainwave.campaign.store import Recorded
+from strainwave.domain import Stage
 
 FAILED_STATUS = "failed"
 """Status of a run without a verdict: wrong input, a crash, or the time limit."""
@@ -33,7 +34,7 @@ class Task:
     case: Case
     study_sha256: str | None
     inputs_sha256: str
-    stages: tuple[str, ...]
+    stages: tuple[Stage, ...]
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     store: str  # absolute path, or URL
     campaign: str

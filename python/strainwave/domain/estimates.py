@@ -11,6 +11,7 @@ from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import observation_of, places_text, text_of
+from strainwave.domain.stages import Stage
 from strainwave.domain.study import channel_parts
 
 _LINK_GEOMETRY = ("accelerometer_distance", "link_length")
@@ -124,7 +125,7 @@ class Parameter:
     value: float | None
     std: float | None
     unit: str
-    stage: str
+    stage: Stage
     ci95: tuple[float, float] | None = None
 
     @property

@@ -32,6 +32,7 @@ from strainwave.domain.parameter_table import base_name, family_of, parameter_ta
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
 from strainwave.domain.stage_results import StageResults
+from strainwave.domain.stages import Stage
 from strainwave.domain.study import Study, channel_parts
 
 MAX_EFFECT_SHIFT = 0.05
@@ -165,7 +166,7 @@ def _impossible_parameters(parameters: Iterable[Parameter]) -> list[Parameter]:
     ]
 
 
-def _stage_table(parameters: Sequence[Parameter], stage: str, *, spread_to_all: bool) -> _Table:
+def _stage_table(parameters: Sequence[Parameter], stage: Stage, *, spread_to_all: bool) -> _Table:
     """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
     impossible = _impossible_parameters(parameters)
     if not impossible:

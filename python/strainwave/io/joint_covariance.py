@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Identification, Parameter
+from strainwave.domain import STAGES, FloatArray, Identification, Parameter, Stage
 from strainwave.errors import InvalidInput, import_optional
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ _EQUALITY_TOLERANCE = 1e-9  # relative difference of numbers that are equal but 
 class JointCovariance:
     """Covariance of the estimates that the last stage decides."""
 
-    stage: str
+    stage: Stage
     names: tuple[str, ...]  # parameter and joint as in the verdict: "gear_stiffness 1", "beta"
     matrix: FloatArray  # (n_names, n_names), in the units of the parameters
 
@@ -82,7 +82,7 @@ def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
     try:
         names = tuple(str(name) for name in table["names"])
         matrix = np.array(table["matrix"], dtype=np.float64)
-        stage = str(table["stage"])
+        stage = STAGES[STAGES.index(table["stage"])]
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidInput("covariance is incomplete", where="the result") from error
     if matrix.shape != (len(names), len(names)) or not np.isfinite(matrix).all():
@@ -96,7 +96,7 @@ def covariance_of(document: Mapping[str, Any]) -> JointCovariance | None:
 
 def _blocks(
     identification: Identification,
-) -> tuple[str, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
+) -> tuple[Stage, Iterator[tuple[Sequence[Parameter], FloatArray]]]:
     """The last stage and its groups of correlated parameters with their covariances."""
     if identification.whole_arm is not None:
         whole_arm = identification.whole_arm
