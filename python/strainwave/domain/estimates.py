@@ -161,4 +161,4 @@ class Prediction(Displayed):
     @property
     def of_drive(self) -> bool:
         """Whether the rigid model predicts drive signals from the motion."""
-        return self.channels[0].startswith(("u", "torque"))
+        return channel_parts(self.channels[0])[0] in ("u", "torque")

@@ -28,7 +28,7 @@ from strainwave.domain.joint_models import JointModel
 from strainwave.domain.keys import Key, Row
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import link_channel_kinds, link_keys
-from strainwave.domain.parameter_table import base_name, family_of, parameter_table
+from strainwave.domain.parameter_table import base_name, family_of, is_friction, parameter_table
 from strainwave.domain.ranges import is_physical, physical_range
 from strainwave.domain.signals import Activity
 from strainwave.domain.stage_results import StageResults
@@ -226,7 +226,7 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
     is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
     for key, entry in table.items():
         is_wrong_friction = (
-            "friction" in entry.parameter.name and entry.parameter.joint in friction_joints
+            is_friction(entry.parameter.name) and entry.parameter.joint in friction_joints
         )
         if (is_torque_wrong or is_wrong_friction) and not entry.rejected:
             table[key] = replace(entry, rejected=_CONTRADICTION_REASON)

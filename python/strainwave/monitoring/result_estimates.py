@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -11,12 +10,13 @@ from typing import Any
 
 from strainwave.domain import Parameter
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.link_sensors import ConstantKind, is_kind
+from strainwave.domain.parameter_table import record_of
 from strainwave.errors import InvalidInput
 from strainwave.io import results
 from strainwave.io.joint_covariance import JointCovariance, covariance_of
 
 _USUAL_NAMES = ("result.json", "study.toml")  # files whose folder is a better label
-_OF_ONE_RECORD = re.compile(r".*_drift|.*\[.*\]")
 _QUANTILE_TOLERANCE = 1e-3  # beyond it an interval is Student's; nu is then below about 2,400
 
 
@@ -75,7 +75,7 @@ def estimates_of(document: Mapping[str, Any], path: Path) -> ResultEstimates:
 
 def is_record_parameter(name: str) -> bool:
     """Whether a parameter describes one record instead of the arm."""
-    return _OF_ONE_RECORD.fullmatch(name) is not None
+    return bool(record_of(name)) or is_kind((name, None), ConstantKind.DRIFT)
 
 
 def degrees_of_freedom(parameter: Parameter) -> float:

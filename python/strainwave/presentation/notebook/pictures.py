@@ -21,6 +21,7 @@ from strainwave.domain import (
     RecordModel,
     RigidModel,
     Sweep,
+    channel_parts,
 )
 from strainwave.domain.formatting import percent
 from strainwave.errors import InvalidInput
@@ -53,8 +54,8 @@ def figure_of(record: object) -> Figure:
 @figure_of.register
 def _(log: Log) -> Figure:
     """Drive and motor angles."""
-    above = {n: v for n, v in log.channels.items() if n.startswith(("u", "torque"))}
-    below = {n: v for n, v in log.channels.items() if n.startswith("theta_m")}
+    above = {n: v for n, v in log.channels.items() if channel_parts(n)[0] in ("u", "torque")}
+    below = {n: v for n, v in log.channels.items() if channel_parts(n)[0] == "theta_m"}
     titles = ("drive [V, N m]", "motor angle [rad]")
     return _stacked(log.time, above, below, titles, f"log {log.name}")
 

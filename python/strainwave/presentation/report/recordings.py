@@ -74,9 +74,8 @@ def _channel_series(log: Log, limit: int) -> Iterator[Series]:
     """The line of each channel."""
     channels: Mapping[str, FloatArray] = log.channels
     for name, values in channels.items():
-        kind = name.rstrip("0123456789")
+        kind, number = channel_parts(name)
         if kind == "theta_m":
-            number = name.removeprefix(kind)
             if f"omega_m{number}" not in channels:
                 yield Series(f"omega_m{number}", *_mean_slope(log.time, values, limit))
         elif kind in _TITLES or kind == "ref":
@@ -93,7 +92,7 @@ def _mean_slope(time: FloatArray, angle: FloatArray, limit: int) -> tuple[FloatA
 
 def _panel_lines(panel: Sequence[Series]) -> Iterator[Line]:
     """Coloured by joint, axes of an IMU by dash; references are grey and below the others."""
-    for series in sorted(panel, key=lambda series: not series.name.startswith("ref")):
+    for series in sorted(panel, key=lambda series: channel_parts(series.name)[0] != "ref"):
         kind, number = channel_parts(series.name)
         time, values = series.x, series.y
         if kind == "ref":

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import Correction, Place, Suspicion
+from strainwave.domain import Correction, Place, Suspicion, channel_parts
 from strainwave.domain.corrections import correction_text
 from strainwave.domain.kinds import arm_keys
 from strainwave.domain.study_limits import accepted_range
@@ -60,6 +60,7 @@ _UNITS: Mapping[str, Mapping[str, float]] = {
 # Units of time and their scale to seconds.
 _TIMES = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9, "minutes": 60.0}
 _MOTOR_SIDE = ("u", "torque", "theta_m", "omega_m", "ref")
+_ACCELERATIONS = ("a", "ax", "ay", "az")
 _PAIRED = (*_MOTOR_SIDE, *LINK_CHANNELS, "deflection")
 _BASIS = {  # kind of channel -> signals that determine its scale; {0} is the joint
     "a": "theta_m{0}",
@@ -422,7 +423,9 @@ def _propose_ac_coupling(
     contradicting = {
         o.where
         for o in contradictions
-        if o.where in evidence.channels and o.where.startswith("a") and o.kind != "count"
+        if o.where in evidence.channels
+        and channel_parts(o.where)[0] in _ACCELERATIONS
+        and o.kind != "count"
     }
     cutoffs = {
         name: hz
@@ -580,7 +583,7 @@ def _propose_channel_scales(
 
 def _is_contradicted(contradictions: Sequence[Observation], name: str, joint: int) -> bool:
     """Whether a contradiction depends on a channel."""
-    kinds = {"u": ("inertia", "servo"), "torque": ("inertia",)}.get(name[:-1], ())
+    kinds = {"u": ("inertia", "servo"), "torque": ("inertia",)}.get(channel_parts(name)[0], ())
     return any(o.where == name or (o.joint == joint and o.kind in kinds) for o in contradictions)
 
 

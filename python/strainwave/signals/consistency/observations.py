@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from strainwave.domain.study import channel_parts
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
@@ -125,7 +126,7 @@ class Observation:
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
         if self.kind == "explained-share":
-            link = self.where[:-1] in LINK_CHANNELS
+            link = channel_parts(self.where)[0] in LINK_CHANNELS
             return self.value < (_MIN_EXPLAINED_SHARE if link else _MIN_MOTOR_EXPLAINED_SHARE)
         tolerance = self.tolerance or _TOLERANCE[self.kind]
         if self.kind in ("delay", "drift", "input-delay", "tilt"):
@@ -177,10 +178,10 @@ def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
             ratio = clocks.servo / servo.period
             yield Observation("servo-clock", experiment.name, ratio, 2e-4 * ratio)
         joint = experiment.joint
-        for name in (f"u{joint}", f"torque{joint}"):
-            if name in clocks.level and experiment.prbs is not None and name.startswith("u"):
-                ratio = clocks.level[name] / experiment.prbs.amplitude
-                yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
+        name = f"u{joint}"
+        if name in clocks.level and experiment.prbs is not None:
+            ratio = clocks.level[name] / experiment.prbs.amplitude
+            yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
 
 
 def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:

@@ -8,6 +8,7 @@ from strainwave.domain import (
     Place,
     Study,
     Suspicion,
+    channel_parts,
 )
 from strainwave.domain.study import channel_names
 from strainwave.signals.consistency.message_text import format_number
@@ -92,7 +93,7 @@ def is_reported(each: Observation) -> bool:
     """
     if each.kind != "explained-share":
         return True
-    return each.where[:-1] in LINK_CHANNELS and each.value < _MIN_EXPLAINED_SHARE
+    return channel_parts(each.where)[0] in LINK_CHANNELS and each.value < _MIN_EXPLAINED_SHARE
 
 
 def report_remaining_contradictions(

@@ -8,9 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Log, Study
+from strainwave.domain import FloatArray, Log, Study, channel_parts
 
 Logs = tuple[Log, ...]
+
+
+_SHIFTED = ("a", "ax", "ay", "az", "gyro")  # kinds of the channels that a fault shifts
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,7 +132,7 @@ def _shift_link_sensors(logs: Logs, delay: float, fast: float) -> Logs:
     def change(log: Log, channels: dict[str, FloatArray]) -> None:
         time = log.time - log.time[0]
         shifted = time * (1.0 + fast) - delay
-        link = {name: v for name, v in channels.items() if name.startswith(("a", "gyro"))}
+        link = {name: v for name, v in channels.items() if channel_parts(name)[0] in _SHIFTED}
         channels.update({name: np.interp(shifted, time, values) for name, values in link.items()})
 
     return _change_channels(logs, change)
