@@ -28,7 +28,8 @@ pub enum Quantity {
     LinkAcceleration,
     /// Torque [N m] of each gear at its link; zero for a rigid gear.
     GearTorque,
-    /// Torsion [rad] of each gear at its link; zero for a rigid gear.
+    /// Torsion C n theta_M - theta_L [rad] of each gear at its link, without kinematic error and base
+    /// rotation; zero for a rigid gear.
     Torsion,
     /// Encoder reading [rad].
     Encoder,

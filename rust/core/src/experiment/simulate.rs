@@ -331,14 +331,16 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
         let Some(sensors) = &self.sensors else {
             return;
         };
-        let signals = sensors.imus.is_some().then(|| self.signals(now));
+        if sensors.imus.is_some() {
+            let signals = self.signals(now);
+            if let Some(imus) = self.sensors.as_mut().and_then(|all| all.imus.as_mut()) {
+                imus.update::<A>(&signals);
+            }
+        }
         let readings = self.readings(now);
         let Some(sensors) = &mut self.sensors else {
             return;
         };
-        if let (Some(imus), Some(signals)) = (&mut sensors.imus, signals) {
-            imus.update::<A>(&signals);
-        }
         sensors.readings = readings;
         for i in 0..N {
             if let Some(filter) = &mut sensors.accelerometer[i] {

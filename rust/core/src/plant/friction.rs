@@ -25,7 +25,7 @@ use crate::actuation::current_loop::CurrentLoop;
 use crate::arm::Arm;
 use crate::arm::transmission::{coupled, link_of};
 use crate::joint::gear::Gears;
-use crate::plant::{Instant, Modes, Plant, State, Watch};
+use crate::plant::{Instant, Modes, Plant, State, Watch, plant_work};
 use crate::scalar::{Real, Work, run_out_of_line};
 
 /// Largest number of events within one step. After that, motors at rest are held until the step
@@ -79,7 +79,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut any = false;
         for i in 0..N {
             if modes.free[i].lane(0) == 0.0 {
-                let (holding, limit) = run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes));
+                let [holding, limit] = run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes));
                 let holding = holding[i].lane(0);
                 if holding.abs() > limit[i].lane(0) {
                     modes.direction[i] = sign(holding);
@@ -89,6 +89,20 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             }
         }
         any
+    }
+
+    /// Holding torques and friction limits of all motors.
+    #[inline(always)]
+    fn holding_torques_and_limits(
+        &self,
+        x: &State<R, N>,
+        torque: &[R; N],
+        modes: &Modes<R, N>,
+    ) -> [[R; N]; 2] {
+        [
+            self.holding_torques(x, torque, modes),
+            self.friction_limits(x),
+        ]
     }
 
     /// Margins of the friction modes at the end of a step; negative if a mode has ended.
@@ -109,8 +123,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             margin[i] = margin[i] * modes.direction[i];
         }
         if has_held_motors || self.settles {
-            let holding = self.holding_torques(x, torque, modes);
-            let limits = self.friction_limits(x);
+            let [holding, limits] = self.holding_torques_and_limits(x, torque, modes);
             for i in 0..N {
                 let (joint, limit) = (&self.joints[i], limits[i]);
                 let reserve = limit - holding[i].abs();
@@ -205,7 +218,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 torque,
                 modes,
             } = &motion;
-            let (holding, _) = run_out_of_line::<R, _>(HoldingWork(self, state, torque, modes));
+            let [holding, _] = run_out_of_line::<R, _>(HoldingWork(self, state, torque, modes));
             motion.modes.direction[joint] = sign(holding[joint].lane(0));
             motion.modes.free[joint] = R::splat(1.0);
         }
@@ -248,26 +261,12 @@ impl<R: Real, const N: usize> Span<R, N> {
     }
 }
 
-/// Holding torques and friction limits of all motors.
-struct HoldingWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'p Plant<A, R, G, N, EFFECTS>,
-    &'p State<R, N>,
-    &'p [R; N],
-    &'p Modes<R, N>,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for HoldingWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = ([R; N], [R; N]);
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let Self(plant, x, torque, modes) = self;
-        (
-            plant.holding_torques(x, torque, modes),
-            plant.friction_limits(x),
-        )
-    }
+plant_work! {
+    /// [`Plant::holding_torques_and_limits`].
+    HoldingWork(1: State<R, N>, 2: [R; N], 3: Modes<R, N>) -> [[R; N]; 2]
+        = holding_torques_and_limits;
+    /// [`Plant::instant`].
+    BeginWork(1: State<R, N>, 2: [R; N], 3: Modes<R, N>) -> Instant<A, R, N> = instant;
 }
 
 /// A span of time with fixed modes, and the integrator's step over any part of it.
@@ -279,21 +278,6 @@ struct SpanIntegrator<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EF
     length: R,
     begin: Instant<A, R, N>,
     has_held_motors: bool,
-}
-
-struct BeginWork<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'a Plant<A, R, G, N, EFFECTS>,
-    &'a Motion<R, N>,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for BeginWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = Instant<A, R, N>;
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.instant(&self.1.state, &self.1.torque, &self.1.modes)
-    }
 }
 
 struct BeginMarginWork<'l, 'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
@@ -348,7 +332,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
             target,
             current,
             length,
-            begin: R::scope(BeginWork(plant, from)),
+            begin: R::scope(BeginWork(plant, &from.state, &from.torque, &from.modes)),
             has_held_motors: from.modes.free.iter().any(|free| free.lane(0) == 0.0),
         }
     }

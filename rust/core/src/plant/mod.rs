@@ -222,6 +222,15 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     }
 
     #[inline(always)]
+    fn compute_drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
+        let mut trains = DriveTrains::zero();
+        for i in 0..N {
+            self.compute_drive_train(x, i, &mut trains);
+        }
+        trains
+    }
+
+    #[inline(always)]
     fn compute_drive_train(&self, x: &State<R, N>, i: usize, trains: &mut DriveTrains<R, N>) {
         if self.is_rigid(i) {
             return;
@@ -347,7 +356,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Hysteresis states at a stage `t` after the beginning.
     #[inline(always)]
-    fn hysteresis_states(&self, begin: &State<R, N>, stage: &State<R, N>, t: R) -> [R; N] {
+    fn hysteresis_states(&self, begin: &State<R, N>, stage: &State<R, N>, t: &R) -> [R; N] {
         let mut z = begin.hysteresis;
         let mut any = false;
         for i in 0..N {
@@ -360,7 +369,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         for i in 0..N {
             let effects = &self.joints[i].effects;
             if effects.hysteresis.is_some() {
-                z[i] = effects.hysteresis_after(z[i], &from.torsion[i], &to.torsion[i], t);
+                z[i] = effects.hysteresis_after(z[i], &from.torsion[i], &to.torsion[i], *t);
             }
         }
         z
@@ -546,7 +555,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
         for i in 0..N {
             if self.is_rigid(i) {
-                return run_out_of_line::<R, _>(RigidLoadWork(self, x, torque, modes, holding));
+                return run_out_of_line::<R, _>(RigidLoadWork(self, x, torque, modes, &holding));
             }
         }
         holding
@@ -560,8 +569,9 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         x: &State<R, N>,
         torque: &[R; N],
         modes: &Modes<R, N>,
-        mut holding: [R; N],
+        holding: &[R; N],
     ) -> [R; N] {
+        let mut holding = *holding;
         let at = self.arm.posture(&x.link_angle);
         let inertia = self.arm.inertia(&self.base, &at);
         let bias = self.arm.bias(&self.base, &at, &x.link_velocity);
@@ -617,7 +627,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let complete_stage = |(stage, rotation): Stage<R, N>, t: R| {
             let mut held = self.settle_held_motors(x, stage, modes, t);
             if EFFECTS {
-                held.hysteresis = run_out_of_line::<R, _>(HysteresisWork(self, x, &held, t));
+                held.hysteresis = run_out_of_line::<R, _>(HysteresisWork(self, x, &held, &t));
             }
             (held, rotation)
         };
@@ -748,86 +758,51 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         self.drive_trains(x).torque
     }
 
-    /// Torsion [rad] of each gear at its link; zero for a rigid gear.
+    /// Torsion C n theta_M - theta_L [rad] of each gear at its link; zero for a rigid gear.
     pub fn torsions(&self, x: &State<R, N>) -> [R; N] {
-        self.drive_trains(x).torsion.map(|torsion| torsion.angle)
-    }
-}
-
-/// [`Plant::drive_trains`].
-struct DriveTrainWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'p Plant<A, R, G, N, EFFECTS>,
-    &'p State<R, N>,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for DriveTrainWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = DriveTrains<R, N>;
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        let mut trains = DriveTrains::zero();
+        let (ratios, mut all) = (self.ratios(), [R::splat(0.0); N]);
         for i in 0..N {
-            self.0.compute_drive_train(self.1, i, &mut trains);
+            if !self.is_rigid(i) {
+                all[i] = link_of(&self.arm, i, &ratios, &x.motor_angle, -x.link_angle[i]);
+            }
         }
-        trains
+        all
     }
 }
 
-/// [`Plant::accelerations`].
-struct AccelerationWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'p Plant<A, R, G, N, EFFECTS>,
-    &'p State<R, N>,
-    &'p A::Posture<R>,
-    &'p [R; N],
-    &'p Modes<R, N>,
-);
+/// Methods of [`Plant`] as [`Work`].
+macro_rules! plant_work {
+    ($($(#[$doc:meta])* $name:ident($($at:tt: $argument:ty),*) -> $output:ty = $method:ident;)*) => {$(
+        $(#[$doc])*
+        struct $name<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
+            &'p Plant<A, R, G, N, EFFECTS>,
+            $(&'p $argument),*
+        );
 
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for AccelerationWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = Acceleration<R, N>;
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.accelerations(self.1, self.2, self.3, self.4)
-    }
+        impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
+            for $name<'_, A, R, G, N, EFFECTS>
+        {
+            type Output = $output;
+            #[inline(always)]
+            fn run(self) -> $output {
+                self.0.$method($(self.$at),*)
+            }
+        }
+    )*};
 }
+pub(crate) use plant_work;
 
-/// [`Plant::hysteresis_states`].
-struct HysteresisWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'p Plant<A, R, G, N, EFFECTS>,
-    &'p State<R, N>,
-    &'p State<R, N>,
-    R,
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for HysteresisWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = [R; N];
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.hysteresis_states(self.1, self.2, self.3)
-    }
-}
-
-/// [`Plant::subtract_rigid_loads`].
-struct RigidLoadWork<'p, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>(
-    &'p Plant<A, R, G, N, EFFECTS>,
-    &'p State<R, N>,
-    &'p [R; N],
-    &'p Modes<R, N>,
-    [R; N],
-);
-
-impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Work
-    for RigidLoadWork<'_, A, R, G, N, EFFECTS>
-{
-    type Output = [R; N];
-    #[inline(always)]
-    fn run(self) -> Self::Output {
-        self.0.subtract_rigid_loads(self.1, self.2, self.3, self.4)
-    }
+plant_work! {
+    /// [`Plant::compute_drive_trains`].
+    DriveTrainWork(1: State<R, N>) -> DriveTrains<R, N> = compute_drive_trains;
+    /// [`Plant::accelerations`].
+    AccelerationWork(1: State<R, N>, 2: A::Posture<R>, 3: [R; N], 4: Modes<R, N>) -> Acceleration<R, N>
+        = accelerations;
+    /// [`Plant::hysteresis_states`].
+    HysteresisWork(1: State<R, N>, 2: State<R, N>, 3: R) -> [R; N] = hysteresis_states;
+    /// [`Plant::subtract_rigid_loads`].
+    RigidLoadWork(1: State<R, N>, 2: [R; N], 3: Modes<R, N>, 4: [R; N]) -> [R; N]
+        = subtract_rigid_loads;
 }
 
 /// A state within a step, and the rotations of the links since its beginning.

@@ -81,8 +81,17 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             let rate = link_of(arm, i, &one, &x.motor, -x.link[i]);
             let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
             let gear = c(step.stiffness[i][k]).mul_add(x.torsion[i], damped);
+            let mut motor = forced(Row::Motor, i);
+            if let Some(torque) = torque {
+                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
+            }
+            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
             response.rate[i] = rate;
             response.gear[i] = gear;
+            response.motor[i] = match arm.transmission() {
+                None => c(step.motor[0][i]).mul_add(gear, dragged),
+                Some(_) => dragged, // the torques of all gears follow
+            };
             let mut link_load = forced(Row::Link, i);
             for j in 0..N {
                 if A::DEPENDS_ON_ANGLE[j] {
@@ -92,14 +101,12 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             }
             load[i] = gear - link_load;
         }
-        for i in 0..N {
-            let mut motor = forced(Row::Motor, i);
-            if let Some(torque) = torque {
-                motor = c(step.motor[2][i]).mul_add(torque[i], motor);
+        if arm.transmission().is_some() {
+            for i in 0..N {
+                let slope = c(step.motor[0][i]);
+                let dragged = response.motor[i];
+                response.motor[i] = motor_of(arm, i, slope, &response.gear, dragged);
             }
-            let dragged = c(step.motor[1][i]).mul_add(x.motor[i], motor);
-            let slope = c(step.motor[0][i]);
-            response.motor[i] = motor_of(arm, i, slope, &response.gear, dragged);
         }
         for i in 0..N {
             let mut link = c(step.inverse[i][0][k]) * load[0];

@@ -18,81 +18,59 @@ use vector::{cross, dot, plus, scaled, splat, times};
 /// Number of inertial parameters of a link.
 const LINK_PARAMETER_COUNT: usize = 10;
 
+/// m c along an axis of the link's frame.
+macro_rules! first_moment {
+    ($axis:literal) => {
+        Parameter::new(
+            concat!("link_first_moment_", $axis),
+            "m c",
+            concat!(
+                "mass of the link times its centre's ",
+                $axis,
+                " in the link's frame"
+            ),
+            ["kg m"; 2],
+            Sign::Any,
+        )
+    };
+}
+
+/// An entry of the link's inertia.
+macro_rules! inertia {
+    ($entry:literal, $sign:ident) => {
+        Parameter::new(
+            concat!("link_inertia_", $entry),
+            "I",
+            concat!(
+                $entry,
+                " entry of the link's inertia about its frame's origin"
+            ),
+            ["kg m^2"; 2],
+            Sign::$sign,
+        )
+    };
+}
+
 /// Names of the inertial parameters: mass m [kg], first moments m c [kg m] and inertia [kg m^2]
 /// about the origin of the link's frame, along its axes.
 const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
-    Parameter::new("link_mass", "m", "mass of the link", MASS, Sign::Positive),
     Parameter::new(
-        "link_first_moment_x",
-        "m c",
-        "mass of the link times its centre's x in the link's frame",
-        FIRST_MOMENT,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_first_moment_y",
-        "m c",
-        "mass of the link times its centre's y in the link's frame",
-        FIRST_MOMENT,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_first_moment_z",
-        "m c",
-        "mass of the link times its centre's z in the link's frame",
-        FIRST_MOMENT,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_inertia_xx",
-        "I",
-        "xx entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
+        "link_mass",
+        "m",
+        "mass of the link",
+        ["kg"; 2],
         Sign::Positive,
     ),
-    Parameter::new(
-        "link_inertia_xy",
-        "I",
-        "xy entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_inertia_yy",
-        "I",
-        "yy entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
-        Sign::Positive,
-    ),
-    Parameter::new(
-        "link_inertia_xz",
-        "I",
-        "xz entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_inertia_yz",
-        "I",
-        "yz entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_inertia_zz",
-        "I",
-        "zz entry of the link's inertia about its frame's origin",
-        LINK_INERTIA,
-        Sign::Positive,
-    ),
+    first_moment!("x"),
+    first_moment!("y"),
+    first_moment!("z"),
+    inertia!("xx", Positive),
+    inertia!("xy", Any),
+    inertia!("yy", Positive),
+    inertia!("xz", Any),
+    inertia!("yz", Any),
+    inertia!("zz", Positive),
 ];
-
-/// Unit of mass, for both joint types.
-const MASS: [&str; 2] = ["kg"; 2];
-/// Unit of first moments, for both joint types.
-const FIRST_MOMENT: [&str; 2] = ["kg m"; 2];
-/// Unit of inertias, for both joint types.
-const LINK_INERTIA: [&str; 2] = ["kg m^2"; 2];
 
 /// A chain of `N` links on a fixed base.
 ///
