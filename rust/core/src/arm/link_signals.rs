@@ -117,7 +117,7 @@ pub(super) fn planar<R: Real, const N: usize>(
     all
 }
 
-/// Derivatives of the [`planar`] signals of accelerometers with respect to angles, velocities and accelerations.
+/// Derivatives of the [`planar`] signals with respect to angles, velocities and accelerations.
 #[inline(always)]
 pub(super) fn planar_slopes<R: Real, const N: usize>(
     LinkRotations { space, joint }: &LinkRotations<R, N>,
@@ -142,6 +142,7 @@ pub(super) fn planar_slopes<R: Real, const N: usize>(
             (slopes.angle[0][j], slopes.angle[1][j]) = (g * cos, -(g * sin));
             slopes.acceleration[TURNING][j] = R::splat(1.0);
             slopes.velocity[SQUARE][j] = rates[i] + rates[i];
+            slopes.velocity[RATE][j] = R::splat(1.0);
         }
         if i > 0 {
             let (sin, cos) = joint[i];

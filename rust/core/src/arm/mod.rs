@@ -164,8 +164,7 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     fn rate_slopes<R: Real>(&self, at: &Self::Posture<R>, dq: &[R; N]) -> Slopes<R, N> {
         differentiation::rate_slopes(self, at, dq)
     }
-    /// Derivatives of [`Arm::link_signals`] with respect to angles, velocities and accelerations;
-    /// of a planar arm without the rates.
+    /// Derivatives of [`Arm::link_signals`] with respect to angles, velocities and accelerations.
     #[inline(always)]
     fn link_signal_slopes<R: Real>(
         &self,
