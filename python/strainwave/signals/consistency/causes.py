@@ -6,6 +6,7 @@ estimated factor come last. Their values stay within the ranges that a study fil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -259,14 +260,16 @@ def _propose_test_signals(
     for each in contradictions:
         if each.kind == "excited-joint" and each.joint is not None:
             record = next(r.experiment for r in evidence.records if r.experiment.name == each.where)
-            excited = 3 - each.joint
-            message = (
-                f"{each.where}: the study states joint = {each.joint} as the excited joint, but "
-                f"the test signal is in the command of joint {excited}"
-            )
-            corrections = [Correction("experiment", record.name, "joint", excited)]
-            place = Place(experiments=(record.name,), key="joint")
-            yield _build_cause(evidence, "swapped-channels", [place], message, corrections)
+            for excited in range(1, evidence.arm.n_joints + 1):
+                if excited == each.joint:
+                    continue
+                message = (
+                    f"{each.where}: the study states joint = {each.joint} as the excited joint, "
+                    f"but the test signal is in the command of joint {excited}"
+                )
+                corrections = [Correction("experiment", record.name, "joint", excited)]
+                place = Place(experiments=(record.name,), key="joint")
+                yield _build_cause(evidence, "swapped-channels", [place], message, corrections)
     for name in dict.fromkeys(o.where for o in contradictions if o.kind == "level"):
         yield from _propose_amplitudes(evidence, name)
 
@@ -688,7 +691,8 @@ def _propose_geometry(
     """A wrong accelerometer distance or link length, or an arbitrary accelerometer scale."""
     name = f"a{joint}"
     distance = evidence.arm.joints[joint - 1].accelerometer_distance
-    length = evidence.arm.joints[-1].origin.xyz[0] or None
+    origins = [math.hypot(*each.origin.xyz) for each in evidence.arm.joints]
+    length = max(origins[joint - 1 : joint + 1]) or None  # to a neighbouring axis
     ratios = _contradicting_values(contradictions, "own-joint", name) + _contradicting_values(
         contradictions, "scale", name
     )
@@ -718,14 +722,13 @@ def _propose_geometry(
             has_estimated_factor=True,
         )
     minimum, maximum = accepted_range("link_length")
-    for ratio in (
-        _contradicting_values(contradictions, "elbow", "a2") if length and joint == 2 else ()
-    ):
+    has_length = joint > 1 and "link_length" in arm_keys(evidence.study.arm)
+    for ratio in _contradicting_values(contradictions, "origin-motion", name) if has_length else ():
         corrected = float(format_number(ratio * (length or 0.0)))
         if minimum <= corrected <= maximum:
             message = (
-                f"a2 reads {format_number(ratio)} times the motion of axis 2 that link_length = "
-                f"{format_number(length or 0.0)} m implies"
+                f"{name} reads {format_number(ratio)} times the motion of axis {joint} that "
+                f"link_length = {format_number(length or 0.0)} m implies"
             )
             corrections = [Correction("arm", "", "link_length", corrected)]
             yield _build_cause(

@@ -32,7 +32,7 @@ Kind = Literal[
     "velocity",
     "scale",
     "own-joint",
-    "elbow",
+    "origin-motion",
     "gravity",
     "rotation-ratio",
     "delay",
@@ -65,7 +65,7 @@ _TOLERANCE: dict[Kind, float] = {
     "velocity": 0.05,
     "scale": 0.05,  # range that the whole-arm fit corrects
     "own-joint": 0.08,
-    "elbow": 0.12,
+    "origin-motion": 0.12,
     "gravity": 0.08,
     "rotation-ratio": 0.12,
     "delay": 5e-3,  # [s] range that the whole-arm fit corrects
@@ -85,7 +85,7 @@ _MODEL_ERROR: dict[Kind, float] = {
     "velocity": 0.005,
     "scale": 0.008,
     "own-joint": 0.012,
-    "elbow": 0.008,
+    "origin-motion": 0.008,
     "gravity": 0.01,
     "rotation-ratio": 0.02,
     "delay": 4e-4,
@@ -264,7 +264,7 @@ def _observe_sensor(channel: str, joint: int, readings: list[Reading]) -> Iterat
     if tilts:
         yield mean("tilt", [v for v, _ in tilts], [s for _, s in tilts])
     yield mean("drift", [e.drift for e in readings], drift_stds)
-    parts: tuple[Kind, ...] = ("own-joint", "elbow", "gravity")
+    parts: tuple[Kind, ...] = ("own-joint", "origin-motion", "gravity")
     is_own_scale_correct = False
     for part in parts:
         scales = [e.parts[part] for e in readings if part in e.parts and len(e.parts) > 1]
@@ -273,7 +273,7 @@ def _observe_sensor(channel: str, joint: int, readings: list[Reading]) -> Iterat
         observation = mean(part, [v for v, _ in scales], [s for _, s in scales])
         if part == "own-joint":
             is_own_scale_correct = abs(observation.value - 1.0) < _MAX_SCALE_ERROR
-        if part == "elbow" and is_own_scale_correct:  # The scale of the sensor is correct.
+        if part == "origin-motion" and is_own_scale_correct:  # The scale of the sensor is correct.
             observation = replace(observation, tolerance=_LENGTH_TOLERANCE)
         yield observation
     rotation_ratios = [e.rotation_ratio for e in readings if e.rotation_ratio is not None]

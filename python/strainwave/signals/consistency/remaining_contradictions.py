@@ -28,7 +28,7 @@ _CODES: dict[Kind, str] = {
     "scale": "wrong-unit",
     "explained-share": "wrong-unit",
     "own-joint": "wrong-geometry",
-    "elbow": "wrong-geometry",
+    "origin-motion": "wrong-geometry",
     "gravity": "wrong-unit",
     "tilt": "wrong-geometry",
     "rotation-ratio": "wrong-gear-ratio",
@@ -50,11 +50,11 @@ _TEXTS: dict[Kind, str] = {
     "scale": "{w} is {v} times the value that the motor angles and the geometry imply",
     "explained-share": "the other signals explain only {p} % of {w}",
     "own-joint": "{w} shows {v} times the motion of its own joint",
-    "elbow": "{w} shows {v} times the motion of axis 2",
+    "origin-motion": "{w} shows {v} times the motion of its joint's axis",
     "gravity": "{w} shows {v} times the gravity of the study",
     "tilt": "{w} shows a gravity of {v} g, but the study states none",
-    "rotation-ratio": "{w} shows {v} times the ratio of the rotations of joints 2 and 1 that "
-    "the gear ratios imply",
+    "rotation-ratio": "{w} shows {v} times the rotation relative to joint 1 that the gear ratios "
+    "imply",
     "delay": "{w} has a delay of {v} s relative to the motor angle",
     "input-delay": "{w} is {v} s later than the torque that moves the motor",
     "drift": "the delay of {w} grows by {v} s per second",
@@ -62,7 +62,7 @@ _TEXTS: dict[Kind, str] = {
     "excited-joint": "the test signal of {w} is not in the command of joint {j}",
 }
 _EXPERIMENTS = {
-    "swapped-channels": "move joint 1 alone, then joint 2 alone, and note which columns change",
+    "swapped-channels": "move one joint at a time, and note which columns change",
     "wrong-sign": "turn the link by hand in its positive direction: theta_m and its rate must be "
     "positive, and so must the voltage that turns the link in this direction",
     "wrong-unit": "turn the link by 90 degrees: theta_m must change by 1.5708 / gear_ratio",

@@ -68,7 +68,7 @@ class Reading:
     drift_std: float
     explained: float  # share of the variance of the reading
     signal: float  # signal-to-noise ratio at low frequency
-    parts: dict[str, tuple[float, float]]  # "own-joint", "elbow", "gravity" -> scale, std
+    parts: dict[str, tuple[float, float]]  # "own-joint", "origin-motion", "gravity" -> scale, std
     # scale of the joint's rotation over that of the joints before it, std
     rotation_ratio: tuple[float, float] | None
     tilt: tuple[float, float] | None  # gravity in the plane of motion [g], std
@@ -185,7 +185,7 @@ def _predicted_parts(
     elif joint.accelerometer_distance is None:
         return None
     else:
-        parts = {"own-joint": reading.rotation, "elbow": reading.translation}
+        parts = {"own-joint": reading.rotation, "origin-motion": reading.translation}
     parts["gravity"] = reading.gravity
     return {key: part for key, part in parts.items() if key == "own-joint" or np.any(part)}
 
