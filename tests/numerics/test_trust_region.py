@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares, lsq_linear
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.numerics.trust_region import Flat, Linearised, Minimum, minimise
+from strainwave.numerics.trust_region import Flat, Linearised, Minimum, SearchEnd, minimise
 
 Residual = Callable[[FloatArray], FloatArray]
 FAR = 1e6
@@ -107,7 +107,7 @@ def test_a_linear_problem_is_solved_at_once(seed: int) -> None:
     A, b = linear(seed)
     result = found_for(lambda x: A @ x - b, [0.0] * 4, tolerance=1e-9)
     expected, cost, *_ = np.linalg.lstsq(A, b)
-    assert result.converged
+    assert result.end.is_minimum
     # one slightly damped step, and one or two further steps
     assert result.evaluations <= 4
     np.testing.assert_allclose(result.x, expected, rtol=1e-4)
@@ -126,7 +126,7 @@ def test_a_linear_problem_is_solved_at_once(seed: int) -> None:
 def test_it_ends_where_scipy_does(residual: Residual, start: list[float]) -> None:
     result = found_for(residual, start)
     reference = least_squares(residual, start, xtol=1e-14, ftol=1e-14, gtol=1e-14, x_scale="jac")
-    assert result.converged
+    assert result.end.is_minimum
     np.testing.assert_allclose(result.x, reference.x, rtol=1e-5)
     assert result.at.cost == pytest.approx(2.0 * reference.cost, rel=1e-8, abs=1e-13)
 
@@ -139,7 +139,7 @@ def test_bounds_of_a_linear_problem(seed: int) -> None:
     reach = np.abs(unbounded) * np.array([0.3, 2.0, 0.6, 2.0])
     result = found_for(lambda x: A @ x - b, [0.0] * 4, reach.tolist(), tolerance=1e-12)
     reference = lsq_linear(A, b, (-reach, reach), method="bvls", tol=1e-14)
-    assert result.converged
+    assert result.end.is_minimum
     assert np.all(np.abs(result.x) <= reach)
     np.testing.assert_allclose(result.x, reference.x, atol=1e-4 * float(np.max(reach)))
     assert result.at.cost == pytest.approx(2.0 * reference.cost, rel=1e-7)
@@ -150,7 +150,7 @@ def test_bounds_of_a_curved_problem(reach: list[float]) -> None:
     result = found_for(rosenbrock, [-0.2, 0.04], reach)
     bounds = ([-reach[0], -reach[1]], reach)
     reference = least_squares(rosenbrock, [-0.2, 0.04], bounds=bounds, xtol=1e-14, gtol=1e-14)
-    assert result.converged
+    assert result.end.is_minimum
     # SciPy's iterates stay strictly inside the bounds
     np.testing.assert_allclose(result.x, reference.x, atol=2e-5)
     assert result.at.cost <= 2.0 * reference.cost + 1e-9
@@ -189,7 +189,7 @@ def test_an_unknown_without_information_does_not_change() -> None:
     A, b = linear(0)
     A[:, 2] = 0.0
     result = found_for(lambda x: A @ x - b, [0.0, 0.0, 0.7, 0.0], tolerance=1e-9)
-    assert result.converged
+    assert result.end.is_minimum
     assert result.x[2] == 0.7
     assert result.at.cost == pytest.approx(float(np.sum((A @ np.linalg.pinv(A) @ b - b) ** 2)))
 
@@ -209,7 +209,7 @@ def test_twins_do_not_run_away() -> None:
     result = minimise(linearise, np.zeros(4), Flat(), tolerance=1e-9, max_evaluations=50)
     minimum_norm = np.linalg.pinv(A) @ b
     assert result is not None
-    assert result.converged
+    assert result.end.is_minimum
     assert result.at.cost == pytest.approx(cost(minimum_norm))
     assert np.max(np.abs(result.x)) < 10.0 * np.max(np.abs(minimum_norm))
 
@@ -228,7 +228,7 @@ def test_steps_into_nowhere_are_refused() -> None:
 
     result = minimise(walled, np.array([-2.0]), Flat(), tolerance=1e-12, max_evaluations=100)
     assert result is not None
-    assert result.converged
+    assert result.end.is_minimum
     assert result.x[0] == pytest.approx(-0.1, abs=1e-6)
     assert result.evaluations == len(problem.looked_at)
     assert max(x[0] for x in problem.looked_at) > 0.0
@@ -245,9 +245,11 @@ def test_an_invalid_start_gives_no_minimum() -> None:
     assert len(looked_at) == 1
 
 
-@pytest.mark.parametrize(("tolerance", "converged"), [(1e-4, False), (0.1, True)])
-def test_it_ends_where_no_step_helps(tolerance: float, converged: bool) -> None:
-    """With an inconsistent gradient, only a small predicted decrease counts as converged."""
+@pytest.mark.parametrize(
+    ("tolerance", "end"), [(1e-4, SearchEnd.NO_DESCENT), (0.1, SearchEnd.STALLED)]
+)
+def test_it_ends_where_no_step_helps(tolerance: float, end: SearchEnd) -> None:
+    """With an inconsistent gradient, only a small predicted decrease counts as a minimum."""
 
     def linearise(x: FloatArray) -> Linearised:
         return Linearised(1.0 + float(np.sum(x**2)), np.array([[1.0, 1.0], [0.0, 0.0]]))
@@ -255,7 +257,7 @@ def test_it_ends_where_no_step_helps(tolerance: float, converged: bool) -> None:
     result = minimise(linearise, np.zeros(1), Flat(), tolerance=tolerance, max_evaluations=100)
     assert result is not None
     assert result.x[0] == 0.0
-    assert result.converged is converged
+    assert result.end is end
     assert 1 < result.evaluations < 100
 
 
@@ -280,7 +282,7 @@ def test_no_step_increases_the_cost() -> None:
 
 def test_an_exhausted_budget_is_not_convergence() -> None:
     result = found_for(rosenbrock, [-1.2, 1.0], max_evaluations=4)
-    assert not result.converged
+    assert result.end is SearchEnd.EVALUATION_LIMIT
     assert result.evaluations == 4
     assert result.at.cost < Problem(rosenbrock).cost(np.array([-1.2, 1.0]))
 
@@ -290,7 +292,7 @@ def test_the_tolerance_is_in_units_of_the_cost() -> None:
     evaluations = []
     for tolerance in (1e-2, 1e-6):
         result = found_for(two_decays, [1.0, 0.3, 1.0, 4.0], tolerance=tolerance)
-        assert result.converged
+        assert result.end.is_minimum
         assert best.at.cost <= result.at.cost < best.at.cost + 3.0 * tolerance
         evaluations.append(result.evaluations)
     assert evaluations[0] < evaluations[1] <= best.evaluations
@@ -307,5 +309,5 @@ def test_a_cliff_ends_the_search_at_its_edge() -> None:
     result = minimise(linearise, np.zeros(1), Box(np.ones(1)), tolerance=0.01, max_evaluations=200)
     assert result is not None
     assert result.evaluations < 60
-    assert result.converged
+    assert result.end.is_minimum
     assert 0.4 < result.x[0] <= 0.5

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -74,6 +75,20 @@ class Flat:
         return step
 
 
+class SearchEnd(Enum):
+    """Why a search ended."""
+
+    CONVERGED = "converged"  # the predicted decrease is below the tolerance
+    STALLED = "stalled"  # no further progress, within rounding of a discontinuous objective
+    NO_DESCENT = "no descent"  # no step decreases the cost, although a large decrease is predicted
+    EVALUATION_LIMIT = "evaluation limit"
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the last point is a minimum within the accuracy of the objective."""
+        return self in (SearchEnd.CONVERGED, SearchEnd.STALLED)
+
+
 @dataclass(frozen=True, slots=True)
 class Minimum:
     """Result of `minimise`."""
@@ -81,7 +96,7 @@ class Minimum:
     x: FloatArray  # (n,)
     at: Linearised
     evaluations: int
-    converged: bool
+    end: SearchEnd
 
 
 def minimise(
@@ -106,9 +121,7 @@ def minimise(
         small value if the start is near the minimum.
     `max_evaluations`: Maximum number of calls of `linearise`.
 
-    `converged` is False if the evaluation limit is reached, or if no step decreases the cost
-    although a large decrease is predicted. A stalled iteration counts as converged. Returns None if
-    the problem is not defined at the start.
+    Returns None if the problem is not defined at the start.
     """
     x, first = start, linearise(start)
     if first is None:
@@ -123,7 +136,7 @@ def minimise(
         costs.append(current.cost)
         gain_tolerance = tolerance + relative * current.cost
         if gain < gain_tolerance:
-            return Minimum(x, current, evaluations, True)
+            return Minimum(x, current, evaluations, SearchEnd.CONVERGED)
         stalled = (
             len(costs) > _STALL_EVALUATIONS
             and costs[-_STALL_EVALUATIONS - 1] - current.cost < _MAX_STALL_DECREASE * gain_tolerance
@@ -137,9 +150,9 @@ def minimise(
             _MIN_PREDICTED_TOLERANCES * tolerance, _MIN_PREDICTED_COST_SHARE * current.cost
         )
         if is_discontinuous or (stalled and is_small_gain):
-            return Minimum(x, current, evaluations, True)
+            return Minimum(x, current, evaluations, SearchEnd.STALLED)
         if evaluations >= max_evaluations:
-            return Minimum(x, current, evaluations, False)
+            return Minimum(x, current, evaluations, SearchEnd.EVALUATION_LIMIT)
         predicted, step = _trusted_step(
             current.factor, damping, is_free, _StepLimit(space, x, trusted_share)
         )
@@ -153,7 +166,8 @@ def minimise(
             damping, growth = max(damping * growth, _MIN_DAMPING_AFTER_REJECTION), growth * 2.0
             trusted_share *= _STEP_REDUCTION
             if abs(predicted) < tolerance:  # no step decreases the cost
-                return Minimum(x, current, evaluations, is_small_gain)
+                end = SearchEnd.STALLED if is_small_gain else SearchEnd.NO_DESCENT
+                return Minimum(x, current, evaluations, end)
             continue
         if gain_ratio > _MIN_GOOD_GAIN_RATIO:
             damping = max(damping / 5.0, _MIN_DAMPING)

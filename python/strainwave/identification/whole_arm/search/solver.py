@@ -15,7 +15,7 @@ from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.trust_region import Linearised, minimise
+from strainwave.numerics.trust_region import Linearised, SearchEnd, minimise
 
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3
@@ -60,7 +60,7 @@ def coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
         start, options, tolerance=COARSE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
     if not fit.converged or fit.iterations >= options.max_iterations:
-        return replace(fit, converged=False)
+        return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
     return _reweight(fit, options)
 
 
@@ -98,11 +98,11 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
         start, options, tolerance=_FINE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
-        return replace(fit, iterations=start.iterations, converged=False)
+        return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
     if fit.converged and fit.iterations < options.max_iterations:
         fit = refine(_update_corrections(fit), options, tolerance=_FINE_TOLERANCE)
     if not fit.converged or fit.iterations >= options.max_iterations:
-        return replace(fit, converged=False)
+        return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
     return refine(_update_corrections(fit), options)  # with the step error at the end of the search
 
 
@@ -120,7 +120,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
     search = partial(search_minimum, options=options, tolerance=tolerance)
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
-            return replace(fit, converged=False)
+            return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         fit = search(fit, damping=_NEAR_DAMPING)
         updated = fit.objective.update_weights(fit.z)
         if not fit.converged or _has_converged(fit.objective, updated):
@@ -171,7 +171,7 @@ def search_minimum(
     if minimum is None:
         raise NotIdentifiable("the whole-arm fit cannot simulate the arm at the start values")
     n_evaluations = start.iterations + minimum.evaluations
-    return Fit(start.objective, minimum.x, minimum.at.cost, n_evaluations, minimum.converged)
+    return Fit(start.objective, minimum.x, minimum.at.cost, n_evaluations, minimum.end)
 
 
 def _has_converged(old: Objective, new: Objective) -> bool:

@@ -122,7 +122,7 @@ def _best_starts(
         linearised = objective.linearise(start)
         if linearised is None:
             return np.inf
-        searches[choice] = _SearchState(joints, Fit(objective, start, linearised.cost, 0, False))
+        searches[choice] = _SearchState(joints, Fit(objective, start, linearised.cost, 0))
         return linearised.cost
 
     search = CoordinateSearch(lambda choices: map(cost_of, choices))

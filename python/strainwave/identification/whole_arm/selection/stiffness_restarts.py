@@ -17,6 +17,7 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
     select_better,
 )
+from strainwave.numerics.trust_region import SearchEnd
 
 
 def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
@@ -32,7 +33,7 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
         largest = gear_torques(fit.objective.records, values)[number - 1]
         for start in alternative_curves(law, values, number, largest):
             if fit.iterations >= selection.max_evaluations:
-                return replace(fit, converged=False)
+                return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
             z = fit.space.coordinates(start)
             try:
                 restarted = run_trial(replace(fit, z=z), selection, MAX_CANDIDATE_EVALUATIONS)
@@ -62,7 +63,7 @@ def restart_fine_fit(fit: Fit, selection: Selection) -> Fit:
     if restarted.cost < fit.cost:
         objective = restarted.objective.update_weights(restarted.z)
         return fine_search(replace(restarted, objective=objective), selection.options)
-    return replace(restarted, converged=fit.converged)
+    return replace(restarted, end=fit.end)
 
 
 def alternative_curves(
