@@ -41,6 +41,7 @@ from strainwave.dynamics.simulation import SensorNoise
 from strainwave.identification.whole_arm import fit_whole_arm
 from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from strainwave.io.logs import read_logs
 from strainwave.io.study import read_study
@@ -216,6 +217,12 @@ def _uninformative_rigid(values: Values) -> RigidModel:
     return RigidModel(parameters, reported, covariance, 1.0, {}, 10.0, 1, 1, "determined")
 
 
+def _shared(rows: Rows, root: FloatArray, n: int) -> FloatArray:
+    """Derivatives of a record's weighted residuals by the last `n` columns, the shared unknowns."""
+    scaled = rows.evaluated.columns[..., -n:] / (rows.stds * root)[:, None]
+    return np.asarray(scaled.reshape(-1, n))
+
+
 def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
     """Soft L1 by SciPy's trust region, from the same start, with weights at the true values."""
     records = [dataset_of(log, Arm.of(study.arm), CUTOFF) for log in logs]
@@ -237,9 +244,7 @@ def _scipy(study: Study, logs: list[Log], values: Values) -> Values:
 
     def jacobian(z: FloatArray) -> FloatArray:
         parts = zip(objective.rows(z), repeats, strict=True)
-        return np.concatenate(
-            [(rows.shared / root[:, None]).reshape(-1, len(z)) for rows, root in parts]
-        )
+        return np.concatenate([_shared(rows, root, len(z)) for rows, root in parts])
 
     start = space.coordinates(_start(values))
     bounds = (-space.upper, space.upper)

@@ -70,5 +70,6 @@ def assert_close(actual: Array, expected: Array) -> None:
 def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
     """A chain with linear gears of ratio 1/100 under `GRAVITY`, unless given otherwise."""
     n = len(joints)
-    given = {"springs": ["linear"] * n, "gear_ratio": [0.01] * n, "gravity": GRAVITY} | constants
-    return _core.Arm.serial_chain(joints, **given)
+    springs, ratios = ["linear"] * n, [0.01] * n
+    given: dict[str, Any] = {"springs": springs, "gear_ratio": ratios, "gravity": GRAVITY}
+    return _core.Arm.serial_chain(joints, **(given | constants))

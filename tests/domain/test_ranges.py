@@ -57,9 +57,9 @@ def test_the_unit_of_a_torque_constant_is_named(factor: float, unit: str) -> Non
     (found,) = implausible_joints(arm(0.09 * factor), wrong)
     assert found.unit == unit
     assert found.torque_per_volt == pytest.approx(0.09)
-    assert "torque_per_volt = 0.09" in found.text
+    assert "torque_per_volt = 0.09" in found.warning.message
     (logged,) = implausible_joints(arm(None), wrong)
-    assert f"torque1 is likely in {unit}" in logged.text
+    assert f"torque1 is likely in {unit}" in logged.warning.message
 
 
 def test_an_angle_in_degrees_is_named() -> None:
@@ -68,14 +68,14 @@ def test_an_angle_in_degrees_is_named() -> None:
     # a larger unit of the torque constant would bring it out of its own range
     (found,) = implausible_joints(arm(19.0), wrong)
     assert (found.unit, found.of_angle) == ("degrees", True)
-    assert "theta_m1 is likely in degrees" in found.text
+    assert "theta_m1 is likely in degrees" in found.warning.message
 
 
 def test_sizes_that_no_unit_explains_give_a_remedy_for_all_units() -> None:
     wrong = [value("gear_stiffness", 1e30), value("motor_inertia", 1e-30)]
     (found,) = implausible_joints(arm(), wrong)
     assert found.unit is None
-    assert "check the units" in found.text
+    assert "check the units" in found.warning.message
 
 
 def test_prismatic_joints_are_not_checked() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from serial_chains import Joint, chain, random_joints
 from strainwave.domain import Joint as Drive
+from strainwave.domain.keys import Key
 from strainwave.domain.kinds.planar_two_link import planar_two_link
 from strainwave.domain.kinds.single_joint import single_joint
 from strainwave.dynamics.arm import Arm
@@ -67,7 +68,7 @@ def test_a_single_joint_is_a_chain() -> None:
     inertia, moment = 0.6, 1.2
     body = [4.0, moment, 0.0, 0.0, 0.3, 0.0, inertia, 0.0, 0.0, inertia]
     drive = [1.5e-4, 2e-4, 0.06, 0.01, 0.5, 2e4, 10.0, 3e-4]
-    names = [("motor_inertia", 1), ("motor_coulomb_friction", 1), ("gear_stiffness", 1)]
+    names: list[Key] = [("motor_inertia", 1), ("motor_coulomb_friction", 1), ("gear_stiffness", 1)]
     signals = ["specific_force_x", "specific_force_y", "angular_acceleration_z"]
     signals += ["rate_product_zz", "angular_rate_z"]
     experiment: dict[str, Any] = {
@@ -79,18 +80,16 @@ def test_a_single_joint_is_a_chain() -> None:
         "record": ["motor_angle", "torsion", "gear_torque", "accelerometer", "gyro", *signals],
     }
     torque = np.random.default_rng(3).choice([-0.3, 0.3], (50, 1))
+    planar: list[Key] = [("link_inertia", 1), ("gravity_torque_1", None)]
+    spatial: list[Key] = [("link_inertia_zz", 1), ("link_first_moment_x", 1)]
     one, other = (
         core.sensitivities(
             np.array([*base, *drive]), torque, with_respect_to=[*of_link, *names], **experiment
         )
-        for core, base, of_link in [
-            (
-                arm,
-                [inertia, GRAVITY * moment],
-                [("link_inertia", 1), ("gravity_torque_1", None)],
-            ),
-            (same, body, [("link_inertia_zz", 1), ("link_first_moment_x", 1)]),
-        ]
+        for core, base, of_link in (
+            (arm, [inertia, GRAVITY * moment], planar),
+            (same, body, spatial),
+        )
     )
     for name, (values, tangents) in one.items():
         expected, by_chain = other[name]

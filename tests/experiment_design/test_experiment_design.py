@@ -19,6 +19,7 @@ from strainwave import pipeline
 from strainwave.domain import Experiment, FloatArray, Joint, Servo, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys, single_joint
+from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation, simulation
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
@@ -82,7 +83,7 @@ def drive(**changes: float) -> tuple[Study, Values]:
 
 def worst_use(study: Study, values: Values, limits: Limits, record: design.Planned) -> float:
     """Largest value of a record over its limit, at four times the sampling rate of the design."""
-    names: tuple[simulation.Quantity, ...] = (
+    names: tuple[Quantity, ...] = (
         "link_angle",
         "motor_velocity",
         "voltage",
