@@ -65,7 +65,7 @@ def checked(delay: int) -> Identification:
 def test_check_records_have_their_correlations_at_the_lags_of_the_fit() -> None:
     plots = [p for p in residuals.residual_correlations(checked(10)) if isinstance(p, Plot)]
     (plot,) = plots
-    assert plot.name == "correlation check"
+    assert plot.name == FigureName("correlation", experiment="check")
     auto = line(plot.figure, "autocorrelation")
     assert np.diff(auto.x) == pytest.approx(5.0)  # [ms] lag time of the fitted record
     assert auto.y[len(auto.y) // 2] == pytest.approx(1.0)
