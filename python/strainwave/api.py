@@ -16,12 +16,12 @@ import numpy as np
 from strainwave import pipeline
 from strainwave.domain import (
     ComplexArray,
-    Diagnostic,
     FloatArray,
     FrequencyResponse,
     Identification,
     Options,
     Parameter,
+    PublishedWarning,
     Study,
     Verdict,
 )
@@ -391,7 +391,7 @@ class Result:
         }
 
     @property
-    def warnings(self) -> tuple[Diagnostic, ...]:
+    def warnings(self) -> tuple[PublishedWarning, ...]:
         """Warnings on the data and the estimates."""
         return results.warnings_of(self._document)
 

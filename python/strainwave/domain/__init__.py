@@ -61,6 +61,7 @@ from strainwave.domain.estimates import (
     Diagnostic,
     Parameter,
     Prediction,
+    PublishedWarning,
     Suspicion,
 )
 from strainwave.domain.final_table import Decision, half_width
@@ -209,6 +210,7 @@ __all__ = [
     "Progress",
     "ProgressEvent",
     "Protocol",
+    "PublishedWarning",
     "RecordModel",
     "ResidualCorrelation",
     "ResidualTest",

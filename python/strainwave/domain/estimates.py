@@ -75,6 +75,16 @@ class Diagnostic:
         return observation_of(self.clause, record=self.experiments)
 
 
+@dataclass(frozen=True, slots=True)
+class PublishedWarning:
+    """Warning as text, as a result file has it."""
+
+    code: str
+    where: str
+    message: str
+    experiments: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Suspicion:
     """Possible cause of a contradiction between channels, or between a channel and the study."""

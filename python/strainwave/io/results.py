@@ -26,6 +26,7 @@ from strainwave.domain import (
     Modes,
     MotorResponse,
     Parameter,
+    PublishedWarning,
     RecordModel,
     RigidModel,
     StateSpace,
@@ -150,10 +151,10 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
-def warnings_of(document: Mapping[str, Any]) -> tuple[Diagnostic, ...]:
+def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
     """The warnings of a result."""
-    entries: tuple[Diagnostic, ...] = _validated(
-        tuple[Diagnostic, ...], document.get("warnings", []), "the result: warnings"
+    entries: tuple[PublishedWarning, ...] = _validated(
+        tuple[PublishedWarning, ...], document.get("warnings", []), "the result: warnings"
     )
     return entries
 

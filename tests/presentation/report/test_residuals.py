@@ -13,7 +13,7 @@ from results import criticism
 from strainwave.domain import Identification, ModelCheck, Prediction, ScoreTest
 from strainwave.presentation.figures import Area
 from strainwave.presentation.report import residuals
-from strainwave.presentation.report.blocks import Fold, Plot, Table
+from strainwave.presentation.report.blocks import FigureName, Fold, Plot, Table
 
 
 def verdict_of(test: ScoreTest) -> dict[str, str]:
