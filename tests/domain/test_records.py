@@ -22,7 +22,11 @@ def test_the_package_exports_every_record() -> None:
         if is_dataclass(kind) and isinstance(kind, type) and kind.__module__ == module.__name__
         if not kind.__name__.startswith("_")
     }
-    assert defined == {name: kind for name, kind in vars(records).items() if is_dataclass(kind)}
+    assert defined == {
+        name: kind
+        for name, kind in vars(records).items()
+        if is_dataclass(kind) and isinstance(kind, type)
+    }
     assert set(defined) <= set(records.__all__)
 
 
