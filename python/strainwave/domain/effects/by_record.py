@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.effects.interface import Input, KnownJoint, RecordEffect, Values
+from strainwave.domain.effects.interface import Input, RecordEffect, Values
 
 _COULOMB, _FRICTION_CHANGE = "motor_coulomb_friction", "friction_change"
-_FRICTION_TYPICAL_CHANGE = 0.25  # grease that warms up by 10 K
 
 
 class FrictionByRecord(RecordEffect):
@@ -18,6 +17,7 @@ class FrictionByRecord(RecordEffect):
 
     name = "friction-by-record"
     sizes = (_FRICTION_CHANGE,)
+    typical_size = 0.25  # grease that warms up by 10 K
     by_record = True
     description = "Coulomb friction that differs from record to record"
     consequence = (
@@ -25,10 +25,6 @@ class FrictionByRecord(RecordEffect):
     )
     experiment = "repeat the first record at the end of the session, and compare the voltages"
     record = "several records of this joint's motion"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every joint."""
-        return {_FRICTION_CHANGE: _FRICTION_TYPICAL_CHANGE}
 
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
         """Coulomb friction times (1 + phi_r)."""
@@ -38,7 +34,6 @@ class FrictionByRecord(RecordEffect):
 
 
 _GAIN, _GAIN_CHANGE = "drive_gain", "drive_gain_change"
-_GAIN_TYPICAL_CHANGE = 0.05  # magnets that warm up by 50 K, or amplifier drift
 
 
 class DriveGainByRecord(RecordEffect):
@@ -49,8 +44,10 @@ class DriveGainByRecord(RecordEffect):
 
     name = "drive-gain-by-record"
     sizes = (_GAIN_CHANGE,)
+    typical_size = 0.05  # magnets that warm up by 50 K, or amplifier drift
     by_record = True
     prior_std = 0.1
+    core_name = "drive-gain"  # for a gain error that is the same in all records
     needs: Mapping[str, float] = {_GAIN: 0.0}
     misleads_inertias = True
     description = "a torque per volt that differs from record to record"
@@ -58,22 +55,10 @@ class DriveGainByRecord(RecordEffect):
     experiment = "measure the motor's current at a known voltage before and after the session"
     record = "several records of this joint's motion"
 
-    @property
-    def core_name(self) -> str | None:
-        """The core's effect for a gain error that is the same in all records."""
-        return "drive-gain"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every drive."""
-        return {_GAIN_CHANGE: _GAIN_TYPICAL_CHANGE}
-
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
         """drive_gain = (1 + g_u) (1 + g_r) - 1."""
         gain, factor = 1.0 + values.get(_GAIN, 0.0), 1.0 + values[_GAIN_CHANGE]
         return (Input(_GAIN, gain * factor - 1.0, {_GAIN: factor, _GAIN_CHANGE: gain}),)
-
-
-_TYPICAL_OFFSET = 0.1  # [rad], or [m] for a prismatic joint: one or two teeth of a belt
 
 
 class EncoderZero(RecordEffect):
@@ -84,15 +69,12 @@ class EncoderZero(RecordEffect):
 
     name = "encoder-zero"
     sizes = ("encoder_zero",)
+    typical_size = 0.1  # [rad], or [m] for a prismatic joint: one or two teeth of a belt
     misleads_inertias = True
     description = "a constant error of the joint angle"
     consequence = "inertia and gravity are evaluated in the wrong postures"
     experiment = "align the links with x by a straight edge and read the encoders"
     record = "records in several postures"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every joint."""
-        return {"encoder_zero": _TYPICAL_OFFSET}
 
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
         """Shift of both initial angles; the fit compares velocities, which have no zero."""

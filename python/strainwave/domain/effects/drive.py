@@ -6,8 +6,6 @@ from collections.abc import Mapping
 
 from strainwave.domain.effects.interface import Effect, KnownJoint, Values
 
-_TYPICAL_WIDTH = 0.1  # [V] 1 % of the range of a 10 V drive
-
 
 class DeadZone(Effect):
     """The drive does not respond to small commands.
@@ -17,18 +15,12 @@ class DeadZone(Effect):
 
     name = "dead-zone"
     sizes = ("dead_zone",)
+    typical_size = 0.1  # [V] 1 % of the range of a 10 V drive
     misleads_inertias = True
     description = "a dead zone of the drive around zero voltage"
     consequence = "Coulomb friction is too large if the voltage has the sign of the velocity"
     experiment = "measure the motor's current at small voltages of either sign"
     record = "a record with many voltage levels, including small ones"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """1 % of the voltage range of a common drive."""
-        return {"dead_zone": _TYPICAL_WIDTH}
-
-
-_TYPICAL_GAIN_ERROR = 0.05  # tolerance of a motor's torque constant
 
 
 class DriveGain(Effect):
@@ -39,6 +31,7 @@ class DriveGain(Effect):
 
     name = "drive-gain"
     sizes = ("drive_gain",)
+    typical_size = 0.05  # tolerance of a motor's torque constant
     misleads_inertias = True
     description = "an error of the torque per volt"
     consequence = "all torques of the joint, and hence inertia, friction and stiffness, are scaled"
@@ -46,13 +39,6 @@ class DriveGain(Effect):
         "measure the motor's torque, or its current and torque constant, at a known voltage"
     )
     record = "records in which this joint and another accelerate each other"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every drive."""
-        return {"drive_gain": _TYPICAL_GAIN_ERROR}
-
-
-_TYPICAL_LOSS_PER_VOLT = 0.005  # [1/V] 5 % at 10 V
 
 
 class DriveSaturation(Effect):
@@ -63,21 +49,16 @@ class DriveSaturation(Effect):
 
     name = "drive-saturation"
     sizes = ("drive_saturation",)
+    typical_size = 0.005  # [1/V] 5 % at 10 V
     misleads_inertias = True
     description = "a torque constant that falls with the current"
     consequence = "inertia and friction depend on the voltage amplitude"
     experiment = "repeat an excitation at one third of its amplitude"
     record = "records at several amplitudes of the voltage"
 
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every drive."""
-        return {"drive_saturation": _TYPICAL_LOSS_PER_VOLT}
-
 
 _LIMIT = "drive_limit"
-_DEFAULT_LIMIT = 6.0  # [V] for a common 10 V drive, if no voltage is recorded
 _TESTED_LIMIT_SHARES = (0.9, 0.75, 0.6)  # of the largest recorded voltage
-_TYPICAL_LOSS = 0.5  # share of the voltage beyond the limit
 
 
 class DriveLimit(Effect):
@@ -88,25 +69,20 @@ class DriveLimit(Effect):
 
     name = "drive-limit"
     sizes = ("drive_limit_loss",)
-    shapes: Mapping[str, float] = {_LIMIT: _DEFAULT_LIMIT}
+    typical_size = 0.5  # share of the voltage beyond the limit
+    # [V] for a common 10 V drive, if no voltage is recorded
+    shapes: Mapping[str, float] = {_LIMIT: 6.0}
     misleads_inertias = True
     description = "a drive gain that falls above a voltage"
     consequence = "inertia and friction depend on the voltage amplitude"
     experiment = "hold the rotor and measure the motor's current up to the largest voltage"
     record = "records at several amplitudes of the voltage, up to the largest"
 
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every drive."""
-        return {"drive_limit_loss": _TYPICAL_LOSS}
-
     def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
         """Limits below the largest recorded voltage."""
         if not joint.largest_voltage > 0.0:
             return super().tested_shapes(joint)
         return tuple({_LIMIT: share * joint.largest_voltage} for share in _TESTED_LIMIT_SHARES)
-
-
-_TYPICAL_TIME_CONSTANT = 5e-4  # [s] a current loop of about 300 Hz
 
 
 class DriveLag(Effect):
@@ -117,11 +93,8 @@ class DriveLag(Effect):
 
     name = "drive-lag"
     sizes = ("drive_lag",)
+    typical_size = 5e-4  # [s] a current loop of about 300 Hz
     description = "a lag from voltage to torque"
     consequence = "damping is biased and resonances shift slightly"
     experiment = "hold the rotor and record the motor's current during a voltage step"
     record = "a record whose band extends beyond the joint's resonance"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The lag of a common current loop."""
-        return {"drive_lag": _TYPICAL_TIME_CONSTANT}

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.effects.interface import Effect, KnownJoint, Values
-
-_TYPICAL_TORQUE_SHARE = 0.02  # of the largest gear torque
+from strainwave.domain.effects.interface import Effect
 
 
 class Hysteresis(Effect):
@@ -17,22 +15,14 @@ class Hysteresis(Effect):
 
     name = "hysteresis"
     sizes = ("hysteresis_torque",)
+    typical_size = 0.02
+    relative_to = "largest_torque"
     shapes: Mapping[str, float] = {"hysteresis_twist": 1.5e-4}
     needs_elastic_gear = True
     description = "hysteresis of the gear torque over the torsion"
     consequence = "damping and the lowest slope of the stiffness are biased"
     experiment = "hold the link and turn the motor slowly back and forth up to several torques"
     record = "a record of slow reversals"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """A share of the largest gear torque."""
-        return {"hysteresis_torque": _TYPICAL_TORQUE_SHARE * joint.largest_torque}
-
-
-_ORDER = "kinematic_error_order"
-_DEFAULT_ORDER = 2.0  # periods per motor turn: the lobes of a wave generator
-_OTHER_ORDERS = (1.0, 4.0)  # eccentricity; second harmonic of the lobes
-_TYPICAL_AMPLITUDE = 1e-4  # [rad] link side, about 1/3 arc minute
 
 
 class KinematicError(Effect):
@@ -43,8 +33,11 @@ class KinematicError(Effect):
 
     name = "kinematic-error"
     sizes = ("kinematic_error_cos", "kinematic_error_sin")
-    shapes: Mapping[str, float] = {_ORDER: _DEFAULT_ORDER}
-    defaults: Mapping[str, float] = {_ORDER: _DEFAULT_ORDER}
+    typical_size = 1e-4  # [rad] link side, about 1/3 arc minute
+    # periods per motor turn: the lobes of a wave generator; eccentricity, second harmonic
+    shapes: Mapping[str, float] = {"kinematic_error_order": 2.0}
+    tested: Mapping[str, tuple[float, ...]] = {"kinematic_error_order": (1.0, 4.0)}
+    defaults = shapes
     needs_elastic_gear = True
     description = "a periodic error of the gear over the motor angle, usually twice per turn"
     consequence = "its excitation of a resonance biases the gear's damping and stiffness"
@@ -53,17 +46,6 @@ class KinematicError(Effect):
         " in the accelerometers, most often at order two"
     )
     record = "a record of slow rotation at constant speed"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same for every gear."""
-        return dict.fromkeys(self.sizes, _TYPICAL_AMPLITUDE)
-
-    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
-        """One set per order: an error of one order does not correlate with another order."""
-        return tuple({_ORDER: order} for order in (_DEFAULT_ORDER, *_OTHER_ORDERS))
-
-
-_TYPICAL_TORSION_SHARE = 0.1  # of the torsion at the largest gear torque
 
 
 class Backlash(Effect):
@@ -74,12 +56,10 @@ class Backlash(Effect):
 
     name = "backlash"
     sizes = ("backlash",)
+    typical_size = 0.1
+    relative_to = "largest_torsion"
     needs_elastic_gear = True
     description = "a dead band of the gear"
     consequence = "the estimated stiffness at small torques is too low"
     experiment = "hold the link and turn the motor back and forth through zero torque"
     record = "a record of small motion through zero torque"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """A share of the largest torsion."""
-        return {"backlash": _TYPICAL_TORSION_SHARE * joint.largest_torque / joint.stiffness}

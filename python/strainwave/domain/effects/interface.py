@@ -5,9 +5,11 @@ The compiled core simulates effects. A `RecordEffect` changes the inputs of the 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from strainwave.domain.parameter_table import (
     ParameterDescription,
@@ -18,6 +20,15 @@ from strainwave.domain.parameter_table import (
 
 Values = dict[str, float]
 """An effect's parameters: name -> value."""
+
+_ANTI_RESONANCE_HZ = 10.0  # typical; gives the link inertia from the gear's stiffness
+_LINK_INERTIA_OF_RIGID_GEAR = 1.0  # [kg m^2] if no stiffness gives the link inertia
+_COMPLIANCE_OF_RIGID_GEAR = 5e-5  # [rad/(N m)]
+
+Scale = Literal[
+    "coulomb_friction", "gear_compliance", "largest_torque", "largest_torsion", "link_inertia"
+]
+"""Property of a joint that gives the order of magnitude of an effect."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,8 +41,24 @@ class KnownJoint:
     largest_torque: float  # [N m] of the gear in the records, link side
     largest_voltage: float  # [V] in the records
 
+    @property
+    def largest_torsion(self) -> float:
+        """Torsion [rad] at the largest gear torque, link side."""
+        return self.largest_torque / self.stiffness
 
-class Effect(ABC):
+    @property
+    def gear_compliance(self) -> float:
+        """Compliance [rad/(N m)] of the gear at zero torsion, or a typical one if it is rigid."""
+        return 1.0 / self.stiffness if math.isfinite(self.stiffness) else _COMPLIANCE_OF_RIGID_GEAR
+
+    @property
+    def link_inertia(self) -> float:
+        """Inertia [kg m^2] of the link, by the typical anti-resonance of joints."""
+        inertia = self.stiffness / (math.tau * _ANTI_RESONANCE_HZ) ** 2
+        return inertia if math.isfinite(inertia) else _LINK_INERTIA_OF_RIGID_GEAR
+
+
+class Effect:
     """An optional term of the joint model, in addition to spring and dry friction.
 
     Effects are stateless. Values are passed by name, without the joint's number.
@@ -43,8 +70,30 @@ class Effect(ABC):
     sizes: tuple[str, ...]
     """Parameters that are zero if the effect is absent; they come first in the core."""
 
+    typical_size: float
+    """Typical positive size by order of magnitude, as a multiple of `relative_to`.
+
+    A fit starts unsigned sizes at this value. It starts signed sizes at zero and uses this value
+    as the scale.
+    """
+
+    relative_to: Scale | None = None
+    """Property of the joint to which the size is proportional; None: the same in every joint."""
+
     shapes: Mapping[str, float] = {}
-    """Other parameters of the core with their usual values; see `tested_shapes`."""
+    """Other parameters of the core with their usual values."""
+
+    tested: Mapping[str, tuple[float, ...]] = {}
+    """Values of a shape that the score test tries in addition to the usual one.
+
+    An effect of one shape must not correlate with that of another shape.
+    """
+
+    starting_shapes: Mapping[str, float] = {}
+    """Shapes from which a fit starts, if not from the usual ones that the score test needs.
+
+    A fit converges to a mode from a lightly damped one.
+    """
 
     defaults: Mapping[str, float] = {}
     """Values of the shapes that may be omitted."""
@@ -123,23 +172,21 @@ class Effect(ABC):
         """Whether a parameter of the effect may be negative."""
         return self.described(name).range == "any"
 
-    @abstractmethod
     def typical_sizes(self, joint: KnownJoint) -> Values:
-        """Typical positive sizes in such a joint, by order of magnitude.
-
-        A fit starts unsigned sizes at this value. It starts signed sizes at zero and uses this
-        value as the scale.
-        """
+        """Typical positive sizes in such a joint, by order of magnitude."""
+        scale = 1.0 if self.relative_to is None else getattr(joint, self.relative_to)
+        return dict.fromkeys(self.sizes, self.typical_size * scale)
 
     def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
         """Shapes at which the score test evaluates a size of zero: at least one set."""
-        return (dict(self.shapes),)
+        others = [{name: value} for name, values in self.tested.items() for value in values]
+        return tuple({**self.shapes, **other} for other in ({}, *others))
 
     def starts(self, joint: KnownJoint) -> Values:
         """Starting value of every parameter, at the first tested shape."""
         typical = self.typical_sizes(joint)
         sizes = {name: 0.0 if self.is_signed(name) else typical[name] for name in self.sizes}
-        return sizes | self.tested_shapes(joint)[0]
+        return sizes | self.tested_shapes(joint)[0] | dict(self.starting_shapes)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,7 +198,7 @@ class Input:
     slopes: Mapping[str, float]  # derivatives with respect to the joint's parameters
 
 
-class RecordEffect(Effect):
+class RecordEffect(Effect, ABC):
     """An effect that changes parameters or initial states of the core, separately in each record.
 
     The core's derivatives give the derivatives with respect to its sizes by the chain rule.
@@ -159,13 +206,11 @@ class RecordEffect(Effect):
 
     prior_std: float | None = 0.3
 
+    core_name: str | None = None
+    """Name of the core's effect that it acts through; None if it acts through no effect."""
+
     needs: Mapping[str, float] = {}
     """Parameters of the core's effect that it acts through, with the values of no effect."""
-
-    @property
-    def core_name(self) -> str | None:
-        """Name of the core's effect that it acts through; None if it acts through no effect."""
-        return None
 
     @abstractmethod
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from strainwave.domain.effects.interface import Effect, KnownJoint, Values
-
-_STRIBECK_TYPICAL_SHARE = 0.2  # of Coulomb friction
+from strainwave.domain.effects.interface import Effect
 
 
 class Stribeck(Effect):
@@ -17,18 +15,13 @@ class Stribeck(Effect):
 
     name = "stribeck"
     sizes = ("stribeck_friction",)
+    typical_size = 0.2
+    relative_to = "coulomb_friction"
     shapes: Mapping[str, float] = {"stribeck_velocity": 3.0}
     description = "friction that falls with the motor's velocity"
     consequence = "Coulomb and viscous friction are biased"
     experiment = "turn the motor slowly at several constant speeds of both signs"
     record = "a record of slow motion"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """A share of Coulomb friction."""
-        return {"stribeck_friction": _STRIBECK_TYPICAL_SHARE * joint.coulomb_friction}
-
-
-_LOAD_FRICTION_TYPICAL_SHARE = 0.05  # of the gear torque, motor side
 
 
 class LoadFriction(Effect):
@@ -39,6 +32,7 @@ class LoadFriction(Effect):
 
     name = "load-friction"
     sizes = ("load_friction",)
+    typical_size = 0.05  # of the gear torque, motor side
     needs_elastic_gear = True
     description = "dry friction that grows with the gear torque"
     consequence = "Coulomb friction is too large and inertias are biased"
@@ -46,13 +40,6 @@ class LoadFriction(Effect):
         "turn the motor slowly back and forth under several loads, for example in several postures"
     )
     record = "a record of motion under changing load"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """The same share for every gear."""
-        return {"load_friction": _LOAD_FRICTION_TYPICAL_SHARE}
-
-
-_POWER_FRICTION_TYPICAL_SHARE = 0.2  # of Coulomb friction
 
 
 class PowerFriction(Effect):
@@ -63,19 +50,13 @@ class PowerFriction(Effect):
 
     name = "power-friction"
     sizes = ("power_friction",)
+    typical_size = 0.2
+    relative_to = "coulomb_friction"
     shapes: Mapping[str, float] = {"power_exponent": 0.5}
     description = "friction that grows with a power of the motor's velocity"
     consequence = "Coulomb and viscous friction each absorb a part of it"
     experiment = "turn the motor at several constant speeds of both signs up to the highest"
     record = "a record of motion at all speeds"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """A share of Coulomb friction."""
-        return {"power_friction": _POWER_FRICTION_TYPICAL_SHARE * joint.coulomb_friction}
-
-
-_TORQUE_RIPPLE_TYPICAL_SHARE = 0.1  # of Coulomb friction
-_TESTED_ORDERS = (2.0, 1.0, 4.0, 6.0)  # periods per turn: poles, windings, eccentricity
 
 
 class TorqueRipple(Effect):
@@ -86,7 +67,11 @@ class TorqueRipple(Effect):
 
     name = "torque-ripple"
     sizes = ("torque_ripple_cos", "torque_ripple_sin")
-    shapes: Mapping[str, float] = {"torque_ripple_order": _TESTED_ORDERS[0]}
+    typical_size = 0.1
+    relative_to = "coulomb_friction"
+    # periods per turn: poles, windings, eccentricity
+    shapes: Mapping[str, float] = {"torque_ripple_order": 2.0}
+    tested: Mapping[str, tuple[float, ...]] = {"torque_ripple_order": (1.0, 4.0, 6.0)}
     description = "a periodic motor torque over the motor angle"
     consequence = "friction is biased, and so is damping if the ripple excites a resonance"
     experiment = (
@@ -94,11 +79,3 @@ class TorqueRipple(Effect):
         " in the voltage"
     )
     record = "a record of slow rotation at constant speed"
-
-    def typical_sizes(self, joint: KnownJoint) -> Values:
-        """A share of Coulomb friction."""
-        return dict.fromkeys(self.sizes, _TORQUE_RIPPLE_TYPICAL_SHARE * joint.coulomb_friction)
-
-    def tested_shapes(self, joint: KnownJoint) -> tuple[Values, ...]:
-        """One set per order: a ripple of one order does not correlate with another order."""
-        return tuple({"torque_ripple_order": order} for order in _TESTED_ORDERS)
