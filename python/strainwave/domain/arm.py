@@ -70,6 +70,11 @@ class Joint:
         return self.torque_per_volt or 1.0
 
     @property
+    def encoder_resolution(self) -> float:
+        """One count of the motor encoder [rad]; zero if unknown."""
+        return math.tau / self.encoder_counts if self.encoder_counts else 0.0
+
+    @property
     def law(self) -> GearLaw:
         """Elastic law of the gear."""
         return gear_law(self.spring)

@@ -9,6 +9,8 @@ from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
+from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import observation_of, places_text, text_of
 from strainwave.domain.stages import Stage
@@ -137,6 +139,19 @@ class Parameter:
     unit: str
     stage: Stage
     ci95: tuple[float, float] | None = None
+
+    @classmethod
+    def estimated(
+        cls, key: Key, value: float, std: float, unit: str, stage: Stage, width: float = CI95_STDS
+    ) -> Parameter:
+        """Estimate with its 95 % interval, of the half-width `width` in standard deviations."""
+        interval = (value - width * std, value + width * std)
+        return cls(*key, value, std, unit, stage, interval)
+
+    @property
+    def key(self) -> Key:
+        """Name and joint."""
+        return self.name, self.joint
 
     @property
     def label(self) -> str:

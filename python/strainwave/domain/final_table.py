@@ -328,8 +328,7 @@ def _weighted_sum(
             return None
         value += weight * p.value
         std += abs(weight) * p.std
-    interval = (value - CI95_STDS * std, value + CI95_STDS * std)
-    return Parameter(name, joint, value, std, "kg m^2", "decoupled", interval)
+    return Parameter.estimated((name, joint), value, std, "kg m^2", "decoupled")
 
 
 def _remove_equivalent_stiffness(table: _Table, study: Study, has_whole_arm_fit: bool) -> None:

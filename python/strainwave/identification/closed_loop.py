@@ -11,13 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import (
-    Diagnostic,
-    FloatArray,
-    Log,
-    Place,
-    Prediction,
-)
+from strainwave.domain import Diagnostic, FloatArray, Log, Place, Prediction
 from strainwave.domain.effects import effect_named
 from strainwave.domain.gear_laws import determined_law
 from strainwave.domain.keys import Key, Values

@@ -73,10 +73,8 @@ def motor_response(
     coherence = coherence / np.maximum(power[inside] * density[inside, 1, 1].real, 1e-300)
     condition = _condition(log, arm)
     posture = arm.links_of(motor_angle.mean(axis=0))
-    values, is_servoed = (
-        _with_equivalent_stiffness(model.values, joints, arm),
-        condition == "others-servoed",
-    )
+    values = _with_equivalent_stiffness(model.values, joints, arm)
+    is_servoed = condition == "others-servoed"
     zeros, poles = modes_of_motor(values, arm, posture, number, servoed=is_servoed)
     return MotorResponse(
         experiment=log.name,
@@ -92,12 +90,7 @@ def motor_response(
 
 
 def modes_of_motor(
-    values: Mapping[Key, float],
-    arm: Arm,
-    link_angle: FloatArray,
-    joint: int,
-    *,
-    servoed: bool,
+    values: Mapping[Key, float], arm: Arm, link_angle: FloatArray, joint: int, *, servoed: bool
 ) -> tuple[FloatArray, FloatArray]:
     """Anti-resonances and resonances [Hz] of one motor's response to its torque, about a posture.
 
@@ -156,9 +149,8 @@ def _lightly_damped_frequencies(
     lower_rows = np.linalg.solve(inertia[index], np.hstack([-springs[index], -dampers[index]]))
     upper_rows = np.eye(count, 2 * count, count)
     roots = np.linalg.eigvals(np.vstack([upper_rows, lower_rows]))
-    is_oscillating = (
-        roots.imag > _MIN_FREQUENCY_SHARE * np.abs(roots).max()
-    )  # excludes rigid-body modes
+    # excludes rigid-body modes
+    is_oscillating = roots.imag > _MIN_FREQUENCY_SHARE * np.abs(roots).max()
     lightly_damped = roots[is_oscillating & (-roots.real < _MAX_DAMPING_RATIO * np.abs(roots))]
     return np.asarray(np.sort(np.abs(lightly_damped)) / (2.0 * np.pi))
 

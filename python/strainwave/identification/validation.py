@@ -24,11 +24,7 @@ from strainwave.domain.parameter_table import COULOMB, family_of
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_predictions
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import (
-    Observation,
-    build_prediction,
-    observe,
-)
+from strainwave.identification.closed_loop import Observation, build_prediction, observe
 from strainwave.signals.recorded_input import driven_by_voltage
 
 _MIN_PERIODS = 2.5
@@ -244,7 +240,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
     for key, value in values.items():
         if key[0] == COULOMB:
             yield {**values, key: value * (1.0 + FRICTION_VARIATION_SHARE)}
-    indices = [k for k, p in enumerate(model.parameters) if (p.name, p.joint) in values]
+    indices = [k for k, p in enumerate(model.parameters) if p.key in values]
     covariance = model.covariance[np.ix_(indices, indices)]
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(
@@ -253,8 +249,7 @@ def _variations(model: ArmModel) -> Iterator[Values]:
     for draw in draws / math.sqrt(_N_DRAWS):
         changed = dict(values)
         for k, change in zip(indices, draw.tolist(), strict=True):
-            p = model.parameters[k]
-            changed[p.name, p.joint] += change
+            changed[model.parameters[k].key] += change
         yield changed
 
 

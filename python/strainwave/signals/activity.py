@@ -11,9 +11,8 @@ from strainwave.dynamics.arm import Arm
 from strainwave.signals.channels import MotorInput
 from strainwave.signals.drive_law import DriveLaw
 
-_DIFFERENCE_TIME = (
-    0.01  # [s] of each velocity difference; reduces the effect of encoder quantization
-)
+# [s] of each velocity difference; reduces the effect of encoder quantization
+_DIFFERENCE_TIME = 0.01
 
 
 def activity_of(logs: Sequence[Log], arm: Arm) -> tuple[Activity, ...]:

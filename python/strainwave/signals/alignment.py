@@ -16,9 +16,8 @@ from strainwave.signals.link_readings import acceleration_gain, preceding_gains
 _MIN_FREQUENCY_HZ = 2.0  # [Hz] lower band edge; friction and drift dominate below it
 _MAX_CUTOFF_HZ = 100.0  # [Hz] largest low-pass cutoff; third differences above it are noise
 _BAND_POWER_SHARE = 0.9  # share of the power of the link velocity that defines its band
-_BAND_MARGIN = (
-    1.1  # upper band edge over the frequency below which `_BAND_POWER_SHARE` of the power lies
-)
+# upper band edge over the frequency below which `_BAND_POWER_SHARE` of the power lies
+_BAND_MARGIN = 1.1
 _DRIVE_BAND_RATIO = 0.5  # upper band edge of the drive relative to the band of the encoder
 _MIN_EXTRA_LINES = 12  # minimum number of spectral lines minus the number of coefficients
 _MAX_STANDSTILL_SHARE = 0.2  # maximum share of a record at standstill; stiction resembles a delay

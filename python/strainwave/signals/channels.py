@@ -8,16 +8,7 @@ from typing import Literal, Self
 
 import numpy as np
 
-from strainwave.domain import (
-    BoolArray,
-    Decoupled,
-    Diagnostic,
-    FloatArray,
-    Joint,
-    Lag,
-    Log,
-    Place,
-)
+from strainwave.domain import BoolArray, Decoupled, Diagnostic, FloatArray, Joint, Lag, Log, Place
 from strainwave.domain.link_sensors import sensor_of
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
@@ -25,12 +16,10 @@ from strainwave.signals.standstill import runs_of, sliding_direction
 
 _MIN_STANDSTILL_TIME = 0.02  # [s] minimum duration of a standstill of the encoder
 _MIN_STANDSTILL_SAMPLES = 6  # minimum duration of a standstill in samples
-_MIN_SATURATED_SAMPLES = (
-    5  # minimum number of consecutive equal samples at an extreme value that are saturation
-)
-_MAX_SATURATED_SHARE = (
-    0.01  # share of saturated samples in a record above which a warning is issued
-)
+# minimum number of consecutive equal samples at an extreme value that are saturation
+_MIN_SATURATED_SAMPLES = 5
+# share of saturated samples in a record above which a warning is issued
+_MAX_SATURATED_SHARE = 0.01
 
 
 InputKind = Literal["torque", "u"]
@@ -75,8 +64,7 @@ def resolution(joint: Joint, noise: float) -> float:
     1.5 encoder counts, or 5 standard deviations of the white noise `noise` [rad] if the number of
     counts is unknown: smaller changes do not determine the direction.
     """
-    count = 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
-    return max(1.5 * count, 0.0 if count else 5.0 * noise)
+    return 1.5 * joint.encoder_resolution or 5.0 * noise
 
 
 def directions(angle: FloatArray, noise: FloatArray, arm: Arm, T: float) -> FloatArray:

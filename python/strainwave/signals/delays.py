@@ -6,12 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from strainwave.domain import (
-    Delay,
-    Diagnostic,
-    LinkSignals,
-    Place,
-)
+from strainwave.domain import Delay, Diagnostic, LinkSignals, Place
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import ConstantKind, LinkSensor

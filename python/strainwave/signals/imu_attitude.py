@@ -30,9 +30,8 @@ _MAX_SEARCHES = 16  # number of best starting values from which the search conti
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search
 _INITIAL_DAMPING = 1e-3  # initial Levenberg-Marquardt damping
 _RELATIVE_TOLERANCE = 1e-9  # relative decrease of the objective at convergence
-_MIN_COST_DIFFERENCE = (
-    0.01  # relative difference of the objective below which two minima are identical
-)
+# relative difference of the objective below which two minima are identical
+_MIN_COST_DIFFERENCE = 0.01
 _RELATIVE_RIDGE = 1e-9  # relative ridge term for factors that the data do not determine
 _N_BEARINGS = 8  # number of starting values of the bearing, evenly spaced
 _MIN_COLUMN_NORM = 1e-9  # minimum column norm relative to the largest one
@@ -219,10 +218,7 @@ def _find_minimum(
     """Levenberg-Marquardt search from a mounting: (objective, mounting) at the local minimum."""
     cost, damping = _cost(problems, values), _INITIAL_DAMPING
     for _ in range(_MAX_ITERATIONS):
-        jacobian, residual = (
-            _jacobian(problems, values, keys),
-            _residual(problems, values),
-        )
+        jacobian, residual = _jacobian(problems, values, keys), _residual(problems, values)
         column_norm = np.linalg.norm(jacobian, axis=0)
         column_norm = np.maximum(
             column_norm, _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)

@@ -25,12 +25,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import MAX_SENSOR_DELAY, shift_samples
 from strainwave.errors import InvalidInput
-from strainwave.numerics.filters import (
-    Between,
-    apply_lags_without_aliases,
-    differentiate,
-    low_pass,
-)
+from strainwave.numerics.filters import Between, apply_lags_without_aliases, differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
 from strainwave.signals.channels import sensor_lags, unmeasured
@@ -61,12 +56,10 @@ _EDGE_PERIODS = 2.0  # excluded edge of a record, in periods of the slowest low-
 _MAX_DELAY_STD = 5e-4  # [s] standard deviation above which a delay estimate is discarded
 # Channel of each link sensor, without the joint number
 _CHANNEL: Mapping[LinkSource, str] = {"accelerometer": "a", "encoder": "theta_l", "gyro": "gyro"}
-_MIN_VELOCITY_SIGNIFICANCE = (
-    4.0  # standard deviations of a velocity below which its sign is uncertain
-)
-_MAX_INTERPOLATED_TIME = (
-    0.005  # [s] maximum duration of an interpolated stretch that linear models use
-)
+# standard deviations of a velocity below which its sign is uncertain
+_MIN_VELOCITY_SIGNIFICANCE = 4.0
+# [s] maximum duration of an interpolated stretch that linear models use
+_MAX_INTERPOLATED_TIME = 0.005
 _MIN_INTERPOLATED_SAMPLES = 3  # samples of an interpolated stretch that linear models always use
 # Maximum number of iterations of the delay estimate: the regression is linear only in short delays.
 _MAX_ITERATIONS = 4
@@ -110,10 +103,7 @@ def _exceeds_longest_delay(delays: Sequence[Delay]) -> bool:
 
 
 def prepare_link_signals(
-    log: Log,
-    arm: Arm,
-    options: LinkOptions | None = None,
-    delays: Sequence[float] | None = None,
+    log: Log, arm: Arm, options: LinkOptions | None = None, delays: Sequence[float] | None = None
 ) -> LinkSignals:
     """Compute link and motor angles, velocities and accelerations of one record.
 
@@ -241,9 +231,7 @@ class _FilteredLog:
         gives s 2 pi f sqrt(2 f T / 3). The standard deviation of an encoder angle is at least
         1/sqrt(12) counts.
         """
-        counts = [
-            2.0 * np.pi / j.encoder_counts if j.encoder_counts else 0.0 for j in self.arm.joints
-        ]
+        counts = [joint.encoder_resolution for joint in self.arm.joints]
         quantization_noise = np.array(counts) / np.sqrt(12.0)
         f, T = self.band, self.log.sample_time
         return np.asarray(

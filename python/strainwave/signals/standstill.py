@@ -104,12 +104,10 @@ def free_friction(direction: FloatArray, spacing: int) -> list[tuple[int, FloatA
     the low-pass filtered torque. Longer stretches have overlapping triangles that sum to one, with
     centres about `spacing` apart. `direction`, (n_samples,), is from `sliding_direction`.
     """
-    uncertain = np.r_[False, direction == 0.0, False]
-    edges = np.flatnonzero(np.diff(uncertain.astype(np.int8)))
     shapes: list[tuple[int, FloatArray]] = []
     # Stretches of equal length share their shapes.
     shapes_by_length: dict[int, list[tuple[int, FloatArray]]] = {}
-    for first, stop in edges.reshape(-1, 2).tolist():
+    for first, stop in runs_of(direction == 0.0).tolist():
         length = stop - first
         if length not in shapes_by_length:
             shapes_by_length[length] = _stretch_shapes(length, spacing)

@@ -18,14 +18,12 @@ from strainwave.domain import (
     Parameter,
     Place,
 )
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.parameter_table import VISCOUS
 from strainwave.domain.units import unit_of
 
 # relative standard deviation up to which a viscous friction is reported
 _MAX_VISCOUS_RELATIVE_STD = 0.3
-# only the sum of these is well determined in fast records
-_VISCOUS_FRICTIONS = ("motor_viscous_friction", "link_viscous_friction")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +74,7 @@ class JointEstimate:
             self.values.items(), np.sqrt(variances).tolist(), self.determined, strict=True
         ):
             # in fast records only the sum of the viscous frictions is well determined
-            is_split = name in _VISCOUS_FRICTIONS
+            is_split = name in VISCOUS
             is_precise = std <= _MAX_VISCOUS_RELATIVE_STD * abs(value)
             yield _Entry(name, value, std, bool(determined) and (is_precise or not is_split))
 
@@ -85,19 +83,18 @@ class JointEstimate:
         for entry in self._entries():
             yield self._parameter(entry)
         ratio, values = self.joint.gear_ratio, np.array(list(self.values.values()))
-        weights = dict(zip(_VISCOUS_FRICTIONS, (1.0, ratio**2), strict=True))
+        weights = dict(zip(VISCOUS, (1.0, ratio**2), strict=True))
         weight = np.array([weights.get(name, 0.0) for name in self.values])
         std = np.sqrt(np.clip(weight @ self.covariance @ weight, 0.0, None))
         total = _Entry("total_viscous_friction", float(weight @ values), float(std), True)
         yield self._parameter(total)
 
     def _parameter(self, entry: _Entry) -> Parameter:
-        value, std, unit = entry.value, entry.std, unit_of(entry.name, self.joint)
-        known = value if entry.is_identified else None
-        if known is None or not np.isfinite(std):
-            return Parameter(entry.name, self.number, known, None, unit, "decoupled")
-        interval = (value - CI95_STDS * std, value + CI95_STDS * std)
-        return Parameter(entry.name, self.number, value, std, unit, "decoupled", interval)
+        key, unit = (entry.name, self.number), unit_of(entry.name, self.joint)
+        known = entry.value if entry.is_identified else None
+        if known is None or not np.isfinite(entry.std):
+            return Parameter(*key, known, None, unit, "decoupled")
+        return Parameter.estimated(key, entry.value, entry.std, unit, "decoupled")
 
     def _warnings(self) -> Iterator[Diagnostic]:
         """Warnings about parameters that are not identifiable, implausible or equivalent values."""
@@ -108,7 +105,7 @@ class JointEstimate:
             estimate = Clause("estimate", value=value, std=std, unit=unit)
             if not np.isfinite(std):
                 estimate = Clause("estimate/no-std", value=value, unit=unit)
-            is_viscous = name in _VISCOUS_FRICTIONS
+            is_viscous = name in VISCOUS
             is_negative = value + 2.0 * np.nan_to_num(std) < 0.0
             if is_negative and (entry.is_identified or not is_viscous):
                 yield Diagnostic("implausible", place, estimate=estimate, records=records)

@@ -23,11 +23,7 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
-from strainwave.identification.joint_model.bands import (
-    FIRST_BAND_HZ,
-    Band,
-    same_band,
-)
+from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band, same_band
 from strainwave.identification.joint_model.stretches import (
     band_around,
     band_for,

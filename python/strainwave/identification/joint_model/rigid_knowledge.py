@@ -82,7 +82,7 @@ def rigid_knowledge(
 
 def _weight(model: RigidModel, part: Row) -> FloatArray | None:
     """Weight of each rigid parameter in a sum; None if one of them is unknown."""
-    weight = np.array([part.get((p.name, p.joint), 0.0) for p in model.parameters])
+    weight = np.array([part.get(p.key, 0.0) for p in model.parameters])
     identified = np.array([p.value is not None for p in model.parameters])
     if np.count_nonzero(weight) != len(part) or not identified[weight != 0.0].all():
         return None

@@ -32,6 +32,7 @@ from strainwave.identification.joint_model.bands import (
     neighbouring_bands,
 )
 from strainwave.numerics.filters import by_spectrum, low_pass
+from strainwave.signals.standstill import runs_of
 
 _ANTI_RESONANCE_TO_LOW_EDGE = 3.0  # ratio of the anti-resonance to the lower edge of the band
 # ratio of the upper edge of the band to the resonance; with less, the data do not determine d_G
@@ -65,9 +66,7 @@ def band_around(
 
 def limit_to_records(band: Band, records: Sequence[Decoupled]) -> Band:
     """Limit the band to the frequencies that the longest stretch of each record contains."""
-    longest = [
-        max((stop - start for start, stop in _stretches(record)), default=1) for record in records
-    ]
+    longest = [int(np.max(np.diff(runs_of(record.valid)), initial=0)) or 1 for record in records]
     return limit_band(band, records, longest, _MIN_EDGE_RATIO)
 
 
@@ -114,12 +113,6 @@ def _fusion_low_pass(f: FloatArray, fusion: Fusion) -> ComplexArray:
     return np.asarray(1.0 / (1.0 + x if fusion.order == 1 else 1.0 + np.sqrt(2.0) * x + x * x))
 
 
-def _stretches(record: Decoupled) -> list[tuple[int, int]]:
-    """Start and stop (exclusive) of each run of valid samples."""
-    edges = np.flatnonzero(np.diff(np.r_[False, record.valid, False].astype(np.int8)))
-    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
-
-
 def input_output_of(
     records: Sequence[Decoupled], band_hz: Band, options: LinearOptions
 ) -> tuple[InputOutput, ...]:
@@ -150,7 +143,7 @@ def _pieces(record: Decoupled, band_hz: Band, options: LinearOptions) -> Iterato
     def compensated_sensors(f: FloatArray) -> ComplexArray:
         return np.asarray(band_of(f, band_hz)[:, None, None] * velocities(f, record))
 
-    for start, stop in _stretches(record):
+    for start, stop in runs_of(record.valid).tolist():
         edge = int(1.0 / (low * T))
         # the high-pass response lasts one period; the remaining samples must suffice for a fit
         if (stop - start) * T * low < MIN_PERIODS - 1e-6:
@@ -169,7 +162,7 @@ def decimated_hz(record: Decoupled, options: LinearOptions) -> float:
 def _decimate(record: Decoupled, _: Band, options: LinearOptions) -> Iterator[InputOutput]:
     """Low-passed, decimated stretches without their means, prepared as in the source."""
     T, step, cutoff = record.sample_time, options.decimation or 1, decimated_hz(record, options)
-    for start, stop in _stretches(record):
+    for start, stop in runs_of(record.valid).tolist():
         edge = int(1.0 / (cutoff * T))
         if (stop - start) * T * cutoff < _MIN_CUTOFF_PERIODS * MIN_PERIODS:
             continue

@@ -15,7 +15,6 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter, RigidModel, RigidOptions, Signals
-from strainwave.domain.kinds import RigidColumn
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.rigid_prediction import band_fit
 from strainwave.errors import NotIdentifiable
@@ -110,10 +109,11 @@ def _model(
     """Result of a fit; parameters that are not identified are None."""
     identified = best.determined
     stds = np.sqrt(np.diag(covariance)).tolist()
+    width = best.interval_half_width
     parameters = [
-        _parameter(column, value, std, best.interval_half_width * std)
+        Parameter.estimated(column.key, value, std, column.unit, "rigid", width)
         if is_identified
-        else Parameter(column.name, column.joint, None, None, column.unit, "rigid")
+        else Parameter(*column.key, None, None, column.unit, "rigid")
         for column, value, std, is_identified in zip(
             best.arm.rigid_columns, best.solution.tolist(), stds, identified, strict=True
         )
@@ -138,11 +138,6 @@ def _model(
         torque_ratios=ratios,
         load_friction=shares,
     )
-
-
-def _parameter(column: RigidColumn, value: float, std: float, half_width: float) -> Parameter:
-    interval = (value - half_width, value + half_width)
-    return Parameter(column.name, column.joint, value, std, column.unit, "rigid", interval)
 
 
 def _fits(best: Trial, stretch: Stretch, shares: tuple[Parameter, ...]) -> dict[str, float]:

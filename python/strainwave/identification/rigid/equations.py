@@ -42,9 +42,8 @@ class Estimate:
 
     solution: FloatArray  # (n_parameters,)
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, at least 0
-    standing: tuple[
-        FloatArray, ...
-    ]  # per record (n_motion, n_joints) free friction [N m], or empty
+    # per record (n_motion, n_joints) free friction [N m], or empty
+    standing: tuple[FloatArray, ...]
     motor_share: float = MOTOR_SHARE
 
 
@@ -96,10 +95,7 @@ class Loads:
 
 
 def assemble(
-    arm: Arm,
-    stretches: Sequence[Stretch],
-    around: Estimate | None,
-    loads: Loads | None = None,
+    arm: Arm, stretches: Sequence[Stretch], around: Estimate | None, loads: Loads | None = None
 ) -> Equations:
     """Assemble the equations of all records and joints.
 

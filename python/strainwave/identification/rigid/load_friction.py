@@ -62,14 +62,10 @@ def load_friction(
     nearby = neighbours(trials, best)
     others = [(t.factor.common[:n], t.common_deviation[:n] ** 2) for t in nearby]
     stds = np.sqrt(best.common_deviation[:n] ** 2 + excess_variance(values, others))
-    half_widths = best.interval_half_width * stds
+    width = best.interval_half_width
     return tuple(
-        Parameter(
-            "load_friction", joint + 1, share, std, "1", "rigid", (share - half, share + half)
-        )
-        for joint, share, std, half in zip(
-            joints, values.tolist(), stds.tolist(), half_widths.tolist(), strict=True
-        )
+        Parameter.estimated(("load_friction", joint + 1), share, std, "1", "rigid", width)
+        for joint, share, std in zip(joints, values.tolist(), stds.tolist(), strict=True)
     )
 
 

@@ -11,14 +11,12 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Signals
 
-_MAX_SEARCH_SAMPLES = (
-    1 << 17
-)  # maximum number of samples in the search; a longer period needs no repetition
+# maximum number of samples in the search; a longer period needs no repetition
+_MAX_SEARCH_SAMPLES = 1 << 17
 _MIN_CORRELATION = 0.95  # minimum correlation of repeated motion; servoed motion has 0.999
 _MULTIPLE_TOLERANCE = 2.0  # [samples] tolerance of a multiple of the period, which is rounded
-_MAX_CORRELATION_BETWEEN_PERIODS = (
-    0.5  # the correlation must fall below this first; otherwise the motion is only slow
-)
+# the correlation must fall below this first; otherwise the motion is only slow
+_MAX_CORRELATION_BETWEEN_PERIODS = 0.5
 
 
 def period_of(signals: Signals) -> float:

@@ -36,10 +36,9 @@ class Stretch:
     keep: BoolArray  # (n_rows, n_joints)
     torque: FloatArray  # (n_rows, n_joints)
     friction: FloatArray  # (n_rows, n_joints, 3) per dq, sgn(dq), 1
-    standing: tuple[
-        tuple[IntArray, Banded], ...
-    ]  # per joint, shape functions of the free friction at the motion's samples:
-    # indices (n_near,) with nonzero values and the values (n_near, n_free); empty if rigid
+    # per joint, shape functions of the free friction at the motion's samples: indices (n_near,)
+    # with nonzero values and the values (n_near, n_free); empty if rigid
+    standing: tuple[tuple[IntArray, Banded], ...]
     free: tuple[Banded, ...]  # per joint (n_rows, n_free), filtered shape functions
     noise: FloatArray  # (n_parameters,) standard deviation of the noise of each column
     period: float  # [samples] of the motion; the whole record if it does not repeat

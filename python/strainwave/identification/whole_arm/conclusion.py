@@ -12,9 +12,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.closed_loop import (
-    predict_closed_loop,
-)
+from strainwave.identification.closed_loop import predict_closed_loop
 from strainwave.identification.whole_arm.inference.agreement import (
     agreement_tests,
     disagreement,
@@ -47,9 +45,7 @@ from strainwave.identification.whole_arm.selection.causes import (
     warn_likely_cause,
     warn_unfitted_effects,
 )
-from strainwave.identification.whole_arm.selection.sensor_constants import (
-    sensor_warnings,
-)
+from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
 from strainwave.identification.whole_arm.selection.sensor_mounts import mount_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
@@ -87,7 +83,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         if is_far_above_noise or is_disagreement(agreement)
         else ()
     )
-    public = [k for k, p in enumerate(parameters) if not is_hidden((p.name, p.joint))]
+    public = [k for k, p in enumerate(parameters) if not is_hidden(p.key)]
     return ArmModel(
         parameters=tuple(parameters[k] for k in public),
         values=values,

@@ -16,10 +16,7 @@ from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import (
-    keep_known_effects,
-    velocity_band,
-)
+from strainwave.identification.closed_loop import keep_known_effects, velocity_band
 from strainwave.identification.whole_arm.inference.predicted_precision import (
     CUTOFF_TO_RESONANCE,
     MAX_CUTOFF_TO_SAMPLING_RATE,
@@ -36,9 +33,7 @@ from strainwave.identification.whole_arm.problem.starting_values import (
     warn_rejected_starts,
 )
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.gear_torques import (
-    gear_torques,
-)
+from strainwave.identification.whole_arm.records.gear_torques import gear_torques
 from strainwave.identification.whole_arm.records.preparation import (
     STEPS_PER_PERIOD,
     coarsen_steps,
@@ -50,12 +45,8 @@ from strainwave.identification.whole_arm.search.start_comparison import (
     SelectedCandidate,
     select_candidate,
 )
-from strainwave.identification.whole_arm.selection.mountings import (
-    select_mountings,
-)
-from strainwave.identification.whole_arm.selection.sensor_constants import (
-    add_sensor_constants,
-)
+from strainwave.identification.whole_arm.selection.mountings import select_mountings
+from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.signals.mounting_start import estimate_mounting_starts
 
 _STIFFNESS_GRID_POINTS = 31  # grid points of an unknown stiffness over its range, a factor of nine

@@ -19,7 +19,7 @@ def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
     """
     if model.criticism is None or model.status == "iteration-limit":
         return False
-    keys = ((parameter.name, parameter.joint) for parameter in model.parameters)
+    keys = (parameter.key for parameter in model.parameters)
     fitted = [effect for _, effect in effects_among(keys, arm.n_joints)]
     causes = model.criticism.causes
     if _DRIVE_GAIN in fitted or not causes:

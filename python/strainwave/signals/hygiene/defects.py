@@ -29,9 +29,8 @@ def noisy_kinds() -> tuple[str, ...]:
 INPUTS = ("u", "torque")
 """Motor inputs."""
 
-_MAX_STATISTICS_SAMPLES = (
-    65_536  # maximum number of samples for statistics of the changes of a channel
-)
+# maximum number of samples for statistics of the changes of a channel
+_MAX_STATISTICS_SAMPLES = 65_536
 _USUAL_QUANTILE = 0.995  # quantile of the absolute changes that defines the usual change
 
 
@@ -66,8 +65,7 @@ def count_of(channel: str, arm: Arm) -> float:
     kind, joint = channel_parts(channel)
     if kind != "theta_m" or joint > arm.n_joints:
         return 0.0
-    per_turn = arm.joints[joint - 1].encoder_counts
-    return 2.0 * np.pi / per_turn if per_turn else 0.0
+    return arm.joints[joint - 1].encoder_resolution
 
 
 def usual_change(change: FloatArray) -> float:

@@ -6,12 +6,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, IntArray, Log
 from strainwave.dynamics.arm import Arm
-from strainwave.signals.hygiene.defects import (
-    Defect,
-    noisy_kinds,
-    of_kinds,
-    resolution_of,
-)
+from strainwave.signals.hygiene.defects import Defect, noisy_kinds, of_kinds, resolution_of
 from strainwave.signals.standstill import runs_of
 
 MIN_REPEATED_SAMPLES = 3
@@ -23,12 +18,10 @@ MAX_SATURATED_SHARE = 1e-2
 # Minimum ratio of the number of samples at the extreme value to the number at the adjacent value.
 # At the reversal of an angle, the ratio is 2.4.
 _MIN_EXTREME_COUNT_RATIO = 6.0
-_MIN_DISTINCT_VALUES = (
-    50  # minimum number of distinct values; coarser channels have flat tops anyway
-)
-_MIN_SATURATED_SAMPLES = (
-    6  # minimum total number of samples at an end of the range; a peak has 3 or 4
-)
+# minimum number of distinct values; coarser channels have flat tops anyway
+_MIN_DISTINCT_VALUES = 50
+# minimum total number of samples at an end of the range; a peak has 3 or 4
+_MIN_SATURATED_SAMPLES = 6
 _MIN_EDGE_STEPS = 4.0  # minimum step into or out of a flat top, in units of the resolution
 
 

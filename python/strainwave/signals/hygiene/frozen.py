@@ -27,31 +27,27 @@ from strainwave.signals.hygiene.isolated import Jump, classify_jumps
 from strainwave.signals.standstill import runs_of
 
 _MIN_ZERO_INCREMENTS = 3  # minimum number of zero increments before the step by the missed motion
-_MAX_PREDICTION_ERROR = (
-    0.5  # maximum difference of step and motion predicted from both sides, per step
-)
+# maximum difference of step and motion predicted from both sides, per step
+_MAX_PREDICTION_ERROR = 0.5
 _STANDSTILL_RATIO = 0.25  # maximum rest after the step, relative to the rest before it
 _MAX_SPEED_RATIO = 4.0  # maximum speed during a frozen stretch, relative to the speed around it
 _SPEED_INCREMENTS = 16  # number of increments on each side for this speed
 _MIN_REST_RATIO = 2.5  # minimum length relative to the longest rest nearby
 _REST_INCREMENTS = 60  # number of increments on each side that are nearby
 _VELOCITY_INCREMENTS = 4  # number of increments on each side for a mean velocity
-_MIN_ABRUPT_RATIO = (
-    4.0  # increment, relative to its usual change, from which no motor stops in one sample
-)
+# increment, relative to its usual change, from which no motor stops in one sample
+_MIN_ABRUPT_RATIO = 4.0
 _MIN_REPEATED_READINGS = 8  # minimum number of repeated readings of a noisy sensor
 _FALSE_ALARM_PROBABILITY = 1e-4  # probability of a false detection per record
 _BLOCK_SAMPLES = 128  # block length [samples] for the share of repetitions
 _TYPICAL_QUANTILE = 0.95  # quantile of run lengths and of block shares that is typical of a channel
 _MAX_REPEATED_SHARE = 0.9  # share of repetitions above which a channel is too coarse for this test
 _MIN_OUTLIER_RATIO = 6.0  # length, relative to the typical run, above which a run is not random
-_RANGE_TOLERANCE = (
-    1e-3  # distance from an extreme, relative to the range, that counts as saturation
-)
+# distance from an extreme, relative to the range, that counts as saturation
+_RANGE_TOLERANCE = 1e-3
 _MIN_EDGE_STEPS = 4.0  # minimum difference from adjacent readings, in units of the resolution
-_MIN_MOTION_COUNTS = (
-    6.0  # minimum motion of the motor in counts, and minimum number of nonzero increments
-)
+# minimum motion of the motor in counts, and minimum number of nonzero increments
+_MIN_MOTION_COUNTS = 6.0
 
 
 def detect(log: Log, arm: Arm) -> list[Defect]:

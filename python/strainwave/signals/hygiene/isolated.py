@@ -19,14 +19,12 @@ MAX_SPIKE_SAMPLES = 3
 _MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
 _MIN_RECORD_RATIO = 3.0  # minimum ratio to the usual value in the record
 _MIN_LOCAL_RATIO = 5.0  # minimum ratio to the usual value nearby
-_MIN_RESOLUTION_STEPS = (
-    4.0  # minimum size in units of the resolution; larger than quantization effects
-)
+# minimum size in units of the resolution; larger than quantization effects
+_MIN_RESOLUTION_STEPS = 4.0
 _COMPARISON_SAMPLES = 48  # number of samples on each side for comparison
 _EXCLUDED_SAMPLES = 4  # number of adjacent samples on each side excluded from the comparison
-_MAX_CANDIDATES = (
-    4000  # maximum number of candidates; more are a property of the channel, not defects
-)
+# maximum number of candidates; more are a property of the channel, not defects
+_MAX_CANDIDATES = 4000
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,9 +13,8 @@ from strainwave.signals.hygiene.defects import Defect, noisy_kinds, of_kinds
 MAINS_FREQUENCIES_HZ = (50.0, 60.0)
 """Mains frequencies [Hz]."""
 
-_FREQUENCY_TOLERANCE = (
-    0.006  # relative tolerance of the mains frequency and of the clock of the logger
-)
+# relative tolerance of the mains frequency and of the clock of the logger
+_FREQUENCY_TOLERANCE = 0.006
 # [Hz] fundamental and harmonics up to the fifth
 _LINES_HZ = tuple(sorted({k * hz for hz in MAINS_FREQUENCIES_HZ for k in (1, 2, 3, 4, 5)}))
 _MIN_DURATION = 1.2  # [s] minimum duration of a record to separate a line from a resonance

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from strainwave.domain import FloatArray, JointModel, LinkSignals, RigidModel
+from strainwave.domain.parameter_table import VISCOUS
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.two_inertia import NAMES, anti_resonance, resonance
 from strainwave.errors import NotIdentifiable
@@ -26,15 +27,9 @@ from strainwave.numerics.parallel import one_blas_thread
 
 __all__ = ["models_from_catalogue", "models_from_motors"]
 
-_FIT_LINES, _GRID_LINES = (
-    160,
-    40,
-)  # spectral lines of a piece for least squares and for the grid search
+# spectral lines of a piece for least squares and for the grid search
+_FIT_LINES, _GRID_LINES = 160, 40
 _MAX_RELATIVE_STD = 0.3  # relative standard deviation up to which a value is reported
-_VISCOUS_FRICTIONS = (
-    "motor_viscous_friction",
-    "link_viscous_friction",
-)  # only their sum is determined
 _DIFFERENCE_STEP = 1e-4  # step of a coordinate for central differences
 
 
@@ -118,9 +113,9 @@ def _covariance(minimum: Minimum, family: Family, i: int) -> FloatArray:
         )
     J = np.array(columns).T
     covariance = J @ minimum.covariance @ J.T
-    motor, link = (NAMES.index(name) for name in _VISCOUS_FRICTIONS)
+    motor, link = (NAMES.index(name) for name in VISCOUS)
     parts = family.parts(minimum.point)
     split = np.zeros(len(NAMES))
-    split[motor] = parts[_VISCOUS_FRICTIONS[0]][i]
+    split[motor] = parts[VISCOUS[0]][i]
     split[link] = -split[motor] / family.ratio[i] ** 2
     return np.asarray(covariance + np.outer(split, split))

@@ -32,18 +32,15 @@ _N_INERTIAS = 10  # number of total inertias on the grid for a joint without a r
 _MAX_STARTS = 6  # number of grid points from which least squares start
 _IMPROPER_COST = 1e9  # cost of a point without positive definite inertia matrix, above all others
 _MIN_DISTANCE = 0.35  # difference of a coordinate above which two minima are distinct
-_MAX_ANTI_RESONANCE = (
-    2.0 * np.pi * 80.0
-)  # [rad/s] highest anti-resonance of a typical gear with its load
+# [rad/s] highest anti-resonance of a typical gear with its load
+_MAX_ANTI_RESONANCE = 2.0 * np.pi * 80.0
 _MAX_COST_RATIO = 4.0  # ratio to the least sum of squares up to which a point is an alternative
 _ROBUST_SCALE = 0.02  # scale of the robust loss, as a share of the motor velocity
 # bounds of least squares around the starting value: log k, log d_G, log odds of the share
 _COORDINATE_BOUNDS = np.array([np.log(10.0), np.log(100.0), 4.0])
 _N_BANDS = 10  # frequency bands of a piece with independent errors
-_WEIGHT_POWERS = (
-    -0.5,
-    0.5,
-)  # powers of frequency that change the weights, to measure the model error
+# powers of frequency that change the weights, to measure the model error
+_WEIGHT_POWERS = (-0.5, 0.5)
 _DIFFERENCE_STEP = 1e-5  # step of a coordinate for central differences
 # tolerance and maximum evaluations of least squares; a later fit refines the result
 _TOLERANCE, _MAX_EVALUATIONS = 1e-4, 30

@@ -9,9 +9,8 @@ from strainwave.domain.parameter_table import SETTLING
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.search.fit import Fit
 
-_BOUND_TOLERANCE = (
-    0.01  # distance to a bound, relative to half the range, that counts as at the bound
-)
+# distance to a bound, relative to half the range, that counts as at the bound
+_BOUND_TOLERANCE = 0.01
 
 
 def parameters_at_bounds(fit: Fit, arm: Arm) -> Iterator[Key]:

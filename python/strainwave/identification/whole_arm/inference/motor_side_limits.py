@@ -72,7 +72,7 @@ def motor_side_limits(
 
 def _is_poor(p: Parameter, at_bounds: Sequence[Key]) -> bool:
     """Whether a parameter is at a bound, unidentified, or has a wide confidence interval."""
-    if (p.name, p.joint) in at_bounds:
+    if p.key in at_bounds:
         return True
     if p.value is None or p.std is None:
         return not is_by_load(p.name)  # a slope outside the torque range has its own warning
@@ -84,7 +84,7 @@ def _describe(poor: Sequence[Parameter], at_bounds: Sequence[Key]) -> tuple[Clau
     descriptions = []
     for p in poor:
         description = Clause("poor/not-identified", label=p.label)
-        if (p.name, p.joint) in at_bounds:
+        if p.key in at_bounds:
             description = Clause("poor/at-bound", label=p.label)
         elif p.value is not None and p.std is not None:
             half = CI95_STDS * p.std / abs(p.value)

@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import FloatArray, Parameter
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import is_by_load
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import constant_of
@@ -138,10 +137,9 @@ def _identified_curves(
 
 
 def _parameter(quantity: _Quantity, std: float) -> Parameter:
-    (name, joint), value, unit = quantity.key, quantity.value, quantity.unit
-    may_be_vague = name in VISCOUS or is_by_load(name)
+    key, value, unit = quantity.key, quantity.value, quantity.unit
+    may_be_vague = key[0] in VISCOUS or is_by_load(key[0])
     is_vague = may_be_vague and std > _MAX_RELATIVE_STD * abs(value or 0.0)
     if value is None or is_vague or not np.isfinite(std):
-        return Parameter(name, joint, None, None, unit, "tuned")
-    interval = (value - CI95_STDS * std, value + CI95_STDS * std)
-    return Parameter(name, joint, value, std, unit, "tuned", interval)
+        return Parameter(*key, None, None, unit, "tuned")
+    return Parameter.estimated(key, value, std, unit, "tuned")

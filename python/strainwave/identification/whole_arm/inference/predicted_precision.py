@@ -9,7 +9,6 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Log, Parameter
 from strainwave.domain.combinations import value_of
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values
@@ -139,10 +138,8 @@ def _parameters(
     """Unknowns and reported combinations with their 95 % confidence intervals."""
     rows: dict[Key, Row] = {key: {key: 1.0} for key in keys}
     rows |= {key: row for key, row in arm.reported.items() if key not in arm.lumped_inertias}
-    for (name, joint), parts in rows.items():
+    for key, parts in rows.items():
         weights = combination(keys, parts)
-        value = float(weights @ np.array([values[key] for key in keys]))
+        value = float(weights @ np.array([values[one] for one in keys]))
         std = float(np.sqrt(np.maximum(0.0, weights @ covariance @ weights)))
-        unit = unit_in(arm, (name, joint))
-        interval = (value - CI95_STDS * std, value + CI95_STDS * std)
-        yield Parameter(name, joint, value, std, unit, "tuned", interval)
+        yield Parameter.estimated(key, value, std, unit_in(arm, key), "tuned")

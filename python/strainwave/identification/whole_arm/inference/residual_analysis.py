@@ -10,14 +10,7 @@ from math import erfc, sqrt
 
 import numpy as np
 
-from strainwave.domain import (
-    BoolArray,
-    Clause,
-    Diagnostic,
-    FloatArray,
-    Place,
-    ResidualTest,
-)
+from strainwave.domain import BoolArray, Clause, Diagnostic, FloatArray, Place, ResidualTest
 from strainwave.identification.whole_arm.problem.error_correlation import (
     spectrum_and_autocovariance,
 )

@@ -113,9 +113,8 @@ def _gain(candidate: _Candidate, parameter: Parameter, share: float) -> SensorGa
 
 def _weights(parameter: Parameter, keys: Sequence[Key], arm: Arm) -> FloatArray:
     """Weights (n_unknowns,) of a parameter as a linear combination of the unknowns."""
-    key = (parameter.name, parameter.joint)
-    if key in keys or parameter.joint is None:
-        return combination(keys, {key: 1.0})
+    if parameter.key in keys or parameter.joint is None:
+        return combination(keys, {parameter.key: 1.0})
     return combination(keys, arm.link_inertia(parameter.joint))
 
 

@@ -47,7 +47,7 @@ def starting_values_of(
     typical value exists.
     """
     models = _models_by_joint(joints, arm)
-    rigid = {(p.name, p.joint): p.value for p in model.parameters} if model else {}
+    rigid = {p.key: p.value for p in model.parameters} if model else {}
     estimates = StageInertias(
         motor={number: joint.values["motor_inertia"] for number, joint in models.items()},
         link={number: _link_inertia(joint, rigid, arm) for number, joint in models.items()},

@@ -14,13 +14,7 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Log
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import (
-    Axis,
-    ConstantKind,
-    constant_of,
-    is_kind,
-    with_bandwidths,
-)
+from strainwave.domain.link_sensors import Axis, ConstantKind, constant_of, is_kind, with_bandwidths
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import differentiate_rows, mount_resonance
@@ -59,9 +53,8 @@ class Dataset:
     counts: tuple[float, ...]  # resolution of each channel; zero if unknown
     begins_in_motion: bool  # whether it begins in motion
     max_time_step: float  # [s] of the integrator
-    step_error_correction: (
-        FloatArray  # (n_rows, n_channels) correction of the integrator step error
-    )
+    # (n_rows, n_channels) correction of the integrator step error
+    step_error_correction: FloatArray
     # (n_rows, n_channels) False where a row contains masked samples; None if none does
     is_counted: BoolArray | None = field(default=None, kw_only=True)
     # (n_rows, n_channels) step error at the last correction; None if there was none
@@ -90,10 +83,7 @@ class Dataset:
         return np.concatenate([slope, self.arm.links_of(origin), self.arm.links_of(slope)])
 
     def run(
-        self,
-        values: Mapping[Key, float],
-        initial: FloatArray,
-        record: Sequence[Quantity],
+        self, values: Mapping[Key, float], initial: FloatArray, record: Sequence[Quantity]
     ) -> dict[Quantity, FloatArray]:
         """Simulate the record: arrays (n_samples, n_joints), one per quantity in `record`."""
         inputs = self._inputs(values)
@@ -109,10 +99,7 @@ class Dataset:
         return {name: run[0] for name, run in runs.items()}
 
     def linearise(
-        self,
-        values: Mapping[Key, float],
-        initial: FloatArray,
-        directions: Sequence[Key],
+        self, values: Mapping[Key, float], initial: FloatArray, directions: Sequence[Key]
     ) -> tuple[FloatArray, FloatArray]:
         """Simulated channels without biases (n_rows, n_channels), and their derivatives.
 
@@ -396,9 +383,7 @@ class Dataset:
         return LowPass(taps, self.kernels.step)
 
     def filtered_channels(
-        self,
-        runs: Mapping[Quantity, FloatArray],
-        values: Mapping[Key, float] | None = None,
+        self, runs: Mapping[Quantity, FloatArray], values: Mapping[Key, float] | None = None
     ) -> FloatArray:
         """Rows (n_rows, n_channels, ...) from samples (n_samples, n_joints, ...) of each quantity.
 
@@ -442,10 +427,7 @@ class Dataset:
         return any(mount_resonance(channel, values) for channel in self.channels)
 
     def _filter_by_mount(
-        self,
-        channel: Axis,
-        samples: FloatArray,
-        values: Mapping[Key, float],
+        self, channel: Axis, samples: FloatArray, values: Mapping[Key, float]
     ) -> FloatArray:
         """Filter samples (n_samples, ...) of a channel by its mount resonance, if any."""
         mount = mount_resonance(channel, values)
@@ -457,9 +439,7 @@ class Dataset:
         return {name: self.kernels.rows(runs[name], rate=rate) for name, rate in kinds}
 
     def _stack_channels(
-        self,
-        rows: Mapping[Quantity, FloatArray],
-        values: Mapping[Key, float],
+        self, rows: Mapping[Quantity, FloatArray], values: Mapping[Key, float]
     ) -> FloatArray:
         """Channels (n_rows, n_channels, ...) from rows (n_rows, n_joints, ...) of each quantity."""
         return np.stack([c.reading(rows, values) for c in self.channels], axis=1)

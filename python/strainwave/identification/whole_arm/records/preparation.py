@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Imu, Joint, Log, channel_parts
+from strainwave.domain import BoolArray, Imu, Log, channel_parts
 from strainwave.domain.link_sensors import Axis, Group, compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
@@ -70,7 +70,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     raw = [log.channels[channel.channel] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
     counts = tuple(
-        _encoder_resolution(arm.joints[c.joint - 1]) if c.sensor.group is Group.MOTOR else 0.0
+        arm.joints[c.joint - 1].encoder_resolution if c.sensor.group is Group.MOTOR else 0.0
         for c in channels
     )
     half_length = 0.5 * (n_taps - 1) * T
@@ -195,17 +195,12 @@ def _begins_in_motion(log: Log, arm: Arm) -> bool:
     noise = prepare_record(log, arm).angle_noise
     for i, joint in enumerate(arm.joints, start=1):
         angle = log.channels[f"theta_m{i}"]
-        tolerance = _STANDSTILL_TOLERANCE * max(_encoder_resolution(joint), noise[i - 1])
+        tolerance = _STANDSTILL_TOLERANCE * max(joint.encoder_resolution, noise[i - 1])
         second_difference = angle[2 * span :] - 2.0 * angle[span:-span] + angle[: -2 * span]
         max_acceleration = np.max(np.abs(second_difference)) / (span * T) ** 2
         if np.any(np.abs(angle[:n_first] - angle[0]) > tolerance + 0.5 * max_acceleration * t**2):
             return True
     return False
-
-
-def _encoder_resolution(joint: Joint) -> float:
-    """Resolution of the motor encoder [rad], zero if unknown."""
-    return 2.0 * np.pi / joint.encoder_counts if joint.encoder_counts else 0.0
 
 
 def _simulated_arm(log: Log, arm: Arm) -> Arm:

@@ -238,12 +238,7 @@ def _refit(
 
 
 def _search_with_effect(
-    fit: Fit,
-    one: NamedEffect,
-    start: Values,
-    loads: Loads,
-    arm: Arm,
-    options: WholeArmOptions,
+    fit: Fit, one: NamedEffect, start: Values, loads: Loads, arm: Arm, options: WholeArmOptions
 ) -> Fit | None:
     """Search briefly with one additional effect, correct the step error, and search again."""
     space, z = add_effects(fit.space, [one], arm, start, loads, fit.records)
@@ -295,7 +290,7 @@ def list_causes(refits: Sequence[Refit], arm: Arm) -> Iterator[Cause]:
         yield Cause(
             joint,
             effect,
-            tuple(p for p in parameters if (p.name, p.joint) in _effect_parameters(refit)),
+            tuple(p for p in parameters if p.key in _effect_parameters(refit)),
             refit.gain,
             refit.share,
             refit.shifts,

@@ -15,11 +15,7 @@ from strainwave.domain import FloatArray, WholeArmOptions
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import Axis, unknowns_of
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.link_sensors.imu import (
-    IMU_ROTATION,
-    IMU_START_ATTITUDE,
-    ImuAccelerometers,
-)
+from strainwave.domain.link_sensors.imu import IMU_ROTATION, IMU_START_ATTITUDE, ImuAccelerometers
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.identification.whole_arm.problem.objective import Objective

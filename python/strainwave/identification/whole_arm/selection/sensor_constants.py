@@ -13,13 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import (
-    Diagnostic,
-    FloatArray,
-    Parameter,
-    Place,
-    WholeArmOptions,
-)
+from strainwave.domain import Diagnostic, FloatArray, Parameter, Place, WholeArmOptions
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import ConstantKind, constant_of, is_kind, nominal
@@ -325,7 +319,7 @@ def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """Warn of link sensors with delays, scale errors or drifts."""
     for parameter in parameters:
-        constant = constant_of((parameter.name, parameter.joint))
+        constant = constant_of(parameter.key)
         if constant is None or parameter.value is None:
             continue
         sensor, half = constant.owner.replace("_", " "), CI95_STDS * (parameter.std or 0.0)

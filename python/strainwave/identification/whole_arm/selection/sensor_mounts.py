@@ -174,7 +174,7 @@ def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
 def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
     """Warn of link sensors with a mount resonance."""
     for parameter in parameters:
-        constant = constant_of((parameter.name, parameter.joint))
+        constant = constant_of(parameter.key)
         is_frequency = constant is not None and constant.kind is ConstantKind.MOUNT_FREQUENCY
         if constant is None or not is_frequency or parameter.value is None:
             continue
