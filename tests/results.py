@@ -19,6 +19,7 @@ from strainwave.domain import (
     ResidualTest,
     RigidModel,
     ScoreTest,
+    SearchEnd,
 )
 from virtual_arms import rigid_two_link
 
@@ -43,7 +44,7 @@ def arm_model(parameters: tuple[Parameter, ...], covariance: FloatArray) -> ArmM
         simulated=(),
         initial=(),
         iterations=7,
-        status="converged",
+        end=SearchEnd.CONVERGED,
         criticism=criticism(),
     )
 

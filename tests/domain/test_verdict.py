@@ -26,6 +26,7 @@ from strainwave.domain import (
     Place,
     Prediction,
     RigidModel,
+    SearchEnd,
     Stage,
     Study,
     Suspicion,
@@ -340,7 +341,7 @@ def test_an_indefinite_inertia_matrix_is_rejected() -> None:
 def test_values_at_a_bound_are_rejected() -> None:
     result = run()
     assert result.whole_arm is not None
-    bounded = replace(result.whole_arm, status="at-bounds", at_bounds=(("gear_damping", 1),))
+    bounded = replace(result.whole_arm, end=SearchEnd.BOUND, at_bounds=(("gear_damping", 1),))
     result = replace(result, whole_arm=bounded)
     assert result.verdict.rejected == ("gear_damping 1",)
     secondary = replace(bounded, at_bounds=(("link_viscous_friction", 1),))
@@ -350,7 +351,7 @@ def test_values_at_a_bound_are_rejected() -> None:
 def test_a_fit_that_did_not_converge_is_partly_determined() -> None:
     result = run()
     assert result.whole_arm is not None
-    result = replace(result, whole_arm=replace(result.whole_arm, status="iteration-limit"))
+    result = replace(result, whole_arm=replace(result.whole_arm, end=SearchEnd.EVALUATION_LIMIT))
     assert result.verdict.status == "partly-determined"
     assert result.reason == "the whole-arm fit did not converge"
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from elastic_runs import log_of, prbs_run, rig, rig_values
-from strainwave.domain import ArmModel, Joint, Log, Study
+from strainwave.domain import ArmModel, Joint, Log, SearchEnd, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import single_joint
 from strainwave.dynamics.arm import Arm
@@ -30,7 +30,7 @@ def _arm_model(values: Values) -> ArmModel:
         simulated=(),
         initial=(),
         iterations=1,
-        status="converged",
+        end=SearchEnd.CONVERGED,
     )
 
 

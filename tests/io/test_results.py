@@ -12,7 +12,7 @@ import pytest
 from elastic_results import elastic_identification, joint_model
 from results import arm_model, identification
 from strainwave import pipeline
-from strainwave.domain import Parameter, RigidModel
+from strainwave.domain import Parameter, RigidModel, SearchEnd
 from strainwave.errors import InvalidInput
 from strainwave.io import results as result
 from strainwave.presentation import report
@@ -99,6 +99,13 @@ def test_the_torque_ratio_is_published() -> None:
     text = "0.9800 ± 0.004; 1 if both torque constants are correct"
     assert text in report.render(ratio)
     assert text not in report.render(one)
+
+
+def test_the_end_of_the_search_is_published() -> None:
+    stalled = replace(arm_model((), np.zeros((0, 0))), end=SearchEnd.STALLED)
+    document = result.to_document(replace(identification(), whole_arm=stalled))
+    stage = json.loads(result.to_json(document))["stages"]["tuned"]
+    assert (stage["status"], stage["end"]) == ("converged", "stalled")
 
 
 def test_numpy_numbers_become_json_numbers() -> None:

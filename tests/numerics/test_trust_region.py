@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
 
-from strainwave.domain import BoolArray, FloatArray
-from strainwave.numerics.trust_region import Flat, Linearised, Minimum, SearchEnd, minimise
+from strainwave.domain import BoolArray, FloatArray, SearchEnd
+from strainwave.numerics.trust_region import Flat, Linearised, Minimum, minimise
 
 Residual = Callable[[FloatArray], FloatArray]
 FAR = 1e6

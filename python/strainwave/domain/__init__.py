@@ -107,6 +107,7 @@ from strainwave.domain.ranges import (
     physical_range,
 )
 from strainwave.domain.rigid_model import RigidModel
+from strainwave.domain.search_end import SearchEnd
 from strainwave.domain.signals import (
     Activity,
     Delay,
@@ -218,6 +219,7 @@ __all__ = [
     "RigidModel",
     "RigidOptions",
     "ScoreTest",
+    "SearchEnd",
     "SensorGain",
     "Servo",
     "Signals",

@@ -13,6 +13,7 @@ from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
 from strainwave.domain.keys import Key
+from strainwave.domain.search_end import SearchEnd
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +269,7 @@ class ArmModel(Displayed):
     simulated: tuple[Prediction, ...]  # the fitted model on its records
     initial: tuple[Prediction, ...]  # at the starting values
     iterations: int
-    status: Literal["converged", "iteration-limit", "at-bounds"]
+    end: SearchEnd  # of the last search
     warnings: tuple[Diagnostic, ...] = ()
     criticism: Criticism | None = None
     gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
@@ -277,3 +278,8 @@ class ArmModel(Displayed):
     agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
     suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have
+
+    @property
+    def status(self) -> SearchEnd:
+        """`end`, but converged if the search stalled at a minimum of a rough objective."""
+        return SearchEnd.CONVERGED if self.end is SearchEnd.STALLED else self.end

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from strainwave.display import Displayed
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.estimates import Diagnostic
+from strainwave.domain.search_end import SearchEnd
 
 Hold = Literal["zero", "first"]  # zero-order or first-order hold between samples
 
@@ -49,7 +50,8 @@ class StateSpace:
     sample_time: float  # [s]
     hold: tuple[Hold, ...]  # one per input
     method: Literal["subspace", "pem", "output-error"]
-    status: Literal["estimated", "converged", "iteration-limit", "stalled", "not-determined"]
+    # end of the search; "estimated" without a search, "not-determined" without a covariance
+    status: SearchEnd | Literal["estimated", "not-determined"]
     fit_percent: tuple[float, ...]  # one per output: simulation
     prediction_fit_percent: tuple[float, ...]  # one per output: one-step prediction
     n_samples: int

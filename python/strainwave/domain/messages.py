@@ -204,6 +204,9 @@ TEMPLATES: Mapping[str, str] = {
     " {half:.2g} Hz|. The fit corrects it. Glue or screw the sensor to the link",
     "iteration-limit": "the fit did not converge within {iterations} iterations|; raise"
     " tuning.max_iterations or use longer records",
+    "no-descent": "the fit ended where a large decrease of the cost is predicted but no step"
+    " achieves it|; hold a parameter that the records hardly determine (tuning.hold), or use longer"
+    " records",
     "causes-not-fitted": "{effects} might explain the residuals but were not fitted: the budget of"
     " {evaluations} evaluations for fits with one more effect was exhausted|. The true cause may be"
     " one of them; raise tuning.rival_effort to fit them",

@@ -178,11 +178,7 @@ def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[
         yield f"the decoupled stage gave no model of joint {names}"
     if "tuned" in required.stages and results.whole_arm is None:
         yield "the whole-arm fit was not reached"
-    if (
-        "tuned" in required.stages
-        and results.whole_arm
-        and results.whole_arm.status == "iteration-limit"
-    ):
+    if "tuned" in required.stages and results.whole_arm and not results.whole_arm.end.is_minimum:
         yield "the whole-arm fit did not converge"
 
 

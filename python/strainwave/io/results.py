@@ -453,6 +453,7 @@ def _simulated_fit(model: StateSpace) -> tuple[float, ...] | None:
 def _whole_arm(model: ArmModel) -> dict[str, Any]:
     return {
         "status": model.status,
+        "end": model.end,
         "iterations": model.iterations,
         "parameters": [_parameter(p) for p in model.parameters],
         "correlations": _correlations(model),

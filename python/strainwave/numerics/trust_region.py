@@ -9,12 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
 
-from strainwave.domain import BoolArray, FloatArray
+from strainwave.domain import BoolArray, FloatArray, SearchEnd
 
 # Ratio of actual to predicted decrease above which the damping decreases, and below which it
 # increases.
@@ -73,20 +72,6 @@ class Flat:
     def limit_step(self, _x: FloatArray, step: FloatArray, _share: float) -> FloatArray:
         """The unchanged step."""
         return step
-
-
-class SearchEnd(Enum):
-    """Why a search ended."""
-
-    CONVERGED = "converged"  # the predicted decrease is below the tolerance
-    STALLED = "stalled"  # no further progress, within rounding of a discontinuous objective
-    NO_DESCENT = "no descent"  # no step decreases the cost, although a large decrease is predicted
-    EVALUATION_LIMIT = "evaluation limit"
-
-    @property
-    def is_minimum(self) -> bool:
-        """Whether the last point is a minimum within the accuracy of the objective."""
-        return self in (SearchEnd.CONVERGED, SearchEnd.STALLED)
 
 
 @dataclass(frozen=True, slots=True)

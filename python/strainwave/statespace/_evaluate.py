@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from strainwave import _core
-from strainwave.domain import Diagnostic, FloatArray, StateSpace
+from strainwave.domain import Diagnostic, FloatArray, SearchEnd, StateSpace
 from strainwave.statespace._entries import Matrices, unpack, unscale
 from strainwave.statespace._riccati import is_stable
 from strainwave.statespace._stack import Stack
@@ -133,7 +133,7 @@ def assemble(
     data: Stack,
     matrices: Matrices,
     method: Literal["subspace", "pem", "output-error"],
-    status: Literal["estimated", "converged", "iteration-limit", "stalled", "not-determined"],
+    status: SearchEnd | Literal["estimated", "not-determined"],
     feedthrough: tuple[bool, ...],
     warnings: tuple[Diagnostic, ...] = (),
 ) -> StateSpace:

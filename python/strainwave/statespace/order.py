@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from strainwave.domain import BoolArray, InputOutput, OrderSelection, StateSpace
+from strainwave.domain import BoolArray, InputOutput, OrderSelection, SearchEnd, StateSpace
 from strainwave.errors import InvalidInput
 from strainwave.statespace._evaluate import fit_percent
 from strainwave.statespace._stack import Data, records_of, stack
@@ -97,7 +97,7 @@ def select_order(
 
 def _converged(models: Sequence[StateSpace]) -> BoolArray:
     """Which fits converged (n_models,); all True if none converged."""
-    converged = np.array([model.status in ("converged", "estimated") for model in models])
+    converged = np.array([model.status in (SearchEnd.CONVERGED, "estimated") for model in models])
     return converged if converged.any() else np.ones(len(models), dtype=bool)
 
 

@@ -13,7 +13,14 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import STATE_SPACE_MODEL, Clause, Diagnostic, FloatArray, StateSpace
+from strainwave.domain import (
+    STATE_SPACE_MODEL,
+    Clause,
+    Diagnostic,
+    FloatArray,
+    SearchEnd,
+    StateSpace,
+)
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
 from strainwave.statespace._entries import Matrices, balance, n_entries, rescale
@@ -82,12 +89,12 @@ def pem(
     for candidate in sorted(candidates, key=lambda each: evaluator.cost(each.pack())):
         fit = _fit(evaluator, candidate, through, options)
         fits += [] if fit is None else [fit]
-        if fit is not None and fit.status == "converged":
+        if fit is not None and fit.end is SearchEnd.CONVERGED:
             break
     if not fits:
         raise NumericalFailure("no start of the prediction-error fit has a stable predictor")
     best = min(fits, key=lambda fit: fit.cost)
-    if options.disturbance == "innovations" and best.status == "converged":
+    if options.disturbance == "innovations" and best.end is SearchEnd.CONVERGED:
         without = _fit_without_gain(evaluator, best, through, options)
         best = without or _restricted(evaluator, best, through, options)
     return _model(evaluator, best, through, options)
@@ -110,7 +117,7 @@ def _fit_without_gain(
     if evaluator.cost(start.pack()) > best.cost + _MAX_ZERO_GAIN_COST_FACTOR * (limit - best.cost):
         return None
     fit = _fit(evaluator, start, feedthrough, replace(options, disturbance="none"))
-    if fit is None or fit.status != "converged" or fit.covariance is None:
+    if fit is None or fit.end is not SearchEnd.CONVERGED or fit.covariance is None:
         return None
     return fit if fit.cost < limit else None
 
@@ -136,7 +143,7 @@ class _Fit:
     predicted_decrease: float
     iterations: int
     evaluations: int
-    status: Literal["converged", "iteration-limit", "stalled"]
+    end: SearchEnd
 
 
 def _starts(
@@ -239,7 +246,7 @@ def _fit(
         predicted_decrease=fit.predicted_decrease,
         iterations=fit.iterations,
         evaluations=fit.evaluations,
-        status=fit.status,
+        end=SearchEnd(fit.status),
     )
 
 
@@ -249,7 +256,8 @@ def _model(
     data = evaluator.data
     method: Literal["pem", "output-error"]
     method = "pem" if options.disturbance == "innovations" else "output-error"
-    status = fit.status if fit.covariance is not None else "not-determined"
+    status: SearchEnd | Literal["not-determined"]
+    status = fit.end if fit.covariance is not None else "not-determined"
     warnings = _fit_warnings(fit, options)
     model = assemble(data, fit.matrices, method, status, feedthrough, warnings)
     model = replace(model, warnings=model.warnings + _negative_fit_warning(model))
@@ -267,14 +275,14 @@ def _model(
 
 def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
     warnings = []
-    if fit.status == "iteration-limit":
+    if fit.end is SearchEnd.EVALUATION_LIMIT:
         decrease, iterations = fit.predicted_decrease, fit.iterations
         warnings.append(
             Diagnostic(
                 "pem-iteration-limit", STATE_SPACE_MODEL, iterations=iterations, decrease=decrease
             )
         )
-    if fit.status == "stalled":
+    if fit.end is SearchEnd.STALLED:
         variant = "" if options.disturbance != "none" else "output-error"
         warnings.append(
             Diagnostic("pem-stalled", STATE_SPACE_MODEL, variant, decrease=fit.predicted_decrease)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from strainwave.domain import (
     Joint,
     JointModel,
     Log,
+    SearchEnd,
     Servo,
     Study,
 )
@@ -28,9 +30,12 @@ from strainwave.errors import InvalidInput, NotIdentifiable
 from strainwave.identification import decoupling, rigid, validation
 from strainwave.identification import joint_model as physical
 from strainwave.identification.whole_arm import WholeArmOptions, fit_whole_arm
+from strainwave.identification.whole_arm.search import solver
 from strainwave.io import logs
 from strainwave.io.parameters import read_parameters
 from strainwave.io.study import read_study
+from strainwave.numerics import trust_region
+from strainwave.numerics.trust_region import Minimum
 from strainwave.signals import link_motion as links
 from strainwave.signals import motor as signals
 from strainwave.virtual.experiments import derived
@@ -420,6 +425,27 @@ def test_too_few_iterations_are_reported() -> None:
     assert model.iterations < standard().iterations
     assert model.criticism is not None
     assert max(test.share for test in model.criticism.score_tests) > 0.0  # the cost is known
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "warned"),
+    [
+        (SearchEnd.STALLED, "converged", set()),
+        (SearchEnd.NO_DESCENT, "no-descent", {"no-descent"}),
+    ],
+)
+def test_the_result_states_why_its_last_search_ended(
+    monkeypatch: pytest.MonkeyPatch, end: SearchEnd, status: str, warned: set[str]
+) -> None:
+    def ended(*args: Any, **options: Any) -> Minimum | None:
+        minimum = trust_region.minimise(*args, **options)
+        return minimum and replace(minimum, end=end)
+
+    monkeypatch.setattr(solver, "minimise", ended)
+    model = whole_arm()
+    assert (model.end, model.status) == (end, status)
+    codes = {warning.code for warning in model.warnings}
+    assert codes & {"no-descent", "iteration-limit"} == warned
 
 
 def test_iterations_stay_below_their_limit() -> None:

@@ -29,6 +29,7 @@ from strainwave.domain import (
     Place,
     RecordModel,
     RigidModel,
+    SearchEnd,
     StateSpace,
 )
 from strainwave.dynamics.arm import Arm
@@ -293,7 +294,7 @@ def _in_other_bands(
         try:
             estimate = state_space_of(records, band_options, near)
             model = replace(estimate, covariance=None)
-            if model.status == "converged" and modes_of(model).resonance:
+            if model.status is SearchEnd.CONVERGED and modes_of(model).resonance:
                 models.append(model)
         except (StrainwaveError, np.linalg.LinAlgError):
             continue

@@ -20,6 +20,7 @@ from strainwave.domain import (
     ModelCheck,
     Modes,
     Place,
+    SearchEnd,
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
@@ -258,7 +259,7 @@ def _fit_near(
 
 
 def _is_usable(model: StateSpace) -> bool:
-    return model.status in ("converged", "estimated") and _has_resonances(model)
+    return model.status in (SearchEnd.CONVERGED, "estimated") and _has_resonances(model)
 
 
 def _has_resonances(model: StateSpace) -> bool:

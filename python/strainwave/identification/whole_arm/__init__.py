@@ -106,6 +106,6 @@ def _fit(start: Start, selection: Selection) -> Fit:
     with_effects = set_record_effects(records, selection.arm, coarse.space.keys)
     objective = coarse.objective.replace_records(with_effects).update_weights(coarse.z)
     fine = fine_search(replace(coarse, objective=objective), selection.options)
-    if fine.converged:  # the model selection has its own budget of evaluations
+    if fine.end.is_minimum:  # the model selection has its own budget of evaluations
         selection.renew(fine)
     return polish(select_model(fine, FINE, selection), selection.options)

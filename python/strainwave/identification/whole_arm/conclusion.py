@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
-from strainwave.domain import ArmModel, Criticism, Prediction
+from strainwave.domain import ArmModel, Criticism, Prediction, SearchEnd
 from strainwave.domain.keys import Values
 from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING
@@ -63,11 +62,6 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     gear_loads = gear_torque_samples(fit.objective.records, values)
     largest_torque = largest_of(gear_loads).tolist()
     parameters, covariance = parameters_of(fit, arm, largest_torque)
-    status: Literal["converged", "iteration-limit", "at-bounds"] = "converged"
-    if np.any(at_bounds(fit)):
-        status = "at-bounds"
-    if not fit.converged:
-        status = "iteration-limit"
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
     differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
     score_tests = score_tests_of(fit, arm)
@@ -93,7 +87,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         simulated=_predict(values, start, arm),
         initial=_predict(start.coarse.space.values(start.initial), start, arm),
         iterations=fit.iterations,
-        status=status,
+        end=_end_of(fit),
         warnings=(
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
@@ -113,8 +107,13 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         differences=differences,
         agreement=agreement,
         suspects=suspects,
-        sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.converged else (),
+        sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),
     )
+
+
+def _end_of(fit: Fit) -> SearchEnd:
+    """End of the search; `BOUND` if an unknown of the minimum is at a bound of its range."""
+    return SearchEnd.BOUND if fit.end.is_minimum and any(at_bounds(fit)) else fit.end
 
 
 def _predict(values: Values, start: Start, arm: Arm) -> tuple[Prediction, ...]:

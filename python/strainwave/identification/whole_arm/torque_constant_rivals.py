@@ -14,10 +14,10 @@ def has_likelier_effect(model: ArmModel, arm: Arm) -> bool:
     """Whether an effect explains the records clearly better than a wrong torque constant.
 
     `model` is the whole-arm model of a study whose rigid step suspects a torque constant. Returns
-    False if no effect is fitted or likely, if the effect is a drive gain, or if the fit reached its
-    iteration limit.
+    False if no effect is fitted or likely, if the effect is a drive gain, or if the fit is not at
+    a minimum.
     """
-    if model.criticism is None or model.status == "iteration-limit":
+    if model.criticism is None or not model.end.is_minimum:
         return False
     keys = (parameter.key for parameter in model.parameters)
     fitted = [effect for _, effect in effects_among(keys, arm.n_joints)]

@@ -107,7 +107,7 @@ def _(sweep: Sweep) -> str:
 
 @html_of.register
 def _(arm: ArmModel) -> str:
-    head = f"whole-arm fit: {arm.status} after {arm.iterations} evaluations"
+    head = f"whole-arm fit: {arm.end} after {arm.iterations} evaluations"
     return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
 
 

@@ -293,7 +293,7 @@ def _fit_blocks(whole_arm: ArmModel) -> Iterator[Block]:
         before = whole_arm.initial_fit_percent.get(experiment, {})
         cells = [_fit_change_cell(before.get(name, math.nan), fits.get(name)) for name in channels]
         rows.append((experiment, *cells))
-    outcome = f"{whole_arm.status}, {whole_arm.iterations} evaluations"
+    outcome = f"{whole_arm.end}, {whole_arm.iterations} evaluations"
     title = f"Fits before → after the whole-arm fit ({outcome})"
     yield from table(title, ("record", *map(number, channels)), rows)
 

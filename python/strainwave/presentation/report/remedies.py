@@ -68,6 +68,11 @@ _RESULT = {
         "The values are provisional; do not trust the intervals.",
         "Record longer, or raise tuning.max_iterations.",
     ),
+    "no-descent": Advice(
+        "The values are provisional; do not trust the intervals.",
+        "Look at the residual tests, hold a hardly determined parameter (tuning.hold), or record"
+        " longer.",
+    ),
     "at-bounds": Advice(
         "The parameter compensates for an effect that the model lacks, and biases others.",
         "Check gear_ratio, payload and scales in the study, then the residual tests.",

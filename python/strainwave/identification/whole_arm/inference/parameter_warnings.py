@@ -7,7 +7,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from strainwave.domain import WHOLE_ARM_FIT, Clause, Diagnostic, FloatArray, Parameter, Place
+from strainwave.domain import (
+    WHOLE_ARM_FIT,
+    Clause,
+    Diagnostic,
+    FloatArray,
+    Parameter,
+    Place,
+    SearchEnd,
+)
 from strainwave.domain.gear_laws import is_by_load, is_slope
 from strainwave.domain.link_sensors import is_hidden
 from strainwave.domain.parameter_table import SETTLING, VISCOUS
@@ -82,7 +90,9 @@ def warnings_of(
     covariance = confidence_of(fit).combined[np.ix_(combinable, combinable)]
     for group, spread in only_together(names, values[combinable], covariance):
         yield Diagnostic("only-together", group, spread=float(spread))
-    if not fit.converged:
+    if fit.end is SearchEnd.NO_DESCENT:
+        yield Diagnostic("no-descent", WHOLE_ARM_FIT)
+    elif fit.end is SearchEnd.EVALUATION_LIMIT:
         yield Diagnostic("iteration-limit", WHOLE_ARM_FIT, iterations=fit.iterations)
 
 

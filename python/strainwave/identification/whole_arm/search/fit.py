@@ -6,11 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import FloatArray
+from strainwave.domain import FloatArray, SearchEnd
 from strainwave.domain.keys import Values
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
-from strainwave.numerics.trust_region import SearchEnd
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,12 +20,7 @@ class Fit:
     z: FloatArray  # (n_unknowns,)
     cost: float  # objective with the final weights; infinite before the first iteration
     iterations: int
-    end: SearchEnd | None = None  # of the last search; None before it, or if it was not completed
-
-    @property
-    def converged(self) -> bool:
-        """Whether the iterate is a minimum within the accuracy of the objective."""
-        return self.end is not None and self.end.is_minimum
+    end: SearchEnd = SearchEnd.EVALUATION_LIMIT  # of the last search; no minimum before it
 
     @classmethod
     def at(cls, objective: Objective, z: FloatArray) -> Fit:
@@ -35,7 +29,7 @@ class Fit:
 
     def restart(self, objective: Objective, z: FloatArray) -> Fit:
         """The start of a search with another objective; its evaluations count from this fit."""
-        return replace(self, objective=objective, z=z, cost=np.inf, end=None)
+        return replace(self, objective=objective, z=z, cost=np.inf, end=SearchEnd.EVALUATION_LIMIT)
 
     def with_unknowns(self, space: ParameterSpace, starts: Values | None = None) -> Fit:
         """The start of a search with other unknowns, at `starts` and the values of this fit."""

@@ -11,11 +11,11 @@ from itertools import count
 
 import numpy as np
 
-from strainwave.domain import FloatArray, WholeArmOptions
+from strainwave.domain import FloatArray, SearchEnd, WholeArmOptions
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.numerics.trust_region import Linearised, SearchEnd, minimise
+from strainwave.numerics.trust_region import Linearised, minimise
 
 # predicted cost reduction at which a coarse search ends, absolute and relative to the cost
 COARSE_TOLERANCE, COARSE_RELATIVE_TOLERANCE = 1.0, 2e-3
@@ -59,7 +59,9 @@ def coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
     fit = search_minimum(
         start, options, tolerance=COARSE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
     )
-    if not fit.converged or fit.iterations >= options.max_iterations:
+    if not fit.end.is_minimum:
+        return fit
+    if fit.iterations >= options.max_iterations:
         return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
     return _reweight(fit, options)
 
@@ -81,7 +83,7 @@ def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     for _ in range(_MAX_COARSE_UPDATES):
         fit = search(fit)
         updated = fit.objective.update_weights(fit.z)
-        is_finished = not fit.converged or fit.iterations >= options.max_iterations
+        is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
         if is_finished or not _has_decreased(fit.objective, updated):
             break
         fit = replace(fit, objective=updated)
@@ -99,11 +101,13 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
     )
     if start.iterations >= options.max_iterations:  # no evaluations are left; only the cost is new
         return replace(fit, iterations=start.iterations, end=SearchEnd.EVALUATION_LIMIT)
-    if fit.converged and fit.iterations < options.max_iterations:
-        fit = refine(_update_corrections(fit), options, tolerance=_FINE_TOLERANCE)
-    if not fit.converged or fit.iterations >= options.max_iterations:
-        return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-    return refine(_update_corrections(fit), options)  # with the step error at the end of the search
+    for tolerance in (_FINE_TOLERANCE, COARSE_TOLERANCE):
+        if not fit.end.is_minimum:
+            break
+        if fit.iterations >= options.max_iterations:
+            return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
+        fit = refine(_update_corrections(fit), options, tolerance)
+    return fit
 
 
 def _update_corrections(fit: Fit) -> Fit:
@@ -123,7 +127,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
         fit = search(fit, damping=_NEAR_DAMPING)
         updated = fit.objective.update_weights(fit.z)
-        if not fit.converged or _has_converged(fit.objective, updated):
+        if not fit.end.is_minimum or _has_converged(fit.objective, updated):
             break
         fit = replace(fit, objective=updated)
     return fit
@@ -131,7 +135,7 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
 
 def polish(fit: Fit, options: WholeArmOptions) -> Fit:
     """Complete the search for the minimum with the weights of a refined fit."""
-    if not fit.converged or fit.iterations >= options.max_iterations:
+    if not fit.end.is_minimum or fit.iterations >= options.max_iterations:
         return fit
     return search_minimum(fit, options, tolerance=_FINE_TOLERANCE, damping=_NEAR_DAMPING)
 

@@ -92,7 +92,7 @@ class _SearchState:
     @property
     def is_finished(self) -> bool:
         """Whether the search has converged inside its ranges."""
-        return self.fit.converged and not self.is_limited
+        return self.fit.end.is_minimum and not self.is_limited
 
 
 def _best_starts(

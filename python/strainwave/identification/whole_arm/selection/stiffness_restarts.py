@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 
+from strainwave.domain import SearchEnd
 from strainwave.domain.gear_laws import GearLaw
 from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
@@ -17,7 +18,6 @@ from strainwave.identification.whole_arm.selection.candidate import (
     run_trial,
     select_better,
 )
-from strainwave.numerics.trust_region import SearchEnd
 
 
 def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
