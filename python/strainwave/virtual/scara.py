@@ -35,40 +35,21 @@ MAX_DISKS = 5  # payload of the rig
 _SPRING = "three-slope"
 _LINEAR_STIFFNESS = "gear_stiffness_k2"  # stiffness of other gear laws
 
-_DRIVES: tuple[dict[str, float], ...] = (
-    {
-        "motor_inertia": 1.5e-4,
-        "motor_viscous_friction": 2e-4,
-        "motor_coulomb_friction": 0.060,
-        "friction_offset": 0.0,
-        "link_viscous_friction": 0.5,
-        "gear_damping": 20.0,
-    },
-    {
-        "motor_inertia": 0.5e-4,
-        "motor_viscous_friction": 0.8e-4,
-        "motor_coulomb_friction": 0.030,
-        "friction_offset": 0.0,
-        "link_viscous_friction": 0.15,
-        "gear_damping": 4.0,
-    },
-)
-_THREE_SLOPES: tuple[dict[str, float], ...] = (
-    {
-        "gear_stiffness_k1": 16000.0,
-        "gear_stiffness_k2": 25000.0,
-        "gear_stiffness_k3": 29000.0,
-        "gear_knee_t1": 7.0,
-        "gear_knee_t2": 25.0,
-    },
-    {
-        "gear_stiffness_k1": 4700.0,
-        "gear_stiffness_k2": 6100.0,
-        "gear_stiffness_k3": 7100.0,
-        "gear_knee_t1": 2.0,
-        "gear_knee_t2": 6.9,
-    },
-)
+_DRIVES = {  # of joint 1, of joint 2
+    "motor_inertia": (1.5e-4, 0.5e-4),
+    "motor_viscous_friction": (2e-4, 0.8e-4),
+    "motor_coulomb_friction": (0.060, 0.030),
+    "friction_offset": (0.0, 0.0),
+    "link_viscous_friction": (0.5, 0.15),
+    "gear_damping": (20.0, 4.0),
+}
+_THREE_SLOPES = {
+    "gear_stiffness_k1": (16000.0, 4700.0),
+    "gear_stiffness_k2": (25000.0, 6100.0),
+    "gear_stiffness_k3": (29000.0, 7100.0),
+    "gear_knee_t1": (7.0, 2.0),
+    "gear_knee_t2": (25.0, 6.9),
+}
 
 
 def parameters(disks: int = MAX_DISKS, spring: Spring = _SPRING) -> Values:
@@ -88,8 +69,13 @@ def parameters(disks: int = MAX_DISKS, spring: Spring = _SPRING) -> Values:
     beta += TIP_MOUNT[1] + disks * DISK[1]
     gamma = LINK_LENGTH[0] * (LINK_MASS[1] * CENTROID[1] + tip * LINK_LENGTH[1])
     values: Values = {("alpha", None): alpha, ("beta", None): beta, ("gamma", None): gamma}
-    for joint, (drive, slopes) in enumerate(zip(_DRIVES, _THREE_SLOPES, strict=True), start=1):
-        gear = slopes if spring == _SPRING else gear_law(spring).straight(slopes[_LINEAR_STIFFNESS])
+    for joint in (1, 2):
+        drive, gear = (
+            {name: of_joints[joint - 1] for name, of_joints in table.items()}
+            for table in (_DRIVES, _THREE_SLOPES)
+        )
+        if spring != _SPRING:
+            gear = gear_law(spring).straight(gear[_LINEAR_STIFFNESS])
         values |= {(name, joint): value for name, value in (drive | gear).items()}
     return values
 

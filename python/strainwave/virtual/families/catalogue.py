@@ -13,20 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import (
-    Control,
-    Experiment,
-    Joint,
-    Prbs,
-    Servo,
-    Spring,
-    Study,
-    Use,
-)
+from strainwave.domain import Joint, Prbs, Servo, Spring, Study
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import planar_two_link
 from strainwave.dynamics.simulation import SensorNoise
-from strainwave.virtual.families.rigs import Rig, between
+from strainwave.virtual.families.rigs import Rig, between, rig_experiments
 
 GEAR_CATALOGUE = {
     # size: T1, T2 [N m]; K1, K2, K3 [10^4 N m/rad] at ratios of 80 and above; the same at 50
@@ -132,7 +123,7 @@ def of_choices(
                 limit=_VOLTAGE_LIMIT,
             ),
         ),
-        experiments=_planned_experiments(spring, max(1e-3, sample_time)),
+        experiments=rig_experiments(spring, Prbs(10, max(1e-3, sample_time), 2, _VOLTAGE_LIMIT)),
     )
     sensor_range = next((a for a in _ACCELEROMETER_RANGES if a > peak), _ACCELEROMETER_RANGES[-1])
     classes = _arm_classes(sizes[base], counts, sample_time, bandwidth) | {"spring": spring}
@@ -243,21 +234,3 @@ def _draw_factor(rng: np.random.Generator, bounds: tuple[float, float]) -> float
 
 def _classify(value: float, edges: tuple[float, float], names: tuple[str, str, str]) -> str:
     return names[0] if value <= edges[0] else names[1] if value <= edges[1] else names[2]
-
-
-def _planned_experiments(spring: Spring, clock: float) -> tuple[Experiment, ...]:
-    """Experiments of the built-in rig, with a sweep for three-slope springs."""
-    both: tuple[Control, Control] = ("servo", "servo")
-    free: tuple[Control, Control] = ("open", "open")
-    experiments = [Experiment("motion", "motion.parquet", "motion", both)]
-
-    def prbs_record(name: str, use: Use, joint: int, volt: float) -> Experiment:
-        prbs = Prbs(10, clock, 2, volt)
-        return Experiment(name, f"{name}.parquet", use, free, joint=joint, prbs=prbs)
-
-    for j in (1, 2):
-        experiments.append(prbs_record(f"prbs-j{j}", "frequency", j, _VOLTAGE_LIMIT))
-        if spring == "three-slope":
-            experiments.append(prbs_record(f"sweep-j{j}", "sweep", j, 0.4 * _VOLTAGE_LIMIT))
-        experiments.append(Experiment(f"step-j{j}", f"step-j{j}.parquet", "tuning", both, joint=j))
-    return tuple(experiments)

@@ -6,18 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Control, Experiment, Prbs, Spring, Use
+from strainwave.domain import Control, Prbs
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds.base import in_plane_gravity
 from strainwave.dynamics.arm import Arm
-from strainwave.virtual.families.rigs import Rig
+from strainwave.virtual.families.rigs import Rig, rig_experiments
 from strainwave.virtual.plans import Plan, default_plan
 
 _MOTION_DURATION = 6.0  # [s]
 _STANDARD_GRAVITY = 9.81  # [m/s^2]
 _MAX_GRAVITY_SHARE = 0.35  # of the largest torque of a drive
-_UPRIGHT_EXCITATION_SHARE = 0.5  # of the voltage; the servo of an upright arm needs the rest
-_SWEEP_SHARE = 0.4  # of the full amplitude
+_VOLTAGE, _UPRIGHT_VOLTAGE = 10.0, 5.0  # [V]; the servo of an upright arm needs the rest
 
 
 def plans(rig: Rig, seed: int) -> list[Plan]:
@@ -61,27 +60,11 @@ def with_short_records(rig: Rig, *, upright: bool, rng: np.random.Generator) -> 
         arm = replace(arm, gravity=in_plane_gravity(float(gravity)))
         torques: Values = {("gravity_torque_1", None): gravity * first}
         values = values | torques | {("gravity_torque_2", None): gravity * second}
-    clock = servo.period if servo else 1e-3
-    experiments = _experiments(arm.joints[0].spring, clock, upright=upright)
+    prbs = Prbs(9, servo.period if servo else 1e-3, 2, _VOLTAGE)
+    control: tuple[Control, Control] = ("open", "open")
+    if upright:
+        control, prbs = ("servo", "servo"), replace(prbs, amplitude=_UPRIGHT_VOLTAGE)
+    experiments = rig_experiments(arm.joints[0].spring, prbs, control)
     study = replace(rig.study, arm=arm, experiments=experiments)
     classes = rig.classes | {"gravity": "upright" if upright else "horizontal"}
     return replace(rig, study=study, values=values, classes=classes)
-
-
-def _experiments(spring: Spring, clock: float, *, upright: bool) -> tuple[Experiment, ...]:
-    both: tuple[Control, Control] = ("servo", "servo")
-    control: tuple[Control, Control] = both if upright else ("open", "open")
-    volt = 10.0 * (_UPRIGHT_EXCITATION_SHARE if upright else 1.0)
-    experiments = [Experiment("motion", "motion.csv", "motion", both)]
-
-    def add_prbs(name: str, use: Use, joint: int, volt: float) -> None:
-        prbs = Prbs(9, clock, 2, volt)
-        name = f"{name}-j{joint}"
-        experiments.append(Experiment(name, f"{name}.csv", use, control, joint=joint, prbs=prbs))
-
-    for j in (1, 2):
-        add_prbs("prbs", "frequency", j, volt)
-        if spring == "three-slope":
-            add_prbs("sweep", "sweep", j, _SWEEP_SHARE * volt)
-        experiments.append(Experiment(f"step-j{j}", f"step-j{j}.csv", "tuning", both, joint=j))
-    return tuple(experiments)
