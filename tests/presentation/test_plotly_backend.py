@@ -11,12 +11,11 @@ import pytest
 from elastic_results import elastic_identification
 from strainwave.presentation.figures import (
     DOTTED,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
     SOLID,
     Area,
     Axis,
     Bars,
+    Colour,
     Figure,
     HeatMap,
     Line,
@@ -28,7 +27,7 @@ from strainwave.presentation.plotly_backend import plotly, rounded
 from strainwave.presentation.report import figures_of
 
 X = np.array([1.0, 2.0, 3.0])
-LINE = Line(X, X, "a", MODEL_COLOUR)
+LINE = Line(X, X, "a", Colour.MODEL)
 
 
 def figure(*marks: object, **changed: object) -> Figure:
@@ -53,17 +52,17 @@ def test_panels_have_their_relative_heights_and_do_not_overlap() -> None:
 def test_numbers_have_five_digits_of_the_largest_and_gaps_are_null() -> None:
     assert rounded(np.array([123.456789, 1.0, np.nan])) == [123.457, 1.0, None]
     assert rounded(np.array([np.nan, np.inf])) == [None, None]
-    (trace,) = plotly(figure(Line(X, np.array([1.0, np.nan, 3.0]), "a", MODEL_COLOUR)))["data"]
+    (trace,) = plotly(figure(Line(X, np.array([1.0, np.nan, 3.0]), "a", Colour.MODEL)))["data"]
     assert trace["y"] == [1.0, None, 3.0]
 
 
 def test_each_name_is_one_legend_entry_together_with_its_band() -> None:
-    other = Line(X, X, "b", MEASURED_COLOUR, legend=False)
+    other = Line(X, X, "b", Colour.MEASURED, legend=False)
     chart = Figure(
         Axis("x"),
         (
-            Panel(Axis("y"), (Area(X, X, X, MODEL_COLOUR, "a"), LINE, other)),
-            Panel(Axis("y"), (LINE, Markers(X, X, "c", MEASURED_COLOUR))),
+            Panel(Axis("y"), (Area(X, X, X, Colour.MODEL, "a"), LINE, other)),
+            Panel(Axis("y"), (LINE, Markers(X, X, "c", Colour.MEASURED))),
         ),
     )
     data = plotly(chart)["data"]
@@ -103,13 +102,13 @@ def test_a_band_is_a_closed_outline() -> None:
 
 
 def test_bars_error_bars_and_heat_maps() -> None:
-    (bars,) = plotly(figure(Bars(X, X, 0.5, "a", MEASURED_COLOUR)))["data"]
+    (bars,) = plotly(figure(Bars(X, X, 0.5, "a", Colour.MEASURED)))["data"]
     assert (bars["type"], bars["width"]) == ("bar", 0.5)
-    (points,) = plotly(figure(Markers(X, X, "a", MEASURED_COLOUR, error=0.1 * X)))["data"]
+    (points,) = plotly(figure(Markers(X, X, "a", Colour.MEASURED, error=0.1 * X)))["data"]
     assert points["error_y"]["array"] == pytest.approx([0.1, 0.2, 0.3])
-    (joined,) = plotly(figure(Line(X, X, "a", MEASURED_COLOUR, size=6.0)))["data"]
+    (joined,) = plotly(figure(Line(X, X, "a", Colour.MEASURED, size=6.0)))["data"]
     assert joined["mode"] == "lines+markers"
-    heat = HeatMap(("one", "two"), np.eye(2), -1.0, 1.0, (MEASURED_COLOUR, "#FFFFFF", MODEL_COLOUR))
+    heat = HeatMap(("one", "two"), np.eye(2), -1.0, 1.0, (Colour.MEASURED, "#FFFFFF", Colour.MODEL))
     chart = plotly(figure(heat))
     assert chart["data"][0]["z"] == [[1.0, 0.0], [0.0, 1.0]]
     assert [at for at, _ in chart["data"][0]["colorscale"]] == [0.0, 0.5, 1.0]
@@ -118,7 +117,7 @@ def test_bars_error_bars_and_heat_maps() -> None:
 
 
 def test_category_names_are_vertical() -> None:
-    chart = plotly(figure(Markers(("one", "two"), X[:2], "a", MEASURED_COLOUR)))
+    chart = plotly(figure(Markers(("one", "two"), X[:2], "a", Colour.MEASURED)))
     assert chart["data"][0]["x"] == ["one", "two"]
     assert chart["layout"]["xaxis"]["tickangle"] == -90
 
@@ -148,11 +147,11 @@ def test_lines_keep_every_vertex() -> None:
 
 
 def test_symbols_and_decades() -> None:
-    cross, plain = Markers(X, X, "a", MODEL_COLOUR, symbol="x"), Markers(X, X, "b", MODEL_COLOUR)
+    cross, plain = Markers(X, X, "a", Colour.MODEL, symbol="x"), Markers(X, X, "b", Colour.MODEL)
     data = plotly(figure(cross, plain))["data"]
     assert data[0]["marker"]["symbol"] == "x-thin-open"
     assert "symbol" not in data[1]["marker"]
     for top, has_digits in ((5.0, True), (500.0, False)):
-        line = Line(X, np.array([1.0, 2.0, top]), "a", MODEL_COLOUR)
+        line = Line(X, np.array([1.0, 2.0, top]), "a", Colour.MODEL)
         axis = plotly(Figure(Axis("x"), (Panel(Axis("y", log=True), (line,)),)))["layout"]["yaxis"]
         assert ("dtick" not in axis) == has_digits

@@ -24,14 +24,7 @@ from strainwave.monitoring.comparison import (
 )
 from strainwave.monitoring.joint_tests import JointTest
 from strainwave.monitoring.output import format_p
-from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    Axis,
-    Figure,
-    Markers,
-    Panel,
-)
+from strainwave.presentation.figures import Axis, Colour, Figure, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
     Cell,
@@ -266,7 +259,7 @@ def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
             colour,
             [k for k, difference in enumerate(shown) if comparison.verdict(difference) == verdict],
         )
-        for verdict, colour in ((DIFFERS, MODEL_COLOUR), (AGREES, MEASURED_COLOUR))
+        for verdict, colour in ((DIFFERS, Colour.MODEL), (AGREES, Colour.MEASURED))
     ]
     upper, lower = [], []
     for verdict, colour, indices in groups:

@@ -16,17 +16,7 @@ from strainwave.monitoring import output
 from strainwave.monitoring.output import format_p
 from strainwave.monitoring.shapes import fitted_line
 from strainwave.monitoring.trend import ArmTrend, ParameterTrend, Trend
-from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    RESIDUAL_COLOUR,
-    SOLID,
-    Axis,
-    Figure,
-    Line,
-    Markers,
-    Panel,
-)
+from strainwave.presentation.figures import SOLID, Axis, Colour, Figure, Line, Markers, Panel
 from strainwave.presentation.report.blocks import (
     Block,
     Cell,
@@ -305,9 +295,9 @@ def _plots(
 def _panel(trend: Trend, parameter: ParameterTrend) -> Panel:
     series, concern = parameter.history.series, parameter.adjusted_p < trend.level
     time, value = np.array(list(fitted_line(parameter.change, series))).T
-    colour = MODEL_COLOUR if concern else RESIDUAL_COLOUR
+    colour = Colour.MODEL if concern else Colour.RESIDUAL
     points = Markers(
-        series.time, series.value, "estimate", MEASURED_COLOUR, 5.0, error=CI95_STDS * series.std
+        series.time, series.value, "estimate", Colour.MEASURED, 5.0, error=CI95_STDS * series.std
     )
     line = Line(time, value, "change", colour, SOLID, 2.0, legend=False)
     axis = Axis(f"{parameter.history.label} [{parameter.history.unit}]")

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from strainwave.errors import InvalidInput
 from strainwave.presentation.figures import (
     FREQUENCY_TICKS,
-    RESIDUAL_COLOUR,
     SOLID,
     Area,
     Axis,
     Bars,
+    Colour,
     Dash,
     HeatMap,
     Line,
@@ -192,7 +192,7 @@ def _upright(axes: list[Axes], line: Upright) -> None:
     dashes = _dashes(line.dash, 1.0)
     for panel_axes in axes:
         panel_axes.axvline(
-            line.x, color=RESIDUAL_COLOUR, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1
+            line.x, color=Colour.RESIDUAL, linewidth=_POINTS_PER_PIXEL, linestyle=dashes, zorder=1
         )
     if line.text:
         axes[line.panel].annotate(

@@ -11,11 +11,11 @@ import numpy as np
 from strainwave.domain import FloatArray
 from strainwave.presentation.figures import (
     FREQUENCY_TICKS,
-    RESIDUAL_COLOUR,
     SOLID,
     Area,
     Axis,
     Bars,
+    Colour,
     Dash,
     Figure,
     HeatMap,
@@ -219,7 +219,7 @@ def _domains(heights: Sequence[float]) -> list[list[float]]:
 
 
 def _vertical_line(line: Upright) -> dict[str, Any]:
-    look = {"color": RESIDUAL_COLOUR, "width": 1, "dash": _dash(line.dash)}
+    look = {"color": Colour.RESIDUAL, "width": 1, "dash": _dash(line.dash)}
     ends = {"x0": line.x, "x1": line.x, "y0": 0, "y1": 1}
     return {"type": "line", "xref": "x", "yref": "paper", **ends, "line": look}
 

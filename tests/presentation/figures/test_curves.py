@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from figure_parts import line, marks, names
-from strainwave.presentation.figures import RESIDUAL_COLOUR, Area, Line, curves
+from strainwave.presentation.figures import Area, Colour, Line, curves
 
 
 def test_a_bode_plot_has_95_percent_bands_and_a_continuous_phase() -> None:
@@ -24,7 +24,7 @@ def test_a_bode_plot_has_95_percent_bands_and_a_continuous_phase() -> None:
     assert above.high == pytest.approx(20.0 * np.log10(1.196 * size))
     assert below.high - below.low == pytest.approx(np.full(50, np.rad2deg(2.0 * 1.96 * 0.1)))
     assert figure.legend == ["truth", "model"]
-    assert line(figure, "truth").colour == RESIDUAL_COLOUR
+    assert line(figure, "truth").colour == Colour.RESIDUAL
     assert line(figure, "truth", 1).y == pytest.approx([-90.0] * 50)
     assert figure.caption == "caption"
 

@@ -11,9 +11,9 @@ from figure_parts import line, marks
 from results import prediction
 from strainwave.presentation.figures import (
     MAX_POINTS,
-    MODEL_COLOUR,
     Area,
     Axis,
+    Colour,
     Figure,
     HeatMap,
     Line,
@@ -78,8 +78,8 @@ def test_a_prismatic_joint_has_forces() -> None:
 
 def test_a_legend_lists_names_that_differ() -> None:
     x = np.arange(3.0)
-    a, b = Line(x, x, "a", MODEL_COLOUR), Line(x, x, "b", MODEL_COLOUR)
-    band = Area(x, x, x, MODEL_COLOUR, "c")
+    a, b = Line(x, x, "a", Colour.MODEL), Line(x, x, "b", Colour.MODEL)
+    band = Area(x, x, x, Colour.MODEL, "c")
     panel = Panel(Axis("y"), (a, band))
     assert Figure(Axis("x"), (panel, panel)).legend == []
     both = Figure(Axis("x"), (panel, Panel(Axis("y"), (b, replace(b, name="d", legend=False)))))
@@ -88,11 +88,11 @@ def test_a_legend_lists_names_that_differ() -> None:
 
 def test_the_height_follows_from_panels_or_row_names() -> None:
     x = np.arange(3.0)
-    lines = (Line(x, x, "a", MODEL_COLOUR),)
+    lines = (Line(x, x, "a", Colour.MODEL),)
     panels = (Panel(Axis("y"), lines), Panel(Axis("y"), lines, 0.5))
     assert Figure(Axis("x"), panels).height == 1.5
     names = tuple(f"{k}" for k in range(30))
-    heat = HeatMap(names, np.eye(30), -1.0, 1.0, (MODEL_COLOUR, MODEL_COLOUR, MODEL_COLOUR))
+    heat = HeatMap(names, np.eye(30), -1.0, 1.0, (Colour.MODEL, Colour.MODEL, Colour.MODEL))
     figure = Figure(Axis(""), (Panel(Axis(""), (heat,)),))
     assert figure.height == 6.0  # thirty names, six in a panel, and one panel for the names below
     assert marks(figure, HeatMap) == [heat]

@@ -12,15 +12,7 @@ from elastic_results import BAND, JOINT, SPREAD, joint_model, measured, response
 from figure_parts import marks, names
 from strainwave.domain import Diagnostic, Place
 from strainwave.identification.joint_model.agreement import motor_response
-from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    RESIDUAL_COLOUR,
-    Area,
-    Figure,
-    Line,
-    Mark,
-    Markers,
-)
+from strainwave.presentation.figures import Area, Colour, Figure, Line, Mark, Markers
 from strainwave.presentation.report import bode
 
 RATIO = JOINT.gear_ratio
@@ -88,7 +80,7 @@ def test_points_of_low_coherence_are_grey() -> None:
     figure = bode.bode(joint_model(), RATIO, measured())
     reliable, grey = marks(figure, Markers)
     assert (reliable.name, grey.name) == ("measured", "measured, unreliable")
-    assert (grey.colour, reliable.colour) == (RESIDUAL_COLOUR, MEASURED_COLOUR)
+    assert (grey.colour, reliable.colour) == (Colour.RESIDUAL, Colour.MEASURED)
     assert np.min(np.asarray(grey.x)) > 60.0
     f, _ = line_of(figure, "measured")
     assert max(f) <= 60.0
@@ -132,7 +124,7 @@ def test_a_prismatic_joint_has_its_own_units() -> None:
 
 def test_the_whole_arm_fit_is_drawn_with_its_band_on_pale_measured_points() -> None:
     covariance = np.diag((0.01 * JOINT.vector) ** 2)
-    whole_arm = bode.WholeArmJoint(1.1 * JOINT.vector, covariance)
+    whole_arm = bode.JointFit(1.1 * JOINT.vector, covariance)
     figure = bode.bode(joint_model(), RATIO, measured(), whole_arm=whole_arm)
     f, size = line_of(figure, "whole-arm fit")
     expected = motor_response(1.1 * JOINT.vector, JOINT.gear_ratio, f)

@@ -12,7 +12,7 @@ from figure_parts import marks
 from strainwave.domain import Modes
 from strainwave.dynamics.two_inertia import coefficients
 from strainwave.presentation.figures import Figure, Line, Markers
-from strainwave.presentation.report.bode import WholeArmJoint
+from strainwave.presentation.report.bode import JointFit
 from strainwave.presentation.report.pole_zero import pole_zero_map
 from strainwave.statespace import modes
 
@@ -74,7 +74,7 @@ def test_95_percent_of_random_parameters_lie_in_the_ellipse() -> None:
 
 def test_the_whole_arm_fit_is_drawn_without_ellipses_if_its_covariance_is_unknown() -> None:
     unknown = replace(joint_model(), covariance=np.full((6, 6), np.nan))
-    figure = pole_zero_map(unknown, RATIO, whole_arm=WholeArmJoint(JOINT.vector, None))
+    figure = pole_zero_map(unknown, RATIO, whole_arm=JointFit(JOINT.vector, None))
     assert marks(figure, Line) == []
     poles = roots(figure, "poles, whole-arm fit")
     assert poles == pytest.approx(roots(figure, "poles, joint model"))

@@ -5,6 +5,7 @@
 
 from strainwave.presentation.figures.records import (
     DOTTED,
+    FREQUENCY_AXIS,
     SOLID,
     Area,
     Axis,
@@ -29,32 +30,25 @@ from strainwave.presentation.figures.samples import (
 )
 from strainwave.presentation.figures.style import (
     DASHES,
-    LINEAR_COLOUR,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
     PALETTE,
-    RESIDUAL_COLOUR,
     SHORT_DASH,
-    TUNED_COLOUR,
+    Colour,
 )
 
 __all__ = [
     "DASHES",
     "DOTTED",
+    "FREQUENCY_AXIS",
     "FREQUENCY_TICKS",
-    "LINEAR_COLOUR",
     "MAX_POINTS",
-    "MEASURED_COLOUR",
     "MIN_BAND_SHARE",
-    "MODEL_COLOUR",
     "PALETTE",
-    "RESIDUAL_COLOUR",
     "SHORT_DASH",
     "SOLID",
-    "TUNED_COLOUR",
     "Area",
     "Axis",
     "Bars",
+    "Colour",
     "Dash",
     "Figure",
     "HeatMap",

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import ComplexArray, FloatArray
+from strainwave.domain import BoolArray, ComplexArray, FloatArray
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.presentation.figures.records import (
+    FREQUENCY_AXIS,
     SOLID,
     Area,
     Axis,
@@ -22,19 +23,13 @@ from strainwave.presentation.figures.records import (
     Figure,
     Line,
     Mark,
+    Markers,
     Panel,
 )
 from strainwave.presentation.figures.samples import MIN_BAND_SHARE, decibel, decimate
-from strainwave.presentation.figures.style import (
-    DASHES,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    PALETTE,
-    RESIDUAL_COLOUR,
-    SHORT_DASH,
-)
+from strainwave.presentation.figures.style import DASHES, PALETTE, SHORT_DASH, Colour
 
-_TRUE_COLOUR = RESIDUAL_COLOUR
+_TRUE_COLOUR = Colour.RESIDUAL
 _TRUE_WIDTH = 4.0  # [px]
 _POINT_SIZE = 6.0  # [px] of a point with an error bar
 _RESIDUAL_HEIGHT = 0.4  # of the residual panel relative to the panel above
@@ -48,7 +43,7 @@ class Curve:
     frequencies_hz: FloatArray  # (n_frequencies,)
     response: ComplexArray  # (n_frequencies,)
     magnitude_std: FloatArray | None = None  # of the modulus; None: no band is drawn
-    phase_std: FloatArray | None = None  # [rad]
+    phase_std: FloatArray | None = None  # [rad]; given with `magnitude_std`
     true: bool = False  # drawn grey and wide, below the others
 
 
@@ -73,29 +68,94 @@ class Points:
     true: bool = False
 
 
+class ResponseMarks:
+    """Marks of frequency responses: magnitude [dB] above phase [degree].
+
+    Responses are (n_frequencies,). The phase is within half a turn of zero unless `is_continuous`.
+    """
+
+    def __init__(self, *, is_continuous: bool = False) -> None:
+        self._is_continuous = is_continuous
+        self._magnitude: list[Mark] = []
+        self._phase: list[Mark] = []
+
+    def add_line(
+        self,
+        f: FloatArray,
+        G: ComplexArray,
+        name: str,
+        colour: str,
+        dash: Dash = SOLID,
+        width: float = 1.5,
+    ) -> None:
+        """Add a line; `width` in px."""
+        style = (name, colour, dash, width)
+        self._magnitude.append(Line(f, decibel(np.abs(G)), *style))
+        self._phase.append(Line(f, self._phase_of(G), *style))
+
+    def add_measured(
+        self,
+        f: FloatArray,
+        G: ComplexArray,
+        is_reliable: BoolArray,
+        size: float = 4.0,
+        opacity: float = 1.0,
+    ) -> None:
+        """Add measured points, grey where they are unreliable; `size` in px."""
+        kinds = (
+            ("measured", Colour.MEASURED, is_reliable),
+            ("measured, unreliable", Colour.RESIDUAL, ~is_reliable),
+        )
+        for name, colour, rows in kinds:
+            if rows.any():
+                magnitude, phase = decibel(np.abs(G[rows])), self._phase_of(G[rows])
+                style = (name, colour, size, opacity)
+                self._magnitude.append(Markers(f[rows], magnitude, *style))
+                self._phase.append(Markers(f[rows], phase, *style))
+
+    def add_band(
+        self,
+        f: FloatArray,
+        G: ComplexArray,
+        stds: tuple[FloatArray, FloatArray],
+        name: str,
+        colour: str,
+    ) -> None:
+        """Add 95 % bands; `stds` are those of modulus over modulus and of the phase [rad]."""
+        half, turn = (CI95_STDS * std for std in stds)
+        modulus, phase = np.abs(G), self._phase_of(G)
+        low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
+        turn = np.minimum(np.rad2deg(turn), 180.0)
+        self._magnitude.append(Area(f, decibel(low), decibel(high), colour, name))
+        self._phase.append(Area(f, phase - turn, phase + turn, colour, name))
+
+    def panels(
+        self, magnitude: str, heights: tuple[float, float] = (1.0, 1.0)
+    ) -> tuple[Panel, Panel]:
+        """Both panels; `magnitude` is the title of the upper axis."""
+        return (
+            Panel(Axis(magnitude), tuple(self._magnitude), heights[0]),
+            Panel(Axis("phase [°]", step=90.0), tuple(self._phase), heights[1]),
+        )
+
+    def _phase_of(self, G: ComplexArray) -> FloatArray:
+        phase = np.angle(G)
+        if not self._is_continuous:
+            return np.asarray(np.rad2deg(phase))
+        phase = np.rad2deg(np.unwrap(phase))
+        return np.asarray(phase - 360.0 * np.round(phase[len(phase) // 2] / 360.0))
+
+
 def bode(curves: Sequence[Curve], caption: str) -> Figure:
     """Magnitude [dB] and phase [degree] of frequency responses, with their 95 % bands."""
-    magnitudes: list[Mark] = []
-    phases: list[Mark] = []
-    for curve, (colour, dash, width) in zip(curves, _styles([c.true for c in curves]), strict=True):
-        f, name = curve.frequencies_hz, curve.name
-        modulus = np.abs(curve.response)
-        phase = np.rad2deg(np.unwrap(np.angle(curve.response)))
-        phase = phase - 360.0 * np.round(phase[len(phase) // 2] / 360.0)
-        if curve.magnitude_std is not None:
-            half = CI95_STDS * curve.magnitude_std
-            low = np.maximum(modulus - half, MIN_BAND_SHARE * modulus)
-            magnitudes.append(Area(f, decibel(low), decibel(modulus + half), colour, name))
-        if curve.phase_std is not None:
-            half = np.minimum(np.rad2deg(CI95_STDS * curve.phase_std), 180.0)
-            phases.append(Area(f, phase - half, phase + half, colour, name))
-        magnitudes.append(Line(f, decibel(modulus), name, colour, dash, width))
-        phases.append(Line(f, phase, name, colour, dash, width))
-    panels = (
-        Panel(Axis("magnitude [dB]"), tuple(magnitudes)),
-        Panel(Axis("phase [°]", step=90.0), tuple(phases)),
-    )
-    return Figure(Axis("frequency [Hz]", log=True), panels, caption=caption)
+    marks = ResponseMarks(is_continuous=True)
+    for curve, style in zip(curves, _styles([c.true for c in curves]), strict=True):
+        f, G, name = curve.frequencies_hz, curve.response, curve.name
+        if curve.magnitude_std is not None and curve.phase_std is not None:
+            stds = curve.magnitude_std / np.abs(G), curve.phase_std
+            marks.add_band(f, G, stds, name, style.colour)
+        marks.add_line(f, G, name, *style)
+    return Figure(FREQUENCY_AXIS, marks.panels("magnitude [dB]"), caption=caption)
 
 
 def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure:
@@ -104,10 +164,10 @@ def pair(measured: Series, model: Series, quantity: str, caption: str) -> Figure
     rows = decimate(np.column_stack([measured.y, model.y, residual]))
     time = measured.x[rows]
     both = (
-        Line(time, measured.y[rows], measured.name, MEASURED_COLOUR),
-        Line(time, model.y[rows], model.name, MODEL_COLOUR, SHORT_DASH),
+        Line(time, measured.y[rows], measured.name, Colour.MEASURED),
+        Line(time, model.y[rows], model.name, Colour.MODEL, SHORT_DASH),
     )
-    difference = Line(time, residual[rows], "difference", RESIDUAL_COLOUR, width=1.0)
+    difference = Line(time, residual[rows], "difference", Colour.RESIDUAL, width=1.0)
     panels = Panel(Axis(quantity), both), Panel(Axis(""), (difference,), _RESIDUAL_HEIGHT)
     return Figure(Axis("time [s]"), panels, caption=caption)
 
@@ -123,7 +183,7 @@ def spectrum(series: Sequence[Series], quantity: str, caption: str) -> Figure:
         Series(s.name, s.x[s.x > 0.0], 0.5 * decibel(s.y[s.x > 0.0]), s.true) for s in series
     ]
     panel = Panel(Axis(f"density [dB re {quantity}]"), _lines(positive))
-    return Figure(Axis("frequency [Hz]", log=True), (panel,), caption=caption)
+    return Figure(FREQUENCY_AXIS, (panel,), caption=caption)
 
 
 def scatter(points: Sequence[Points], axis: str, quantity: str, caption: str) -> Figure:

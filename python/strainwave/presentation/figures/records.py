@@ -98,6 +98,9 @@ class Axis:
     step: float | None = None  # between ticks; None for automatic
 
 
+FREQUENCY_AXIS = Axis("frequency [Hz]", log=True)
+
+
 @dataclass(frozen=True, slots=True)
 class Panel:
     """Marks over one vertical axis; the last is on top."""

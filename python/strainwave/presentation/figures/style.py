@@ -6,15 +6,24 @@ distinguished by colour alone.
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 from strainwave.presentation.figures.records import SOLID, Dash
 
-MEASURED_COLOUR = "#0072B2"
-MODEL_COLOUR = "#D55E00"
-LINEAR_COLOUR = "#009E73"
-TUNED_COLOUR = "#CC79A7"
-RESIDUAL_COLOUR = "#888888"
 
-PALETTE = (MEASURED_COLOUR, MODEL_COLOUR, LINEAR_COLOUR, TUNED_COLOUR, "#56B4E9", "#E69F00")
+class Colour(StrEnum):
+    """Colours of lines and points, in the order in which lines without a meaning take them."""
+
+    MEASURED = "#0072B2"
+    MODEL = "#D55E00"
+    LINEAR = "#009E73"
+    TUNED = "#CC79A7"
+    SKY = "#56B4E9"
+    AMBER = "#E69F00"
+    RESIDUAL = "#888888"
+
+
+PALETTE = tuple(Colour)[:-1]
 DASHES: tuple[Dash, ...] = (
     SOLID,
     (6.0, 3.0),

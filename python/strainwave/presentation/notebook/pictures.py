@@ -27,9 +27,9 @@ from strainwave.domain.formatting import percent
 from strainwave.errors import InvalidInput
 from strainwave.presentation.figures import (
     DASHES,
-    MEASURED_COLOUR,
     PALETTE,
     Axis,
+    Colour,
     Figure,
     Line,
     Markers,
@@ -172,7 +172,7 @@ def certainty(parameters: Iterable[Parameter]) -> Figure:
     certain = [(p, p.std / abs(p.value)) for p in parameters if p.std is not None and p.value]
     names = [p.name + (f" {p.joint}" if p.joint else "") for p, _ in certain]
     shares = np.array([100.0 * share for _, share in certain])
-    points = Markers(tuple(names), shares, "standard deviation", MEASURED_COLOUR, size=8.0)
+    points = Markers(tuple(names), shares, "standard deviation", Colour.MEASURED, size=8.0)
     return Figure(
         Axis(""), (Panel(Axis("standard deviation [% of the value]", log=True), (points,)),)
     )

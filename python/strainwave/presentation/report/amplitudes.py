@@ -13,21 +13,20 @@ from strainwave.identification.amplitude_sweep import MIN_TREND_STD_ERRORS
 from strainwave.identification.joint_model.agreement import motor_response, vector_of
 from strainwave.presentation.figures import (
     DASHES,
-    LINEAR_COLOUR,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    RESIDUAL_COLOUR,
+    FREQUENCY_AXIS,
     SHORT_DASH,
     Axis,
+    Colour,
     Figure,
     Line,
     Markers,
     Panel,
-    decibel,
 )
+from strainwave.presentation.figures.curves import ResponseMarks
+from strainwave.presentation.report.bode import response_title
 
 _CURVE_POINTS = 200
-_COLOURS = (MEASURED_COLOUR, LINEAR_COLOUR, MODEL_COLOUR, RESIDUAL_COLOUR)
+_COLOURS = (Colour.MEASURED, Colour.LINEAR, Colour.MODEL, Colour.RESIDUAL)
 _DASHES = DASHES[:3]  # one for each turn of the colours
 _TRENDS = {"hardening": "hardening", "softening": "softening", "no-trend": "no significant trend"}
 
@@ -47,7 +46,7 @@ def swept_records(identification: Identification) -> dict[int, list[RecordModel]
 
 def response_figure(records: Sequence[RecordModel]) -> Figure:
     """Motor torque to motor velocity by the joint model of each record: magnitude and phase."""
-    magnitude, phase = [], []
+    marks = ResponseMarks()
     for k, record in enumerate(records):
         joint = record.joint_model
         if joint is None:
@@ -56,14 +55,8 @@ def response_figure(records: Sequence[RecordModel]) -> Figure:
         G = motor_response(vector_of(joint), record.signals.gear_ratio, f)
         name = f"{_amplitude(record):g} V, {record.signals.experiment.name}"
         turn, position = divmod(k, len(_COLOURS))
-        style = (_COLOURS[position], _DASHES[turn % len(_DASHES)])
-        magnitude.append(Line(f, decibel(np.abs(G)), name, *style))
-        phase.append(Line(f, np.rad2deg(np.angle(G)), name, *style))
-    panels = (
-        Panel(Axis("dB re rad/s/(N m)"), tuple(magnitude)),
-        Panel(Axis("phase [°]", step=90.0), tuple(phase)),
-    )
-    return Figure(Axis("frequency [Hz]", log=True), panels)
+        marks.add_line(f, G, name, _COLOURS[position], _DASHES[turn % len(_DASHES)])
+    return Figure(FREQUENCY_AXIS, marks.panels(response_title(is_prismatic=False)))
 
 
 def stiffness_figure(sweep: Sweep) -> Figure:
@@ -71,7 +64,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     x = np.array([point.amplitude for point in sweep.points])
     y = np.array([point.gear_stiffness for point in sweep.points])
     std = np.array([point.gear_stiffness_std for point in sweep.points])
-    marks = Markers(x, y, "equivalent stiffness", MEASURED_COLOUR, 8.0, error=CI95_STDS * std)
+    marks = Markers(x, y, "equivalent stiffness", Colour.MEASURED, 8.0, error=CI95_STDS * std)
     # the tested slope is that of the squared anti-resonance, which is proportional to the stiffness
     squared = np.array([point.squared_anti_resonance for point in sweep.points])
     weights = 1.0 / np.array([point.squared_anti_resonance_std for point in sweep.points]) ** 2
@@ -79,7 +72,7 @@ def stiffness_figure(sweep: Sweep) -> Figure:
     ratio = float(np.mean(y / squared))
     ends = np.array([x.min(), x.max()])
     line = ratio * (level + sweep.slope * (ends - centre))
-    trend = Line(ends, line, "weighted line", RESIDUAL_COLOUR, SHORT_DASH)
+    trend = Line(ends, line, "weighted line", Colour.RESIDUAL, SHORT_DASH)
     panel = Panel(Axis("equivalent stiffness [N m/rad]"), (trend, marks))
     return Figure(Axis("amplitude of the excitation [V]"), (panel,))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,6 @@ from strainwave.domain import (
     Mode,
     StateSpace,
 )
-from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import plus_minus
 from strainwave.identification.joint_model.agreement import (
     BAND_EXTENSION_FACTOR,
@@ -26,25 +25,19 @@ from strainwave.identification.joint_model.agreement import (
 )
 from strainwave.presentation.figures import (
     DASHES,
-    LINEAR_COLOUR,
-    MEASURED_COLOUR,
-    MIN_BAND_SHARE,
-    MODEL_COLOUR,
-    RESIDUAL_COLOUR,
+    FREQUENCY_AXIS,
     SOLID,
-    TUNED_COLOUR,
     Area,
     Axis,
+    Colour,
     Dash,
     Figure,
     Line,
-    Mark,
-    Markers,
     Panel,
     Upright,
-    decibel,
     spread_evenly,
 )
+from strainwave.presentation.figures.curves import ResponseMarks
 from strainwave.statespace import frequency_response
 
 _MAX_NYQUIST_SHARE = 0.98  # highest frequency of a sampled model's curve over the Nyquist frequency
@@ -52,25 +45,16 @@ _CURVE_POINTS = 300
 _MAX_MEASURED_POINTS = 500
 _STATE_SPACE_DASHES = DASHES[1:4]
 _TUNED_DASH: Dash = (8.0, 4.0)
-_PANEL_HEIGHTS = (1.4, 1.0, 0.6)  # of magnitude, phase and coherence
+_PANEL_HEIGHTS, _COHERENCE_HEIGHT = (1.4, 1.0), 0.6  # magnitude and phase; coherence
 _POINT_SIZE, _POINT_OPACITY = 5, 0.4  # pale and large, so that lines on top stay visible
 
 
 @dataclass(frozen=True, slots=True)
-class WholeArmJoint:
-    """The parameters of one joint in the whole-arm fit."""
+class JointFit:
+    """The parameters of one joint in a fit."""
 
     vector: FloatArray  # (6,) in the order of `TwoInertia`
     covariance: FloatArray | None  # (6, 6); None if a parameter has no interval in that fit
-
-
-@dataclass(frozen=True, slots=True)
-class _Panels:
-    """Marks of each panel."""
-
-    magnitude: list[Mark] = field(default_factory=list)
-    phase: list[Mark] = field(default_factory=list)
-    coherence: list[Mark] = field(default_factory=list)
 
 
 def bode(
@@ -79,7 +63,7 @@ def bode(
     measured: FrequencyResponse | None,
     state_space: Mapping[str, StateSpace] | None = None,
     *,
-    whole_arm: WholeArmJoint | None = None,
+    whole_arm: JointFit | None = None,
     is_prismatic: bool = False,
 ) -> Figure:
     """Motor torque to motor velocity: magnitude, phase, and coherence if it is known.
@@ -87,31 +71,28 @@ def bode(
     State-space models, by the names of their records, are drawn within the band of the fit only.
     """
     low, high = joint.band_hz[0] / BAND_EXTENSION_FACTOR, joint.band_hz[1] * BAND_EXTENSION_FACTOR
-    panels = _Panels()
-    if measured is not None:
-        _add_measured(panels, measured, low, high)
+    marks = ResponseMarks()
+    below = () if measured is None else _add_measured(marks, measured, low, high)
     for k, (name, model) in enumerate((state_space or {}).items()):
-        _add_state_space(panels, model, joint.band_hz, name, k)
+        _add_state_space(marks, model, joint.band_hz, name, k)
     f: FloatArray = np.geomspace(low, high, _CURVE_POINTS)
-    covariance = joint.covariance[:6, :6]
-    _add_joint(
-        panels, vector_of(joint), covariance, gear_ratio, f, ("joint model", MODEL_COLOUR, SOLID)
-    )
+    own = JointFit(vector_of(joint), joint.covariance[:6, :6])
+    fits: list[tuple[JointFit, str, Colour, Dash]] = [(own, "joint model", Colour.MODEL, SOLID)]
     if whole_arm is not None:
-        style = ("whole-arm fit", TUNED_COLOUR, _TUNED_DASH)
-        _add_joint(panels, whole_arm.vector, whole_arm.covariance, gear_ratio, f, style)
-    axes = [
-        Axis(f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"),
-        Axis("phase [°]", step=90.0),
-        Axis("coherence", range=(0.0, 1.05)),
-    ]
-    marks = (panels.magnitude, panels.phase, panels.coherence)
-    stack = tuple(
-        Panel(axis, tuple(panel_marks), height)
-        for axis, panel_marks, height in zip(axes, marks, _PANEL_HEIGHTS, strict=True)
-        if panel_marks
-    )
-    return Figure(Axis("frequency [Hz]", log=True), stack, tuple(_uprights(joint)))
+        fits.append((whole_arm, "whole-arm fit", Colour.TUNED, _TUNED_DASH))
+    for fit, name, colour, dash in fits:
+        G = motor_response(fit.vector, gear_ratio, f)
+        marks.add_line(f, G, name, colour, dash)
+        if fit.covariance is not None and np.isfinite(fit.covariance).all():
+            stds = _relative_stds(fit.vector, fit.covariance, gear_ratio, f, G)
+            marks.add_band(f, G, stds, name, colour)
+    panels = (*marks.panels(response_title(is_prismatic=is_prismatic), _PANEL_HEIGHTS), *below)
+    return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(joint)))
+
+
+def response_title(*, is_prismatic: bool) -> str:
+    """Axis title of the magnitude from motor torque to motor velocity."""
+    return f"dB re {'m/s/N' if is_prismatic else 'rad/s/(N m)'}"
 
 
 def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
@@ -131,30 +112,24 @@ def describe(joint: JointModel, measured: FrequencyResponse | None) -> str:
     return " ".join([text, *warnings]).strip()
 
 
-def _add_measured(panels: _Panels, measured: FrequencyResponse, low: float, high: float) -> None:
-    """Points with their 95 % band, grey where they are unreliable, and the coherence."""
+def _add_measured(
+    marks: ResponseMarks, measured: FrequencyResponse, low: float, high: float
+) -> tuple[Panel, ...]:
+    """Add points with their 95 % band; the panel of the coherence is returned if it is known."""
     rows = spread_evenly(measured.frequencies_hz, low, high, _MAX_MEASURED_POINTS)
     f, G = measured.frequencies_hz[rows], measured.response[rows, 0, 0]
     reliable = is_reliable(measured)[rows]
-    kinds = (
-        ("measured", MEASURED_COLOUR, reliable),
-        ("measured, unreliable", RESIDUAL_COLOUR, ~reliable),
-    )
-    std = relative_std(measured)
-    if std is not None and reliable.any():
-        _add_band(
-            panels, f[reliable], G[reliable], std[rows][reliable], "measured", MEASURED_COLOUR
-        )
-    for name, colour, is_shown in kinds:
-        if is_shown.any():
-            modulus, phase = decibel(np.abs(G[is_shown])), np.rad2deg(np.angle(G[is_shown]))
-            style = (name, colour, _POINT_SIZE, _POINT_OPACITY)
-            panels.magnitude.append(Markers(f[is_shown], modulus, *style))
-            panels.phase.append(Markers(f[is_shown], phase, *style))
-    if measured.coherence is not None:
-        coherence, name = measured.coherence[rows, 0], "coherence"
-        panels.coherence.append(Area(f, np.zeros(len(f)), coherence, MEASURED_COLOUR, name))
-        panels.coherence.append(Line(f, coherence, name, MEASURED_COLOUR, width=1.0, legend=False))
+    relative = relative_std(measured)
+    if relative is not None and reliable.any():
+        std = relative[rows][reliable]
+        marks.add_band(f[reliable], G[reliable], (std, std), "measured", Colour.MEASURED)
+    marks.add_measured(f, G, reliable, _POINT_SIZE, _POINT_OPACITY)
+    if measured.coherence is None:
+        return ()
+    coherence, name = measured.coherence[rows, 0], "coherence"
+    area = Area(f, np.zeros(len(f)), coherence, Colour.MEASURED, name)
+    line = Line(f, coherence, name, Colour.MEASURED, width=1.0, legend=False)
+    return (Panel(Axis(name, range=(0.0, 1.05)), (area, line), _COHERENCE_HEIGHT),)
 
 
 def relative_std(measured: FrequencyResponse) -> FloatArray | None:
@@ -174,7 +149,7 @@ def relative_std(measured: FrequencyResponse) -> FloatArray | None:
 
 
 def _add_state_space(
-    panels: _Panels, model: StateSpace, band_hz: tuple[float, float], name: str, k: int
+    marks: ResponseMarks, model: StateSpace, band_hz: tuple[float, float], name: str, k: int
 ) -> None:
     top = min(band_hz[1], _MAX_NYQUIST_SHARE * 0.5 / model.sample_time)
     f: FloatArray = np.geomspace(band_hz[0], top, _CURVE_POINTS)
@@ -182,57 +157,24 @@ def _add_state_space(
     G, label = response.response[:, 0, 0], f"state space, {name}"
     std, phase_std = response.magnitude_std, response.phase_std
     if std is not None and phase_std is not None:
-        relative = std[:, 0, 0] / np.abs(G)
-        _add_band(panels, f, G, relative, label, LINEAR_COLOUR, phase_std[:, 0, 0])
-    _add_curve(
-        panels, f, G, (label, LINEAR_COLOUR, _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)])
-    )
+        stds = std[:, 0, 0] / np.abs(G), phase_std[:, 0, 0]
+        marks.add_band(f, G, stds, label, Colour.LINEAR)
+    dash = _STATE_SPACE_DASHES[k % len(_STATE_SPACE_DASHES)]
+    marks.add_line(f, G, label, Colour.LINEAR, dash)
 
 
-def _add_joint(
-    panels: _Panels,
-    vector: FloatArray,
-    covariance: FloatArray | None,
-    gear_ratio: float,
-    f: FloatArray,
-    style: tuple[str, str, Dash],
-) -> None:
-    """The curve of a two-inertia joint and its band by the delta method."""
-    G = motor_response(vector, gear_ratio, f)
-    _add_curve(panels, f, G, style)
-    if covariance is None or not np.isfinite(covariance).all():
-        return
-    # dG/G: real part for the modulus, imaginary part for the phase
+def _relative_stds(
+    vector: FloatArray, covariance: FloatArray, gear_ratio: float, f: FloatArray, G: ComplexArray
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations of modulus over modulus and of phase [rad] by the delta method.
+
+    dG/G has the change of the modulus as its real part and that of the phase as its imaginary part.
+    """
     relative = response_jacobian(vector, gear_ratio, f) / G[:, None]
     J = np.concatenate([relative.real, relative.imag])
     variance = np.einsum("fi,ij,fj->f", J, covariance, J)
-    modulus_std, phase_std = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
-    _add_band(panels, f, G, modulus_std, style[0], style[1], phase_std)
-
-
-def _add_curve(
-    panels: _Panels, f: FloatArray, G: ComplexArray, style: tuple[str, str, Dash]
-) -> None:
-    panels.magnitude.append(Line(f, decibel(np.abs(G)), *style))
-    panels.phase.append(Line(f, np.rad2deg(np.angle(G)), *style))
-
-
-def _add_band(
-    panels: _Panels,
-    f: FloatArray,
-    G: ComplexArray,
-    relative: FloatArray,
-    name: str,
-    colour: str,
-    phase_std: FloatArray | None = None,
-) -> None:
-    """95 % bands of modulus and phase; the phase has the relative deviation unless given."""
-    half, modulus = CI95_STDS * relative, np.abs(G)
-    low, high = modulus * np.maximum(1.0 - half, MIN_BAND_SHARE), modulus * (1.0 + half)
-    turn = half if phase_std is None else CI95_STDS * phase_std
-    phase, turn = np.rad2deg(np.angle(G)), np.minimum(np.rad2deg(turn), 180.0)
-    panels.magnitude.append(Area(f, decibel(low), decibel(high), colour, name))
-    panels.phase.append(Area(f, phase - turn, phase + turn, colour, name))
+    modulus, phase = np.split(np.sqrt(np.clip(variance, 0.0, None)), 2)
+    return modulus, phase
 
 
 def _modes(joint: JointModel) -> list[tuple[str, Mode]]:

@@ -10,14 +10,7 @@ import numpy as np
 
 from strainwave.domain import ArmDescription, FloatArray, Identification, Parameter
 from strainwave.domain.combinations import reported
-from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    Axis,
-    Figure,
-    HeatMap,
-    Panel,
-)
+from strainwave.presentation.figures import Axis, Colour, Figure, HeatMap, Panel
 
 MIN_STRONG_CORRELATION = 0.95  # above it, only a combination of the two parameters is identified
 _MAX_LISTED_PAIRS = 8
@@ -77,7 +70,7 @@ def describe(errors: Correlations) -> str:
 def heat_map(errors: Correlations) -> Figure:
     """Correlation of every two parameters, from -1 (blue) over 0 (white) to +1 (vermilion)."""
     mark = HeatMap(
-        errors.names, errors.matrix, -1.0, 1.0, (MEASURED_COLOUR, "#FFFFFF", MODEL_COLOUR)
+        errors.names, errors.matrix, -1.0, 1.0, (Colour.MEASURED, "#FFFFFF", Colour.MODEL)
     )
     return Figure(Axis(""), (Panel(Axis(""), (mark,)),))
 

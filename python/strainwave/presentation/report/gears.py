@@ -12,13 +12,11 @@ from strainwave.domain import FloatArray, Identification, Parameter, TorqueHisto
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.gear_laws import GearLaw, gear_law
 from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    RESIDUAL_COLOUR,
     SHORT_DASH,
     Area,
     Axis,
     Bars,
+    Colour,
     Figure,
     Line,
     Markers,
@@ -103,8 +101,8 @@ def stiffness_figure(curve: StiffnessCurve) -> Figure:
         Panel(
             Axis(f"stiffness [{curve.stiffness_unit}]", range=(0.0, top)),
             (
-                Area(torque, stiffness - half, stiffness + half, MODEL_COLOUR, "stiffness"),
-                Line(torque, stiffness, "stiffness", MODEL_COLOUR, width=2.0),
+                Area(torque, stiffness - half, stiffness + half, Colour.MODEL, "stiffness"),
+                Line(torque, stiffness, "stiffness", Colour.MODEL, width=2.0),
             ),
             height=1.1,
         )
@@ -127,10 +125,10 @@ def torsion_figure(curve: StiffnessCurve) -> Figure:
     initial = law.stiffness(values, torsion[:1]) * torsion
     knees = scale * law.torsion(values, curve.knees)
     marks = (
-        Area(x, torque - half, torque + half, MODEL_COLOUR, "identified curve"),
-        Line(x, initial, "initial stiffness", RESIDUAL_COLOUR, SHORT_DASH, width=1.0),
-        Line(x, torque, "identified curve", MODEL_COLOUR, width=2.0),
-        *([Markers(knees, curve.knees, "knees", MODEL_COLOUR, _KNEE_SIZE)] if len(knees) else ()),
+        Area(x, torque - half, torque + half, Colour.MODEL, "identified curve"),
+        Line(x, initial, "initial stiffness", Colour.RESIDUAL, SHORT_DASH, width=1.0),
+        Line(x, torque, "identified curve", Colour.MODEL, width=2.0),
+        *([Markers(knees, curve.knees, "knees", Colour.MODEL, _KNEE_SIZE)] if len(knees) else ()),
     )
     axis = Axis(f"gear torsion at the link [{'mm' if curve.is_prismatic else 'mrad'}]")
     return Figure(axis, (Panel(Axis(f"gear torque [{curve.torque_unit}]"), marks),))
@@ -201,4 +199,4 @@ def _load_bars(loads: TorqueHistogram) -> Bars:
     """Share of the samples in each bin [%]."""
     centres = 0.5 * (loads.edges[1:] + loads.edges[:-1])
     width = float(np.diff(loads.edges)[0])
-    return Bars(centres, 100.0 * loads.share, width, "torques in the records", MEASURED_COLOUR)
+    return Bars(centres, 100.0 * loads.share, width, "torques in the records", Colour.MEASURED)

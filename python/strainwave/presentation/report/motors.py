@@ -9,20 +9,15 @@ import numpy as np
 from strainwave.domain import FloatArray, MotorResponse
 from strainwave.presentation.figures import (
     DOTTED,
-    MEASURED_COLOUR,
-    RESIDUAL_COLOUR,
+    FREQUENCY_AXIS,
     SOLID,
-    TUNED_COLOUR,
-    Axis,
+    Colour,
     Figure,
-    Line,
-    Mark,
-    Markers,
-    Panel,
     Upright,
-    decibel,
     spread_evenly,
 )
+from strainwave.presentation.figures.curves import ResponseMarks
+from strainwave.presentation.report.bode import response_title
 
 _MIN_COHERENCE = 0.8  # of a reliable line
 _MAX_POINTS = 400
@@ -31,30 +26,13 @@ _LABEL_STEP = 0.16  # height between the labels of neighbours, as a share of the
 
 def motor_figure(response: MotorResponse, *, is_prismatic: bool = False) -> Figure:
     """Magnitude and phase; vertical lines show the modes of the fitted arm."""
-    f = response.frequencies_hz
-    rows = spread_evenly(f, 0.0, np.inf, _MAX_POINTS)
-    reliable = response.coherence >= _MIN_COHERENCE
-    magnitude: list[Mark] = []
-    phase: list[Mark] = []
-    kinds = (
-        ("measured", MEASURED_COLOUR, reliable),
-        ("measured, unreliable", RESIDUAL_COLOUR, ~reliable),
-    )
-    for name, colour, chosen in kinds:
-        points = rows[chosen[rows]]
-        if points.size:
-            x, G = f[points], response.measured[points]
-            magnitude.append(Markers(x, decibel(np.abs(G)), name, colour))
-            phase.append(Markers(x, np.rad2deg(np.angle(G)), name, colour))
-    x, G, name = f[rows], response.fitted[rows], "fitted arm, simulated"
-    magnitude.append(Line(x, decibel(np.abs(G)), name, TUNED_COLOUR))
-    phase.append(Line(x, np.rad2deg(np.angle(G)), name, TUNED_COLOUR))
-    unit = "m/s/N" if is_prismatic else "rad/s/(N m)"
-    panels = (
-        Panel(Axis(f"dB re {unit}"), tuple(magnitude), 1.2),
-        Panel(Axis("phase [°]", step=90.0), tuple(phase), 0.8),
-    )
-    return Figure(Axis("frequency [Hz]", log=True), panels, tuple(_uprights(response)))
+    rows = spread_evenly(response.frequencies_hz, 0.0, np.inf, _MAX_POINTS)
+    f, reliable = response.frequencies_hz[rows], response.coherence[rows] >= _MIN_COHERENCE
+    marks = ResponseMarks()
+    marks.add_measured(f, response.measured[rows], reliable)
+    marks.add_line(f, response.fitted[rows], "fitted arm, simulated", Colour.TUNED)
+    panels = marks.panels(response_title(is_prismatic=is_prismatic), (1.2, 0.8))
+    return Figure(FREQUENCY_AXIS, panels, tuple(_uprights(response)))
 
 
 def _uprights(response: MotorResponse) -> Iterator[Upright]:

@@ -206,7 +206,7 @@ def _full_amplitude(result: Identification, joint: JointModel) -> list[RecordMod
     ]
 
 
-def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.WholeArmJoint | None:
+def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.JointFit | None:
     """One joint's parameters in the whole-arm fit; None if the fit lacks one of them.
 
     A gear curve is represented by the joint model's equivalent stiffness, without a band.
@@ -230,9 +230,9 @@ def _whole_arm_joint(result: Identification, joint: JointModel) -> bode.WholeArm
     rows = {p.name: k for k, p in enumerate(whole_arm.parameters) if p.joint == joint.joint}
     vector = np.array([values_of_joint[name] for name in names])
     if not set(names) <= set(rows):
-        return bode.WholeArmJoint(vector, None)
+        return bode.JointFit(vector, None)
     order = [rows[name] for name in names]
-    return bode.WholeArmJoint(vector, whole_arm.covariance[np.ix_(order, order)])
+    return bode.JointFit(vector, whole_arm.covariance[np.ix_(order, order)])
 
 
 def _prediction_blocks(result: Identification) -> Iterator[Block]:

@@ -12,10 +12,8 @@ from strainwave.dynamics.two_inertia import coefficients, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.presentation.figures import (
     DASHES,
-    LINEAR_COLOUR,
-    MODEL_COLOUR,
-    TUNED_COLOUR,
     Axis,
+    Colour,
     Figure,
     Line,
     Mark,
@@ -23,7 +21,7 @@ from strainwave.presentation.figures import (
     Panel,
     Symbol,
 )
-from strainwave.presentation.report.bode import WholeArmJoint
+from strainwave.presentation.report.bode import JointFit
 from strainwave.statespace import nearest
 
 _ELLIPSE_POINTS = 40
@@ -40,7 +38,7 @@ def pole_zero_map(
     gear_ratio: float,
     state_space: Mapping[str, Modes] | None = None,
     *,
-    whole_arm: WholeArmJoint | None = None,
+    whole_arm: JointFit | None = None,
 ) -> Figure:
     """Poles (crosses) and zeros (circles) in continuous time.
 
@@ -50,14 +48,14 @@ def pole_zero_map(
     marks: list[Mark] = []
     for k, (name, modes) in enumerate((state_space or {}).items()):
         roots = _state_space_roots(modes, joint.band_hz)
-        marks += _marks(*roots, f"state space, {name}", LINEAR_COLOUR, k)
+        marks += _marks(*roots, f"state space, {name}", Colour.LINEAR, k)
     covariance = joint.covariance[:6, :6]
     marks += _marks(
-        *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", MODEL_COLOUR
+        *_joint_roots(vector_of(joint), covariance, gear_ratio), "joint model", Colour.MODEL
     )
     if whole_arm is not None:
         roots = _joint_roots(whole_arm.vector, whole_arm.covariance, gear_ratio)
-        marks += _marks(*roots, "whole-arm fit", TUNED_COLOUR)
+        marks += _marks(*roots, "whole-arm fit", Colour.TUNED)
     panel = Panel(Axis("imaginary part [rad/s]"), tuple(marks), height=_HEIGHT)
     return Figure(Axis("real part [rad/s]"), (panel,))
 

@@ -10,10 +10,8 @@ from strainwave.domain import Joint, Prediction, channel_parts
 from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     MAX_POINTS,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
-    RESIDUAL_COLOUR,
     Axis,
+    Colour,
     Dash,
     Figure,
     Line,
@@ -45,10 +43,10 @@ def prediction_figure(
         rows = decimate(np.column_stack([measured, predicted, residuals]), limit)
         time = prediction.time[rows]
         both = (
-            Line(time, measured[rows], "measured", MEASURED_COLOUR, width=2.5),
-            Line(time, predicted[rows], "model", MODEL_COLOUR, _MODEL_DASH),
+            Line(time, measured[rows], "measured", Colour.MEASURED, width=2.5),
+            Line(time, predicted[rows], "model", Colour.MODEL, _MODEL_DASH),
         )
-        residual = Line(time, residuals[rows], "residual", RESIDUAL_COLOUR, width=1.0)
+        residual = Line(time, residuals[rows], "residual", Colour.RESIDUAL, width=1.0)
         unit = unit_of(channel, joints)
         panels.append(Panel(Axis(f"{channel} [{unit}]"), both))
         panels.append(Panel(Axis(f"residual [{unit}]"), (residual,), _RESIDUAL_HEIGHT))

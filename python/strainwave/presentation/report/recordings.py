@@ -11,9 +11,9 @@ from strainwave.domain.link_sensors import all_types
 from strainwave.presentation.figures import (
     DASHES,
     PALETTE,
-    RESIDUAL_COLOUR,
     SOLID,
     Axis,
+    Colour,
     Figure,
     Line,
     Panel,
@@ -97,7 +97,7 @@ def _panel_lines(panel: Sequence[Series]) -> Iterator[Line]:
         time, values = series.x, series.y
         if kind == "ref":
             dash = DASHES[1 + (number - 1) % 3]
-            yield Line(time, values, f"reference {number}", RESIDUAL_COLOUR, dash, width=1.0)
+            yield Line(time, values, f"reference {number}", Colour.RESIDUAL, dash, width=1.0)
             continue
         axis = kind[1:] if kind in ("ax", "ay", "az", "gx", "gy", "gz") else ""
         label = f"joint {number}, {axis}" if axis else f"joint {number}"

@@ -30,13 +30,12 @@ from strainwave.identification.whole_arm.inference.score_tests import (
 from strainwave.numerics.correlations import correlate_residuals, expected_autocorrelation
 from strainwave.presentation.figures import (
     DASHES,
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
+    FREQUENCY_AXIS,
     PALETTE,
-    RESIDUAL_COLOUR,
     SHORT_DASH,
     Area,
     Axis,
+    Colour,
     Figure,
     Line,
     Mark,
@@ -125,10 +124,10 @@ def spectrum(test: ResidualTest) -> Figure:
     residuals, noise = (np.sqrt(d[positive]) for d in (test.density, test.noise_density))
     axis = Axis(f"{test.channel} [{unit_of(test.channel)}/sqrt(Hz)]", log=True)
     lines = (
-        Line(f, residuals, "residuals", MEASURED_COLOUR),
-        Line(f, noise, "sensor noise", RESIDUAL_COLOUR, SHORT_DASH),
+        Line(f, residuals, "residuals", Colour.MEASURED),
+        Line(f, noise, "sensor noise", Colour.RESIDUAL, SHORT_DASH),
     )
-    return Figure(Axis("frequency [Hz]", log=True), (Panel(axis, lines),))
+    return Figure(FREQUENCY_AXIS, (Panel(axis, lines),))
 
 
 def _residual_table(
@@ -350,14 +349,14 @@ def _correlation_panels(
         return np.concatenate([values[:0:-1], values])
 
     name = "autocorrelation"
-    above: list[Mark] = [Line(lag, both(auto), name, MODEL_COLOUR, size=3.0, width=1.0)]
+    above: list[Mark] = [Line(lag, both(auto), name, Colour.MODEL, size=3.0, width=1.0)]
     if limits is not None:
-        above.insert(0, Area(lag, both(limits[0]), both(limits[1]), RESIDUAL_COLOUR, name))
+        above.insert(0, Area(lag, both(limits[0]), both(limits[1]), Colour.RESIDUAL, name))
     below: list[Mark] = []
     for k, (label, (values, limit)) in enumerate(cross.items()):
         colour = PALETTE[(0, 2, 3, 4, 5)[k % 5]]
         below.append(
-            Area(lag, np.full(len(lag), -limit), np.full(len(lag), limit), RESIDUAL_COLOUR, label)
+            Area(lag, np.full(len(lag), -limit), np.full(len(lag), limit), Colour.RESIDUAL, label)
         )
         below.append(Line(lag, values, label, colour, DASHES[k % len(DASHES)], size=3.0, width=1.0))
     range_ = (-1.05, 1.05)

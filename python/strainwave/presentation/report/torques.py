@@ -7,11 +7,11 @@ import numpy as np
 from strainwave.domain import Decoupled, FloatArray, Identification
 from strainwave.numerics.spectra import cross_spectral_densities
 from strainwave.presentation.figures import (
-    MEASURED_COLOUR,
-    MODEL_COLOUR,
+    FREQUENCY_AXIS,
     SHORT_DASH,
     SOLID,
     Axis,
+    Colour,
     Figure,
     Line,
     Panel,
@@ -19,7 +19,7 @@ from strainwave.presentation.figures import (
 )
 
 _NAMES = ("motor torque", "interaction torque at the motor")
-_COLOURS = (MEASURED_COLOUR, MODEL_COLOUR)
+_COLOURS = (Colour.MEASURED, Colour.MODEL)
 _DASHES = (SOLID, SHORT_DASH)
 _WELCH_SEGMENTS = 8  # of a record
 _SHOWN_DURATION = 0.5  # [s] single oscillations stay visible
@@ -64,7 +64,7 @@ def spectrum_figure(record: Decoupled) -> Figure:
     is_shown = (frequency > 0.0) & (frequency <= end)
     lines = _lines(frequency[is_shown], np.sqrt(power[is_shown]))
     panel = Panel(Axis("torque [N m/sqrt(Hz)]", log=True), lines)
-    return Figure(Axis("frequency [Hz]", log=True), (panel,))
+    return Figure(FREQUENCY_AXIS, (panel,))
 
 
 def describe(record: Decoupled) -> str:
