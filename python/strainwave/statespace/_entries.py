@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -44,6 +43,17 @@ class Matrices:
             initial_states=self.initial_states @ T.T,
         )
 
+    def with_units(self, inputs: FloatArray, outputs: FloatArray) -> Matrices:
+        """Model of channels multiplied by factors (n_inputs,) and (n_outputs,)."""
+        column = outputs[:, None]
+        return replace(
+            self,
+            B=self.B / inputs,
+            C=self.C * column,
+            D=self.D * column / inputs,
+            K=self.K / outputs,
+        )
+
 
 def shapes(order: int, n_inputs: int, n_outputs: int) -> tuple[tuple[int, int], ...]:
     """Shapes of A, B, C, D and K."""
@@ -56,42 +66,21 @@ def n_entries(order: int, n_inputs: int, n_outputs: int) -> int:
     return sum(rows * columns for rows, columns in shapes(order, n_inputs, n_outputs))
 
 
-def split(vector: FloatArray, sizes: Sequence[tuple[int, int]]) -> list[FloatArray]:
-    """Split the front of a vector into matrices of the given shapes."""
-    stops = np.cumsum([rows * columns for rows, columns in sizes])
-    parts = np.split(vector[: stops[-1]], stops[:-1])
-    return [part.reshape(shape) for part, shape in zip(parts, sizes, strict=True)]
-
-
 def unpack(values: FloatArray, order: int, n_inputs: int, n_outputs: int) -> Matrices:
     """Matrices from a packed vector; the inverse of `Matrices.pack`."""
-    A, B, C, D, K = split(values, shapes(order, n_inputs, n_outputs))
-    start = n_entries(order, n_inputs, n_outputs)
-    return Matrices(A, B, C, D, K, initial_states=values[start:].reshape(-1, order))
+    sizes = (*shapes(order, n_inputs, n_outputs), (-1, order))
+    parts = np.split(values, np.cumsum([rows * columns for rows, columns in sizes[:-1]]))
+    return Matrices(*(part.reshape(size) for part, size in zip(parts, sizes, strict=True)))
 
 
 def unscale(matrices: Matrices, data: Stack) -> Matrices:
     """Convert a model of scaled channels to the units of the data."""
-    return Matrices(
-        A=matrices.A,
-        B=matrices.B / data.input_scale,
-        C=matrices.C * data.output_scale[:, None],
-        D=matrices.D * data.output_scale[:, None] / data.input_scale,
-        K=matrices.K / data.output_scale,
-        initial_states=matrices.initial_states,
-    )
+    return matrices.with_units(data.input_scale, data.output_scale)
 
 
 def rescale(matrices: Matrices, data: Stack) -> Matrices:
     """Convert a model in the units of the data to scaled channels."""
-    return Matrices(
-        A=matrices.A,
-        B=matrices.B * data.input_scale,
-        C=matrices.C / data.output_scale[:, None],
-        D=matrices.D / data.output_scale[:, None] * data.input_scale,
-        K=matrices.K * data.output_scale,
-        initial_states=matrices.initial_states,
-    )
+    return matrices.with_units(1.0 / data.input_scale, 1.0 / data.output_scale)
 
 
 def balance(matrices: Matrices) -> Matrices:

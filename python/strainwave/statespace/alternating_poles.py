@@ -22,19 +22,13 @@ def remove_alternating_poles(model: StateSpace) -> StateSpace:
     if not len(alternating) or len(alternating) == model.order:
         return model
     z, w = float(values[alternating[0]].real), np.linalg.inv(vectors)[alternating[0]].real
-    complement = np.linalg.svd(w[None])[2][
-        1:
-    ].T  # w'A = z w': `complement` is the invariant subspace
+    # w'A = z w': `complement` is the invariant subspace
+    complement = np.linalg.svd(w[None])[2][1:].T
     reduced = _without(z, complement, model)
 
     def entries(near: StateSpace) -> FloatArray:
-        remaining = _without(z, complement, near)
-        return np.concatenate(
-            [
-                each.ravel()
-                for each in (remaining.A, remaining.B, remaining.C, remaining.D, remaining.K)
-            ]
-        )
+        other = _without(z, complement, near)
+        return np.concatenate([np.ravel(m) for m in (other.A, other.B, other.C, other.D, other.K)])
 
     if model.covariance is not None:
         reduced = replace(reduced, covariance=propagate(model, entries)[1])

@@ -118,14 +118,8 @@ def _hold_integrals(A: FloatArray, T: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _alias_warnings(A: FloatArray, T: float) -> tuple[Diagnostic, ...]:
-    fastest = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0))
-    if fastest < MAX_NYQUIST_SHARE * np.pi / T:
+    hz = float(np.abs(np.linalg.eigvals(A).imag).max(initial=0.0)) / (2.0 * np.pi)
+    if hz < MAX_NYQUIST_SHARE * 0.5 / T:
         return ()
-    return (
-        Diagnostic(
-            "pole-near-nyquist",
-            STATE_SPACE_MODEL,
-            frequency_hz=fastest / (2.0 * np.pi),
-            rate_hz=1.0 / T,
-        ),
-    )
+    place, rate_hz = STATE_SPACE_MODEL, 1.0 / T
+    return (Diagnostic("pole-near-nyquist", place, frequency_hz=hz, rate_hz=rate_hz),)

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from strainwave.domain import ContinuousStateSpace, FloatArray, Mode, Modes, StateSpace
+from strainwave.domain import (
+    ComplexArray,
+    ContinuousStateSpace,
+    FloatArray,
+    Mode,
+    Modes,
+    StateSpace,
+)
 from strainwave.errors import InvalidInput
 from strainwave.statespace.continuous import to_continuous
 from strainwave.statespace.propagation import propagate
-
-ComplexArray = NDArray[np.complex128]
 
 # Zeros above this multiple of the fastest pole count as zeros at infinity, which rounding and noise
 # in D make finite.
@@ -34,10 +38,8 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
     Raises `InvalidInput` if the input or output does not exist, and `NotIdentifiable` like
     `to_continuous`.
     """
-    for name, index, count in (
-        ("input", input, model.B.shape[1]),
-        ("output", output, len(model.C)),
-    ):
+    columns = (("input", input, model.B.shape[1]), ("output", output, len(model.C)))
+    for name, index, count in columns:
         if not 0 <= index < count:
             raise InvalidInput(f"expected {name} from 0 to {count - 1}, got {index}")
     continuous = to_continuous(model) if isinstance(model, StateSpace) else model
@@ -47,28 +49,20 @@ def modes(model: StateSpace | ContinuousStateSpace, input: int, output: int) -> 
     if isinstance(model, StateSpace):
         highest = min(highest, np.pi / model.sample_time)
     poles, zeros = _upper_half(poles), _upper_half(zeros[np.abs(zeros) < highest])
-    values_s = np.concatenate([poles, zeros])
+    values = np.concatenate([poles, zeros])
 
     def shapes(near: ContinuousStateSpace) -> FloatArray:
         of_zeros = nearest(zeros, _zeros(near, input, output))
-        values = np.concatenate([nearest(poles, _poles(near)), of_zeros], axis=-1)
-        return np.concatenate([_frequency_hz(values), _damping(values)], axis=-1)
+        return _shapes(np.concatenate([nearest(poles, _poles(near)), of_zeros], axis=-1))
 
-    values, std = np.concatenate([_frequency_hz(values_s), _damping(values_s)]), None
+    # rows: frequency and damping, columns: poles and zeros
+    numbers = _shapes(values).reshape(2, -1).tolist()
+    stds: list[list[float | None]] = [[None] * len(values)] * 2
     if continuous.covariance is not None:
         _, covariance = propagate(continuous, shapes, stacked=True)
-        std = np.sqrt(np.maximum(np.diagonal(np.asarray(covariance)), 0.0))
-    count = len(values_s)
-    all_modes = tuple(
-        Mode(
-            value=complex(value),
-            frequency_hz=float(values[i]),
-            damping=float(values[count + i]),
-            frequency_std_hz=None if std is None else float(std[i]),
-            damping_std=None if std is None else float(std[count + i]),
-        )
-        for i, value in enumerate(values_s)
-    )
+        variance = np.maximum(np.diagonal(np.asarray(covariance)), 0.0)
+        stds = np.sqrt(variance).reshape(2, -1).tolist()
+    all_modes = tuple(map(Mode, values.tolist(), *numbers, *stds))
     of_poles, of_zeros = all_modes[: len(poles)], all_modes[len(poles) :]
     return Modes(of_poles, of_zeros, _least_damped(of_poles), _least_damped(of_zeros))
 
@@ -92,9 +86,7 @@ def _zeros(model: ContinuousStateSpace, input: int, output: int) -> ComplexArray
     N[:n, :n] = np.eye(n)
     # (M - s N) v = 0 is equivalent to (M - a N)^-1 N v = v / (s - a); infinite zeros become zero
     right = np.broadcast_to(N, M.shape)
-    inverses = np.linalg.eigvals(np.linalg.solve(M - _PENCIL_SHIFT * N, right)).astype(
-        np.complex128
-    )
+    inverses = np.linalg.eigvals(np.linalg.solve(M - _PENCIL_SHIFT * N, right)).astype(complex)
     finite = np.abs(inverses) > 1e-12
     zeros = size[..., 0] * (_PENCIL_SHIFT + 1.0 / np.where(finite, inverses, 1.0))
     return np.where(finite, zeros, np.inf)
@@ -128,13 +120,11 @@ def nearest(values: ComplexArray, others: ComplexArray) -> ComplexArray:
     return np.asarray(np.take_along_axis(others, indices, axis=-1), dtype=np.complex128)
 
 
-def _frequency_hz(values: ComplexArray) -> FloatArray:
-    return np.abs(values) / (2.0 * np.pi)
-
-
-def _damping(values: ComplexArray) -> FloatArray:
+def _shapes(values: ComplexArray) -> FloatArray:
+    """Frequencies [Hz], then damping ratios, along the last axis."""
     moduli = np.abs(values)
-    return np.where(moduli > 0.0, -values.real / np.where(moduli > 0.0, moduli, 1.0), 1.0)
+    damping = np.where(moduli > 0.0, -values.real / np.where(moduli > 0.0, moduli, 1.0), 1.0)
+    return np.concatenate([moduli / (2.0 * np.pi), damping], axis=-1)
 
 
 def _least_damped(candidates: tuple[Mode, ...]) -> Mode | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import compress
 
 import numpy as np
 
@@ -29,7 +30,6 @@ MAX_EXCESS_POINTS = 0.1
 
 DEFAULT_ORDERS = (2, 3, 4, 5, 6)
 """Default orders: a joint has three states, and filters add a few."""
-
 
 FitOrders = Callable[[Sequence[InputOutput]], Callable[[int], StateSpace]]
 """Function from records to an order-to-model function; the models share work on the data."""
@@ -69,29 +69,15 @@ def select_order(
         fits = [_held_out_fit(model, held_out) for model in kept_models]
         is_sound = _converged(kept_models)
     unexplained_percent = np.array([100.0 - np.mean(percentages) for percentages in fits])
+    is_candidate, reasons = is_sound, ("no data long enough to hold out", "no other converged")
     if np.isfinite(unexplained_percent[is_sound]).any():
-        is_candidate = is_sound & (
-            unexplained_percent
-            <= (1.0 + MAX_EXCESS_SHARE) * np.min(unexplained_percent[is_sound]) + MAX_EXCESS_POINTS
-        )
-        candidate_reason, single_reason = (
-            "as good as any on held-out data",
-            "all others are worse on held-out data",
-        )
-    else:
-        is_candidate, candidate_reason, single_reason = (
-            is_sound,
-            "no data long enough to hold out",
-            "no other converged",
-        )
-    models = [
-        model_on_all(order)
-        for order, is_close in zip(sorted_orders, is_candidate, strict=True)
-        if is_close
-    ]
-    is_usable = _converged(models)
-    candidates = [model for model, usable in zip(models, is_usable, strict=True) if usable]
-    chosen, rule = _choose_order(candidates, data, candidate_reason, single_reason)
+        least = np.min(unexplained_percent[is_sound])
+        limit = (1.0 + MAX_EXCESS_SHARE) * least + MAX_EXCESS_POINTS
+        is_candidate = is_sound & (unexplained_percent <= limit)
+        reasons = ("as good as any on held-out data", "all others are worse on held-out data")
+    models = [model_on_all(order) for order in compress(sorted_orders, is_candidate)]
+    candidates = list(compress(models, _converged(models)))
+    chosen, rule = _choose_order(candidates, data, *reasons)
     return OrderSelection(tuple(models), tuple(fits), chosen, rule)
 
 
@@ -126,7 +112,7 @@ def _held_out_fit(model: StateSpace, held_out: list[InputOutput]) -> tuple[float
 def _choose_order(
     candidates: Sequence[StateSpace], data: Data, among: str, rest: str
 ) -> tuple[int, str]:
-    """SelectedOrder order and the reason."""
+    """Selected order and the reason."""
     names = ", ".join(str(model.order) for model in candidates)
     if len(candidates) == 1:
         return candidates[0].order, f"order {names}: {rest}"

@@ -9,7 +9,8 @@ delay. With K = 0 (output error), it is consistent in open loop only.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from functools import partial
+from typing import Literal, get_args, get_type_hints
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from strainwave.domain import (
 )
 from strainwave.errors import InvalidInput, NumericalFailure
 from strainwave.numerics.parallel import raise_if_stopped
-from strainwave.statespace._entries import Matrices, balance, n_entries, rescale
+from strainwave.statespace._entries import Matrices, balance, n_entries, rescale, unscale
 from strainwave.statespace._evaluate import MIN_VARIANCE_SHARE, Evaluator, assemble
 from strainwave.statespace._restricted import restrict_steps
 from strainwave.statespace._riccati import is_stable, reflect_poles, stabilising_gain
@@ -155,28 +156,21 @@ def _starts(
 ) -> list[Matrices]:
     """Starting values with stable predictors."""
     if start is None:
-        methods: tuple[Literal["predictor", "moesp"], ...] = ("predictor", "moesp")
         horizon, factors = choose_horizon(data, order or MAX_ORDER), Factors(data)
         realisations = [
-            realise(factors, order, method, horizon, feedthrough).matrices for method in methods
+            realise(factors, order, "predictor", horizon, feedthrough).matrices,
+            realise(factors, order, "moesp", horizon, feedthrough).matrices,
         ]
     else:
         realisations = [_from_model(start, data)]
-    evaluator = Evaluator(data, realisations[0].order)
-    stable = [
-        replace(matrices, A=reflect_poles(matrices.A), K=np.zeros_like(matrices.K))
-        for matrices in realisations
-    ]
-    starts = [
-        evaluator.linear(matrices, feedthrough, gain=False, solutions=1) for matrices in stable
-    ]
+    linear = partial(
+        Evaluator(data, realisations[0].order).linear, feedthrough=feedthrough, solutions=1
+    )
+    starts = [linear(replace(each, A=reflect_poles(each.A)), gain=False) for each in realisations]
     if options.disturbance == "innovations":
         # With sensor noise only, K = 0 and the predictor is as slow as the arm. A gain from the
         # subspace method is then far from the optimum, so both starting values are compared.
-        starts += [
-            evaluator.linear(matrices, feedthrough, gain=True, solutions=1)
-            for matrices in realisations
-        ]
+        starts += [linear(each, gain=True) for each in realisations]
     return starts
 
 
@@ -253,42 +247,35 @@ def _fit(
 def _model(
     evaluator: Evaluator, fit: _Fit, feedthrough: tuple[bool, ...], options: PemOptions
 ) -> StateSpace:
-    data = evaluator.data
     method: Literal["pem", "output-error"]
     method = "pem" if options.disturbance == "innovations" else "output-error"
     status: SearchEnd | Literal["not-determined"]
     status = fit.end if fit.covariance is not None else "not-determined"
     warnings = _fit_warnings(fit, options)
-    model = assemble(data, fit.matrices, method, status, feedthrough, warnings)
-    model = replace(model, warnings=model.warnings + _negative_fit_warning(model))
-    covariance, kind = None, None
+    model = assemble(evaluator.data, fit.matrices, method, status, feedthrough, warnings)
     if fit.covariance is not None:
         covariance, kind = _covariance(evaluator, fit, options, model.n_parameters)
+        model = replace(model, covariance=covariance, covariance_kind=kind)
     return replace(
         model,
-        covariance=covariance,
-        covariance_kind=kind,
         iterations=fit.iterations,
         evaluations=fit.evaluations,
+        warnings=model.warnings + _negative_fit_warning(model),
     )
 
 
 def _fit_warnings(fit: _Fit, options: PemOptions) -> tuple[Diagnostic, ...]:
-    warnings = []
+    warnings, place, decrease = [], STATE_SPACE_MODEL, fit.predicted_decrease
     if fit.end is SearchEnd.EVALUATION_LIMIT:
-        decrease, iterations = fit.predicted_decrease, fit.iterations
+        iterations = fit.iterations
         warnings.append(
-            Diagnostic(
-                "pem-iteration-limit", STATE_SPACE_MODEL, iterations=iterations, decrease=decrease
-            )
+            Diagnostic("pem-iteration-limit", place, iterations=iterations, decrease=decrease)
         )
     if fit.end is SearchEnd.STALLED:
         variant = "" if options.disturbance != "none" else "output-error"
-        warnings.append(
-            Diagnostic("pem-stalled", STATE_SPACE_MODEL, variant, decrease=fit.predicted_decrease)
-        )
+        warnings.append(Diagnostic("pem-stalled", place, variant, decrease=decrease))
     if fit.covariance is None:
-        warnings.append(Diagnostic("pem-not-determined", STATE_SPACE_MODEL))
+        warnings.append(Diagnostic("pem-not-determined", place))
     return tuple(warnings)
 
 
@@ -300,10 +287,9 @@ def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     """
     names = model.output_names or tuple(f"output {k + 1}" for k in range(len(model.C)))
     pairs = zip(names, model.fit_percent, strict=True)
-    negative = [(name, fit) for name, fit in pairs if fit < 0.0]
-    if not negative:
+    fits = tuple(Clause("fit", channel=name, fit=float(fit)) for name, fit in pairs if fit < 0.0)
+    if not fits:
         return ()
-    fits = tuple(Clause("fit", channel=name, fit=float(fit)) for name, fit in negative)
     return (Diagnostic("negative-fit", STATE_SPACE_MODEL, fits=fits),)
 
 
@@ -315,24 +301,16 @@ def _covariance(
     n, m, p = evaluator.order, data.n_inputs, data.n_outputs
     assert fit.covariance is not None
     kind = options.covariance
-    residuals = evaluator.residuals(fit.matrices)
     if kind == "auto":
         fitted = n * p if fit.matrices.K.any() else 0
-        white = whiteness(residuals, data, fitted)
+        white = whiteness(evaluator.residuals(fit.matrices), data, fitted)
         kind = "white" if white.passed else "sandwich"
     full = fit.covariance
     if kind == "sandwich":
         full = _sandwich(evaluator, fit.matrices, full)
     full = full * data.n_samples / max(data.n_samples - n_parameters / p, 1.0)
     size = n_entries(n, m, p)
-    unit_row = np.ones((1, n))
-    u, y = data.input_scale[None, :], data.output_scale[:, None]
-    scale = np.concatenate(
-        [
-            np.ravel(part)
-            for part in (np.ones((n, n)), unit_row.T / u, y * unit_row, y / u, unit_row.T / y.T)
-        ]
-    )
+    scale = unscale(evaluator.unpack(np.ones(size)), data).pack()
     return full[:size, :size] * np.outer(scale, scale), kind
 
 
@@ -387,11 +365,7 @@ def _check(order: int | None, start: StateSpace | None, options: PemOptions) -> 
         raise InvalidInput(f"expected an order of at least 1, got {order}")
     if order is not None and start is not None and start.order != order:
         raise InvalidInput(f"expected a start of order {order}, got {start.order}")
-    choices = [
-        ("disturbance", options.disturbance, ("innovations", "none")),
-        ("initial_state", options.initial_state, ("estimate", "zero")),
-        ("covariance", options.covariance, ("auto", "white", "sandwich")),
-    ]
-    for name, got, expected in choices:
+    for name in ("disturbance", "initial_state", "covariance"):
+        got, expected = getattr(options, name), get_args(get_type_hints(PemOptions)[name])
         if got not in expected:
             raise InvalidInput(f"expected {name} {' or '.join(expected)}, got {got!r}")

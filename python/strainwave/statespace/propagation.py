@@ -37,20 +37,17 @@ def propagate(
     Returns values (n_values,) and their covariance (n_values, n_values), or None if the model has
     no covariance.
     """
-
-    def each(near: Model) -> FloatArray:
-        return np.atleast_1d(np.asarray(function(near), dtype=np.float64))
-
-    if model.covariance is None and stacked:
-        return function(_with_changes(model, np.zeros((1, _n_entries(model)))))[0], None
-    if model.covariance is None:
-        return each(model), None
-    steps = DIFFERENCE_STEP_STDS * _directions(model.covariance).T
-    changes = np.concatenate([np.zeros((1, steps.shape[1])), steps, -steps])
+    n_entries = sum(getattr(model, name).size for name in _names(model))
+    steps = np.zeros((0, n_entries))
+    if model.covariance is not None:
+        steps = DIFFERENCE_STEP_STDS * _directions(model.covariance).T
+    changes = np.concatenate([np.zeros((1, n_entries)), steps, -steps])
     if stacked:
         values = function(_with_changes(model, changes))
     else:
-        values = np.stack([each(_with_changes(model, change)) for change in changes])
+        values = np.stack([np.atleast_1d(function(_with_changes(model, c))) for c in changes])
+    if model.covariance is None:
+        return values[0], None
     J = (values[1 : len(steps) + 1] - values[len(steps) + 1 :]).T / (2.0 * DIFFERENCE_STEP_STDS)
     return values[0], J @ J.T
 
@@ -76,10 +73,6 @@ def _directions(covariance: FloatArray) -> FloatArray:
 
 def _names(model: Model) -> tuple[str, ...]:
     return ("A", "B", "C", "D", "K") if isinstance(model, StateSpace) else ("A", "B", "C", "D")
-
-
-def _n_entries(model: Model) -> int:
-    return sum(getattr(model, name).size for name in _names(model))
 
 
 def _with_changes(model: Model, change: FloatArray) -> Model:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -21,6 +22,24 @@ SIGNIFICANCE_LEVEL = 0.01
 DEFAULT_LAGS = 25
 
 Name = Literal["white", "independent-of-past-inputs", "no-feedback"]
+
+_MESSAGES: Mapping[Name, tuple[str, str]] = {
+    "white": (
+        "nothing in the residuals predicts the next ones",
+        "residuals predict one another: raise the order, or do not trust covariances that assume "
+        "white innovations",
+    ),
+    "independent-of-past-inputs": (
+        "the model explains what the inputs do",
+        "past inputs still move the residuals: raise the order, check delays and holds",
+    ),
+    "no-feedback": (
+        "inputs do not depend on past residuals: no sign of feedback",
+        "inputs depend on past residuals: data from closed loop. Trust a model with K estimated, "
+        "not one with K = 0",
+    ),
+}
+"""Results of the tests in one sentence: passed, failed."""
 
 
 def check_model(model: StateSpace, data: Data, *, lags: int = DEFAULT_LAGS) -> ModelCheck:
@@ -82,14 +101,7 @@ def whiteness(
         R = correlations[lag]
         statistic += samples**2 / (samples - lag) * np.trace(R.T @ R0_inverse @ R @ R0_inverse)
     degrees = max(p * p * lags - fitted, 1)
-    return _test_result(
-        "white",
-        statistic,
-        degrees,
-        "nothing in the residuals predicts the next ones",
-        "residuals predict one another: raise the order, or do not trust covariances that assume "
-        "white innovations",
-    )
+    return _test_result("white", statistic, degrees)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,24 +128,11 @@ def _cross_tests(residuals: FloatArray, data: Stack, lags: int) -> _CrossTests:
     backward = np.swapaxes(backward, 1, 2)
     covariance = _correlation_covariance(r_e, r_u, lags, p, m) / samples
     statistic, degrees = _quadratic_form(forward.reshape(-1), covariance)
-    past = _test_result(
-        "independent-of-past-inputs",
-        statistic,
-        degrees,
-        "the model explains what the inputs do",
-        "past inputs still move the residuals: raise the order, check delays and holds",
-    )
+    past = _test_result("independent-of-past-inputs", statistic, degrees)
     block = p * m
     # Time reversal puts the lags in descending order; the covariance is block Toeplitz.
     statistic, degrees = _quadratic_form(backward[:0:-1].reshape(-1), covariance[:-block, :-block])
-    future = _test_result(
-        "no-feedback",
-        statistic,
-        degrees,
-        "inputs do not depend on past residuals: no sign of feedback",
-        "inputs depend on past residuals: data from closed loop. Trust a model with K estimated, "
-        "not one with K = 0",
-    )
+    future = _test_result("no-feedback", statistic, degrees)
     cross = np.concatenate([backward[:0:-1], forward])
     scale = np.sqrt(np.mean(residuals**2, axis=0)[:, None] * np.mean(data.inputs**2, axis=0))
     return _CrossTests(past, future, cross / np.maximum(scale, np.finfo(float).tiny))
@@ -148,11 +147,9 @@ def _correlation_covariance(
     blocks = {}
     for shift in range(-lags, lags + 1):
         shifted = r_u[zero_u + np.clip(offsets + shift, -3 * lags, 3 * lags)]
-        blocks[shift] = np.einsum("jab,jcd->acbd", r_e[zero_e + offsets], shifted).reshape(
-            p * m, -1
-        )
-    rows = [[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)]
-    return np.block(rows)
+        products = np.einsum("jab,jcd->acbd", r_e[zero_e + offsets], shifted)
+        blocks[shift] = products.reshape(p * m, -1)
+    return np.block([[blocks[j - i] for j in range(lags + 1)] for i in range(lags + 1)])
 
 
 def _quadratic_form(vector: FloatArray, covariance: FloatArray) -> tuple[float, int]:
@@ -184,7 +181,7 @@ def _normalised(correlations: FloatArray, residuals: FloatArray) -> FloatArray:
     return correlations / np.maximum(np.outer(scale, scale), np.finfo(float).tiny)
 
 
-def _test_result(name: Name, statistic: float, degrees: int, good: str, bad: str) -> HypothesisTest:
+def _test_result(name: Name, statistic: float, degrees: int) -> HypothesisTest:
     p_value = chi_square_tail(statistic, degrees)
-    passed = p_value >= SIGNIFICANCE_LEVEL
+    passed, (good, bad) = p_value >= SIGNIFICANCE_LEVEL, _MESSAGES[name]
     return HypothesisTest(name, float(statistic), degrees, p_value, passed, good if passed else bad)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from strainwave.domain import ContinuousStateSpace, FloatArray, FrequencyResponse, StateSpace
+from strainwave.domain import (
+    ComplexArray,
+    ContinuousStateSpace,
+    FloatArray,
+    FrequencyResponse,
+    StateSpace,
+)
 from strainwave.errors import InvalidInput
-
-ComplexArray = NDArray[np.complex128]
 
 
 def frequency_response(

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, Literal, cast
+from functools import cache, partial
+from typing import Literal
 
 import numpy as np
 
@@ -35,9 +36,6 @@ MAX_HORIZON = 40
 
 # Highest order that the singular values can select.
 MAX_ORDER = 10
-
-
-_DIVERGENCE_WARNING = Diagnostic("subspace-not-determined", STATE_SPACE_MODEL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +98,11 @@ def _estimate(
     realisation = realise(factors, order, method, horizon, through)
     evaluator = Evaluator(data, realisation.matrices.order)
     matrices = evaluator.linear(realisation.matrices, through, gain=True)
-    if np.isfinite(evaluator.cost(matrices.pack())):
-        model = assemble(data, matrices, "subspace", "estimated", through)
-    else:
-        model = assemble(
-            data, matrices, "subspace", "not-determined", through, (_DIVERGENCE_WARNING,)
-        )
+    is_finite = np.isfinite(evaluator.cost(matrices.pack()))
+    status: Literal["estimated", "not-determined"]
+    status = "estimated" if is_finite else "not-determined"
+    warnings = () if is_finite else (Diagnostic("subspace-not-determined", STATE_SPACE_MODEL),)
+    model = assemble(data, matrices, "subspace", status, through, warnings)
     return replace(model, singular_values=realisation.singular_values, horizon=realisation.horizon)
 
 
@@ -114,39 +111,10 @@ class Factors:
 
     def __init__(self, data: Stack) -> None:
         self.data = data
-        self._known: dict[tuple[str, int], Any] = {}
-
-    def regression(self, past: int) -> FloatArray:
-        """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
-
-        def factor() -> FloatArray:
-            return triangular_factor(self.data, past + 1, _regression_order(self.data, past))[0]
-
-        return cast("FloatArray", self._cached("regression", past, factor))
-
-    def predictor(self, past: int) -> Directions:
-        """Singular directions of C (A - K C)^j times the states, from the ARX model."""
-        return cast(
-            "Directions", self._cached("predictor", past, lambda: _predictor_directions(self, past))
-        )
-
-    def oblique(self, past: int) -> Directions:
-        """Singular directions of the oblique projection of the future outputs on the past."""
-        return cast(
-            "Directions", self._cached("oblique", past, lambda: _oblique_directions(self, past))
-        )
-
-    def past_and_future(self, past: int) -> FloatArray:
-        """Triangular factor of [future inputs, past w, future outputs]."""
-        return cast(
-            "FloatArray",
-            self._cached("past-and-future", past, lambda: _past_and_future_factor(self.data, past)),
-        )
-
-    def _cached(self, name: str, past: int, work: Callable[[], Any]) -> Any:
-        if (name, past) not in self._known:
-            self._known[name, past] = work()
-        return self._known[name, past]
+        self.regression = cache(partial(_regression_factor, data))
+        self.past_and_future = cache(partial(_past_and_future_factor, data))
+        self.predictor = cache(partial(_predictor_directions, self))
+        self.oblique = cache(partial(_oblique_directions, self))
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,18 +138,13 @@ def realise(
     methods = ("moesp", "predictor") if method == "auto" else (method,)
     length = horizon or choose_horizon(data, order or MAX_ORDER)
     _check_length(data, order or 1, length)
-    best: tuple[float, Realisation] | None = None
-    for way in methods:
-        realisation = _METHODS[way](factors, order, length, feedthrough)
-        if len(methods) == 1:
-            return realisation
+    realisations = [_METHODS[way](factors, order, length, feedthrough) for way in methods]
+
+    def cost(realisation: Realisation) -> float:
         evaluator = Evaluator(data, realisation.matrices.order)
-        matrices = evaluator.linear(realisation.matrices, feedthrough, gain=True)
-        cost = evaluator.cost(matrices.pack())
-        if best is None or cost < best[0]:
-            best = cost, realisation
-    assert best is not None
-    return best[1]
+        return evaluator.cost(evaluator.linear(realisation.matrices, feedthrough, gain=True).pack())
+
+    return realisations[0] if len(realisations) == 1 else min(realisations, key=cost)
 
 
 def check_feedthrough(feedthrough: tuple[bool, ...] | None, data: Stack) -> tuple[bool, ...]:
@@ -202,9 +165,8 @@ def choose_horizon(data: Stack, order: int) -> int:
     rows of R below a column hold the residual of y[k] after regression on all earlier columns.
     """
     width = data.n_inputs + data.n_outputs
-    longest_record = max(len_ for len_ in data.lengths)
     # Each past sample adds `width` regressors and requires five rows for each of them.
-    max_horizon = min(MAX_HORIZON, data.n_samples // (5 * width), (longest_record - 1) // 3)
+    max_horizon = min(MAX_HORIZON, data.n_samples // (5 * width), (max(data.lengths) - 1) // 3)
     min_horizon = min(max(order + 1, 2), max(max_horizon, 1))
     if max_horizon <= min_horizon:
         return min_horizon
@@ -216,6 +178,11 @@ def choose_horizon(data: Stack, order: int) -> int:
     criterion = rows * np.linalg.slogdet(covariance)[1]
     criterion += 2.0 * width * data.n_outputs * np.arange(1, max_horizon + 1)
     return max(min_horizon, 1 + int(np.argmin(criterion)))
+
+
+def _regression_factor(data: Stack, past: int) -> FloatArray:
+    """Triangular factor of [u[k], z[k-1], ..., z[k-past], y[k]]."""
+    return triangular_factor(data, past + 1, _regression_order(data, past))[0]
 
 
 def _regression_order(data: Stack, past: int) -> FloatArray:
@@ -254,6 +221,7 @@ def _predictor_realisation(
 
 
 def _oblique_directions(factors: Factors, past: int) -> Directions:
+    """Singular directions of the oblique projection of the future outputs on the past."""
     R, start, stop = factors.past_and_future(past), *_past_columns(factors.data, past)
     L_wy = R[start:stop, stop:]  # future outputs on the past, with the future inputs projected out
     _, s, Vt = np.linalg.svd(np.linalg.qr(L_wy, mode="r"))
@@ -341,8 +309,7 @@ def _realise_from_states(
     u, y = R[:, :m], R[:, lead:]
     x = R[:, m:lead] @ to_state.T
     # For the next state, [u[k], y[k]] is the newest sample and the oldest sample drops out.
-    next_past = np.hstack([u, y, R[:, m : lead - width]])
-    next_x = next_past @ to_state.T
+    next_x = np.hstack([u, y, R[:, m : lead - width]]) @ to_state.T
     has_feedthrough = np.array(feedthrough)
     D = np.zeros((p, m))
     if given is None:
@@ -359,8 +326,7 @@ def _realise_from_states(
     noise[n:, n:] += MIN_VARIANCE_SHARE * np.eye(p)
     K, innovation = innovations_gain(A, C, noise[:n, :n], noise[:n, n:], noise[n:, n:])
     K = stabilising_gain(A, C, K, innovation)
-    states = np.zeros((len(data.lengths), n))
-    matrices = Matrices(A, B, C, D, K, initial_states=states)
+    matrices = Matrices(A, B, C, D, K, initial_states=np.zeros((len(data.lengths), n)))
     return Realisation(balance(matrices), singular_values, past)
 
 
