@@ -6,252 +6,120 @@ in rad. Joints are numbered from 1 where a person reads them and from 0 as array
 
 from __future__ import annotations
 
-from strainwave.domain.arm import (
-    ArmDescription,
-    EffectName,
-    Imu,
-    Joint,
-    Motion,
-    NonNegative,
-    Origin,
-    Positive,
-    Servo,
-    Spring,
-)
-from strainwave.domain.arm_model import (
-    CONDITION_TEXTS,
-    AgreementTest,
-    ArmModel,
-    Cause,
-    Condition,
-    Criticism,
-    MotorResponse,
-    ParameterShift,
-    ResidualCorrelation,
-    ResidualTest,
-    ScoreTest,
-    SensorGain,
-    StageDifference,
-    SuspectConstant,
-    TorqueHistogram,
-)
-from strainwave.domain.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from strainwave.domain.base_parameters import BaseParameters
-from strainwave.domain.clauses import (
-    STATE_SPACE_MODEL,
-    WHOLE_ARM_FIT,
-    Clause,
-    Place,
-    Span,
-    Value,
-)
-from strainwave.domain.comparison import (
-    OUTCOME_TEXTS,
-    Comparison,
-    Criterion,
-    Evidence,
-    Outcome,
-    Protocol,
-    Tally,
-    outcomes_text,
-)
-from strainwave.domain.corrections import Correction
-from strainwave.domain.estimates import (
-    Consistency,
-    Diagnostic,
-    Parameter,
-    Prediction,
-    PublishedWarning,
-    Suspicion,
-)
-from strainwave.domain.final_table import Decision, half_width
-from strainwave.domain.identification import Identification
-from strainwave.domain.joint_models import (
-    Check,
-    Decoupled,
-    JointModel,
-    RecordModel,
-    Resonance,
-    Sweep,
-    SweepPoint,
-)
-from strainwave.domain.linear_models import (
-    ContinuousStateSpace,
-    FrequencyResponse,
-    Hold,
-    HypothesisTest,
-    InputOutput,
-    Mode,
-    ModelCheck,
-    Modes,
-    OrderSelection,
-    StateSpace,
-)
-from strainwave.domain.options import (
-    FrequencyOptions,
-    LinearOptions,
-    LinkOptions,
-    Options,
-    PhysicalOptions,
-    RigidOptions,
-    WholeArmOptions,
-)
-from strainwave.domain.parameter_table import ParameterDescription, parameter_table
-from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
-from strainwave.domain.progress import Progress, ProgressEvent
-from strainwave.domain.ranges import (
-    ImplausibleJoint,
-    PlausibleRange,
-    SizedValue,
-    is_physical,
-    physical_range,
-)
-from strainwave.domain.rigid_model import RigidModel
-from strainwave.domain.search_end import SearchEnd
-from strainwave.domain.signals import (
-    Activity,
-    Delay,
-    Fusion,
-    Lag,
-    LinkSignals,
-    LinkSource,
-    LinkSummary,
-    Log,
-    Signals,
-)
-from strainwave.domain.stage_results import StageResults
-from strainwave.domain.stages import STAGES, Stage
-from strainwave.domain.study import (
-    Channel,
-    Control,
-    Experiment,
-    Prbs,
-    Study,
-    TopicChannel,
-    Use,
-    channel_kinds,
-    channel_names,
-    channel_parts,
-)
-from strainwave.domain.study_limits import SizeLimit
-from strainwave.domain.verdict import Status, Validation, Verdict
-
-__all__ = [
-    "CONDITION_TEXTS",
-    "OUTCOME_TEXTS",
-    "STAGES",
-    "STATE_SPACE_MODEL",
-    "WHOLE_ARM_FIT",
-    "Activity",
-    "AgreementTest",
-    "ArmDescription",
-    "ArmModel",
-    "BaseParameters",
-    "BoolArray",
-    "Cause",
-    "Channel",
-    "Check",
-    "Clause",
-    "Comparison",
-    "ComplexArray",
-    "Condition",
-    "Consistency",
-    "ContinuousStateSpace",
-    "Control",
-    "Correction",
-    "Criterion",
-    "Criticism",
-    "Decision",
-    "Decoupled",
-    "Delay",
-    "Diagnostic",
-    "EffectName",
-    "Evidence",
-    "Experiment",
-    "FloatArray",
-    "FrequencyOptions",
-    "FrequencyResponse",
-    "Fusion",
-    "Hold",
-    "HypothesisTest",
-    "Identification",
-    "ImplausibleJoint",
-    "Imu",
-    "InputOutput",
-    "IntArray",
-    "Joint",
-    "JointModel",
-    "Lag",
-    "LinearOptions",
-    "LinkOptions",
-    "LinkSignals",
-    "LinkSource",
-    "LinkSummary",
-    "Log",
-    "Mode",
-    "ModelCheck",
-    "Modes",
-    "Motion",
-    "MotorResponse",
-    "NonNegative",
-    "Options",
-    "OrderSelection",
-    "Origin",
-    "Outcome",
-    "Parameter",
-    "ParameterDescription",
-    "ParameterShift",
-    "ParameterText",
-    "PhysicalOptions",
-    "Place",
-    "PlausibleRange",
-    "Positive",
-    "Prbs",
-    "Prediction",
-    "Progress",
-    "ProgressEvent",
-    "Protocol",
-    "PublishedWarning",
-    "RecordModel",
-    "ResidualCorrelation",
-    "ResidualTest",
-    "Resonance",
-    "RigidModel",
-    "RigidOptions",
-    "ScoreTest",
-    "SearchEnd",
-    "SensorGain",
-    "Servo",
-    "Signals",
-    "SizeLimit",
-    "SizedValue",
-    "Span",
-    "Spring",
-    "Stage",
-    "StageDifference",
-    "StageResults",
-    "StateSpace",
-    "Status",
-    "Study",
-    "SuspectConstant",
-    "Suspicion",
-    "Sweep",
-    "SweepPoint",
-    "Tally",
-    "TopicChannel",
-    "TorqueHistogram",
-    "Use",
-    "Validation",
-    "Value",
-    "Verdict",
-    "WholeArmOptions",
-    "channel_kinds",
-    "channel_names",
-    "channel_parts",
-    "half_width",
-    "is_physical",
-    "outcomes_text",
-    "parameter_descriptions",
-    "parameter_table",
-    "physical_range",
-]
+from strainwave.domain.arm import ArmDescription as ArmDescription
+from strainwave.domain.arm import EffectName as EffectName
+from strainwave.domain.arm import Imu as Imu
+from strainwave.domain.arm import Joint as Joint
+from strainwave.domain.arm import Motion as Motion
+from strainwave.domain.arm import NonNegative as NonNegative
+from strainwave.domain.arm import Origin as Origin
+from strainwave.domain.arm import Positive as Positive
+from strainwave.domain.arm import Servo as Servo
+from strainwave.domain.arm import Spring as Spring
+from strainwave.domain.arm_model import CONDITION_TEXTS as CONDITION_TEXTS
+from strainwave.domain.arm_model import AgreementTest as AgreementTest
+from strainwave.domain.arm_model import ArmModel as ArmModel
+from strainwave.domain.arm_model import Cause as Cause
+from strainwave.domain.arm_model import Condition as Condition
+from strainwave.domain.arm_model import Criticism as Criticism
+from strainwave.domain.arm_model import MotorResponse as MotorResponse
+from strainwave.domain.arm_model import ParameterShift as ParameterShift
+from strainwave.domain.arm_model import ResidualCorrelation as ResidualCorrelation
+from strainwave.domain.arm_model import ResidualTest as ResidualTest
+from strainwave.domain.arm_model import ScoreTest as ScoreTest
+from strainwave.domain.arm_model import SensorGain as SensorGain
+from strainwave.domain.arm_model import StageDifference as StageDifference
+from strainwave.domain.arm_model import SuspectConstant as SuspectConstant
+from strainwave.domain.arm_model import TorqueHistogram as TorqueHistogram
+from strainwave.domain.arrays import BoolArray as BoolArray
+from strainwave.domain.arrays import ComplexArray as ComplexArray
+from strainwave.domain.arrays import FloatArray as FloatArray
+from strainwave.domain.arrays import IntArray as IntArray
+from strainwave.domain.base_parameters import BaseParameters as BaseParameters
+from strainwave.domain.clauses import STATE_SPACE_MODEL as STATE_SPACE_MODEL
+from strainwave.domain.clauses import WHOLE_ARM_FIT as WHOLE_ARM_FIT
+from strainwave.domain.clauses import Clause as Clause
+from strainwave.domain.clauses import Place as Place
+from strainwave.domain.clauses import Span as Span
+from strainwave.domain.clauses import Value as Value
+from strainwave.domain.comparison import OUTCOME_TEXTS as OUTCOME_TEXTS
+from strainwave.domain.comparison import Comparison as Comparison
+from strainwave.domain.comparison import Criterion as Criterion
+from strainwave.domain.comparison import Evidence as Evidence
+from strainwave.domain.comparison import Outcome as Outcome
+from strainwave.domain.comparison import Protocol as Protocol
+from strainwave.domain.comparison import Tally as Tally
+from strainwave.domain.comparison import outcomes_text as outcomes_text
+from strainwave.domain.corrections import Correction as Correction
+from strainwave.domain.estimates import Consistency as Consistency
+from strainwave.domain.estimates import Diagnostic as Diagnostic
+from strainwave.domain.estimates import Parameter as Parameter
+from strainwave.domain.estimates import Prediction as Prediction
+from strainwave.domain.estimates import PublishedWarning as PublishedWarning
+from strainwave.domain.estimates import Suspicion as Suspicion
+from strainwave.domain.final_table import Decision as Decision
+from strainwave.domain.final_table import half_width as half_width
+from strainwave.domain.identification import Identification as Identification
+from strainwave.domain.joint_models import Check as Check
+from strainwave.domain.joint_models import Decoupled as Decoupled
+from strainwave.domain.joint_models import JointModel as JointModel
+from strainwave.domain.joint_models import RecordModel as RecordModel
+from strainwave.domain.joint_models import Resonance as Resonance
+from strainwave.domain.joint_models import Sweep as Sweep
+from strainwave.domain.joint_models import SweepPoint as SweepPoint
+from strainwave.domain.linear_models import ContinuousStateSpace as ContinuousStateSpace
+from strainwave.domain.linear_models import FrequencyResponse as FrequencyResponse
+from strainwave.domain.linear_models import Hold as Hold
+from strainwave.domain.linear_models import HypothesisTest as HypothesisTest
+from strainwave.domain.linear_models import InputOutput as InputOutput
+from strainwave.domain.linear_models import Mode as Mode
+from strainwave.domain.linear_models import ModelCheck as ModelCheck
+from strainwave.domain.linear_models import Modes as Modes
+from strainwave.domain.linear_models import OrderSelection as OrderSelection
+from strainwave.domain.linear_models import StateSpace as StateSpace
+from strainwave.domain.options import FrequencyOptions as FrequencyOptions
+from strainwave.domain.options import LinearOptions as LinearOptions
+from strainwave.domain.options import LinkOptions as LinkOptions
+from strainwave.domain.options import Options as Options
+from strainwave.domain.options import PhysicalOptions as PhysicalOptions
+from strainwave.domain.options import RigidOptions as RigidOptions
+from strainwave.domain.options import WholeArmOptions as WholeArmOptions
+from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
+from strainwave.domain.parameter_table import parameter_table as parameter_table
+from strainwave.domain.parameter_words import ParameterText as ParameterText
+from strainwave.domain.parameter_words import parameter_descriptions as parameter_descriptions
+from strainwave.domain.progress import Progress as Progress
+from strainwave.domain.progress import ProgressEvent as ProgressEvent
+from strainwave.domain.ranges import ImplausibleJoint as ImplausibleJoint
+from strainwave.domain.ranges import PlausibleRange as PlausibleRange
+from strainwave.domain.ranges import SizedValue as SizedValue
+from strainwave.domain.ranges import is_physical as is_physical
+from strainwave.domain.ranges import physical_range as physical_range
+from strainwave.domain.rigid_model import RigidModel as RigidModel
+from strainwave.domain.search_end import SearchEnd as SearchEnd
+from strainwave.domain.signals import Activity as Activity
+from strainwave.domain.signals import Delay as Delay
+from strainwave.domain.signals import Fusion as Fusion
+from strainwave.domain.signals import Lag as Lag
+from strainwave.domain.signals import LinkSignals as LinkSignals
+from strainwave.domain.signals import LinkSource as LinkSource
+from strainwave.domain.signals import LinkSummary as LinkSummary
+from strainwave.domain.signals import Log as Log
+from strainwave.domain.signals import Signals as Signals
+from strainwave.domain.stage_results import StageResults as StageResults
+from strainwave.domain.stages import STAGES as STAGES
+from strainwave.domain.stages import Stage as Stage
+from strainwave.domain.study import Channel as Channel
+from strainwave.domain.study import Control as Control
+from strainwave.domain.study import Experiment as Experiment
+from strainwave.domain.study import Prbs as Prbs
+from strainwave.domain.study import Study as Study
+from strainwave.domain.study import TopicChannel as TopicChannel
+from strainwave.domain.study import Use as Use
+from strainwave.domain.study import channel_kinds as channel_kinds
+from strainwave.domain.study import channel_names as channel_names
+from strainwave.domain.study import channel_parts as channel_parts
+from strainwave.domain.study_limits import SizeLimit as SizeLimit
+from strainwave.domain.verdict import Status as Status
+from strainwave.domain.verdict import Validation as Validation
+from strainwave.domain.verdict import Verdict as Verdict

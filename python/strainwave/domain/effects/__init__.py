@@ -16,24 +16,15 @@ from strainwave.domain.effects.drive import (
     DriveSaturation,
 )
 from strainwave.domain.effects.gear import Backlash, Hysteresis, KinematicError
-from strainwave.domain.effects.interface import Effect, Input, KnownJoint, RecordEffect
+from strainwave.domain.effects.interface import Effect as Effect
+from strainwave.domain.effects.interface import Input as Input
+from strainwave.domain.effects.interface import KnownJoint as KnownJoint
+from strainwave.domain.effects.interface import RecordEffect as RecordEffect
 from strainwave.domain.effects.link import FlexibleLink, GroundSpring, SoftBase, Tilt
 from strainwave.domain.effects.motor import LoadFriction, PowerFriction, Stribeck, TorqueRipple
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
-
-__all__ = [
-    "Effect",
-    "Input",
-    "KnownJoint",
-    "RecordEffect",
-    "all_effects",
-    "effect_named",
-    "names",
-    "register",
-    "unregister",
-]
 
 _EFFECTS = Registry[Effect](
     "effect",

@@ -11,29 +11,15 @@ from functools import cache
 from types import MappingProxyType
 
 from strainwave.domain.gear_laws.cubic import Cubic
-from strainwave.domain.gear_laws.interface import STIFFNESS, GearLaw, GearParameter
+from strainwave.domain.gear_laws.interface import STIFFNESS as STIFFNESS
+from strainwave.domain.gear_laws.interface import GearLaw as GearLaw
+from strainwave.domain.gear_laws.interface import GearParameter as GearParameter
 from strainwave.domain.gear_laws.linear import Linear
 from strainwave.domain.gear_laws.rigid import Rigid
 from strainwave.domain.gear_laws.three_slope import ThreeSlope
 from strainwave.domain.parameter_table import parameter_table
 from strainwave.domain.registry import Registry
 from strainwave.errors import InvalidInput
-
-__all__ = [
-    "RIGID",
-    "STIFFNESS",
-    "GearLaw",
-    "GearParameter",
-    "determined_law",
-    "gear_law",
-    "gear_parameters",
-    "is_by_load",
-    "is_slope",
-    "lists",
-    "names",
-    "register",
-    "unregister",
-]
 
 RIGID = Rigid.name
 """Name of the law without elasticity, which the rigid step uses for every joint."""

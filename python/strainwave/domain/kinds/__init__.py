@@ -10,26 +10,15 @@ from dataclasses import fields, replace
 from typing import Any
 
 from strainwave.domain.arm import ArmDescription
-from strainwave.domain.kinds.base import Fault, Kind, RigidColumn
-from strainwave.domain.kinds.planar_two_link import PlanarTwoLink, planar_two_link
+from strainwave.domain.kinds.base import Fault as Fault
+from strainwave.domain.kinds.base import Kind as Kind
+from strainwave.domain.kinds.base import RigidColumn as RigidColumn
+from strainwave.domain.kinds.planar_two_link import PlanarTwoLink
+from strainwave.domain.kinds.planar_two_link import planar_two_link as planar_two_link
 from strainwave.domain.kinds.serial import SerialChain
-from strainwave.domain.kinds.single_joint import SingleJoint, single_joint
+from strainwave.domain.kinds.single_joint import SingleJoint
+from strainwave.domain.kinds.single_joint import single_joint as single_joint
 from strainwave.domain.registry import Registry
-
-__all__ = [
-    "Fault",
-    "Kind",
-    "RigidColumn",
-    "all_kinds",
-    "arm_keys",
-    "change_arm_keys",
-    "kind_named",
-    "kind_of",
-    "planar_two_link",
-    "register",
-    "single_joint",
-    "unregister",
-]
 
 _KINDS = Registry[Kind[Any]]("arm kind", "an", "kind", (PlanarTwoLink(), SingleJoint()))
 _CHAIN = SerialChain()  # study files do not describe it
