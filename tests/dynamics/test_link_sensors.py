@@ -9,6 +9,7 @@ import pytest
 
 from strainwave.domain import Imu, Joint
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import planar_two_link, single_joint
 from strainwave.domain.link_sensors import (
     ConstantKind,
     all_types,
@@ -27,6 +28,7 @@ T = 1e-3
 TIME = T * np.arange(2000)
 INNER = slice(40, -40)
 JOINT = Joint("linear", 0.01, accelerometer_distance=0.3)
+ARM = planar_two_link((JOINT, JOINT), 0.35)
 ANYWHERE = Joint("linear", 0.01)
 PRISMATIC = Joint("linear", 0.01, motion="prismatic")
 
@@ -60,7 +62,7 @@ def test_delay_and_scale_change_the_reading() -> None:
     x = np.sin(2.0 * np.pi * 20.0 * TIME)
     values: Values = {("accelerometer_delay", 2): 1.5e-3, ("accelerometer_scale", 2): 1.04}
     expected = 1.04 * np.sin(2.0 * np.pi * 20.0 * (TIME - 1.5e-3))
-    (first,), (second,) = (compared_axes(JOINT, i, [f"a{i}"]) for i in (1, 2))
+    (first,), (second,) = (compared_axes(ARM, i, [f"a{i}"]) for i in (1, 2))
     reading = apply_sensor_model(x, T, second, values)
     assert reading[INNER] == pytest.approx(expected[INNER], abs=1e-4)
     assert np.array_equal(apply_sensor_model(x, T, first, values), x)  # of another joint
@@ -70,7 +72,7 @@ def test_constants_and_their_keys() -> None:
     names = [constant.name for kind in all_types() for constant in kind.constants()]
     assert sorted(names) == sorted(sensor_constants())  # no name twice
     assert constant_of(("gear_damping", 1)) is None
-    (axis,) = compared_axes(JOINT, 2, ["a2", "gyro2", "theta_l2"])
+    (axis,) = compared_axes(ARM, 2, ["a2", "gyro2", "theta_l2"])
     assert axis.key(ConstantKind.DELAY) == ("accelerometer_delay", 2)
     drift = axis.key(ConstantKind.DRIFT, "prbs")
     assert drift == ("accelerometer_drift[prbs]", 2)
@@ -103,7 +105,7 @@ def test_constants_and_their_keys() -> None:
     ],
 )
 def test_what_a_fit_compares(joint: Joint, logged: str, compared: str) -> None:
-    axes = compared_axes(joint, 1, [f"{kind}1" for kind in logged.split()])
+    axes = compared_axes(single_joint(joint), 1, [f"{kind}1" for kind in logged.split()])
     assert {axis.channel for axis in axes} == {f"{kind}1" for kind in compared.split()}
 
 
@@ -121,4 +123,6 @@ def test_bandwidths_reach_the_low_passes_of_the_core() -> None:
 def test_an_estimated_distance_makes_the_place_known() -> None:
     joint = with_estimates(ANYWHERE, 1, {("accelerometer_distance", 1): 0.2})
     assert joint == replace(ANYWHERE, accelerometer_distance=0.2)
-    assert [axis.quantities for axis in compared_axes(joint, 1, ["a1"])] == [("accelerometer",)]
+    assert [axis.quantities for axis in compared_axes(single_joint(joint), 1, ["a1"])] == [
+        ("accelerometer",)
+    ]

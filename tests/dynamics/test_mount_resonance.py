@@ -7,12 +7,14 @@ import pytest
 from scipy.signal import lsim
 
 from strainwave.domain import FloatArray, Joint
+from strainwave.domain.kinds import planar_two_link
 from strainwave.domain.link_sensors import compared_axes
 from strainwave.dynamics.link_sensors import apply_sensor_model, mount_resonance
 from strainwave.dynamics.mount_resonance import MountResonance
 
 T = 1e-3
 JOINT = Joint("linear", 0.01, accelerometer_distance=0.3)
+ARM = planar_two_link((JOINT, JOINT), 0.35)
 FINER = 50
 TIME: FloatArray = T * np.arange(600, dtype=np.float64)
 
@@ -63,7 +65,7 @@ def test_a_constant_is_read_unchanged() -> None:
 
 
 def test_the_sensor_model_applies_the_mount() -> None:
-    first, second = (compared_axes(JOINT, i, [f"a{i}"])[0] for i in (1, 2))
+    first, second = (compared_axes(ARM, i, [f"a{i}"])[0] for i in (1, 2))
     assert second.mount is not None
     values = dict(zip(second.mount, (55.0, 0.04), strict=True))
     mount = mount_resonance(second, values)
@@ -75,5 +77,5 @@ def test_the_sensor_model_applies_the_mount() -> None:
 
 
 def test_encoders_have_no_mount() -> None:
-    mounts = [axis.mount for axis in compared_axes(JOINT, 1, ["theta_l1", "gx1"])]
+    mounts = [axis.mount for axis in compared_axes(ARM, 1, ["theta_l1", "gx1"])]
     assert mounts == [None, (("imu_gyro_mount_frequency", 1), ("imu_gyro_mount_damping", 1))]

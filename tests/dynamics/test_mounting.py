@@ -11,12 +11,9 @@ import pytest
 from strainwave.domain import FloatArray, Imu, Study
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
-from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.link_sensors.imu import ImuAccelerometers
 from strainwave.domain.link_sensors.link_signals import (
-    ACCELEROMETER_QUANTITIES,
-    GYRO_QUANTITIES,
     accelerometer_weights,
-    spatial_weights,
 )
 from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.domain.quantities import Quantity
@@ -24,7 +21,7 @@ from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.signals.imu_attitude import estimate_imu_starts
 from strainwave.signals.link_readings import JointMotion
-from strainwave.signals.mounting_start import accelerometer_quantities, estimate_mounting_starts
+from strainwave.signals.mounting_start import estimate_mounting_starts, link_quantities
 from strainwave.virtual import scara
 from tuning_runs import shaken
 
@@ -44,7 +41,7 @@ def rig(gravity: float | None, joint: int, imu: Imu | None = IMU) -> Study:
 
 
 def axes(study: Study, joint: int) -> tuple[Axis, ...]:
-    return mounted_axes(study.arm.joints[joint - 1], joint, [f"{name}{joint}" for name in NAMES])
+    return mounted_axes(study.arm, joint, [f"{name}{joint}" for name in NAMES])
 
 
 def path_of(angle: FloatArray, study: Study, joint: int) -> tuple[FloatArray, FloatArray]:
@@ -80,7 +77,8 @@ def test_the_simulated_imu_matches_its_path(gravity: float | None, joint: int) -
     voltage = 4.0 * rng.choice([-1.0, 1.0], size=(n // 40 + 1, 2))
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (30.0, 60.0), still)
-    record: list[Quantity] = ["link_angle", *ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES]
+    signals = dict.fromkeys(name for axis in axes(study, joint) for name in axis.quantities)
+    record: list[Quantity] = ["link_angle", *signals]
     run = simulate(Arm.of(study.arm), values, drive, sample_time=T, samples=n, record=record)
     position, link_attitude = path_of(run["link_angle"], study, joint)
     second = (position[2:] - 2.0 * position[1:-1] + position[:-2]) / T**2
@@ -106,6 +104,7 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
         ("gravity_torque_1", None): 40.0,
         ("gravity_torque_2", None): 9.0,
     }
+    sensor_axes = [axes(study, 2)[0], axes(study, 2)[-1]]
     voltage = np.full((40, 2), 5.0)
     still = (0.0, 0.0)
     drive = Drive(0.01, voltage, np.zeros_like(voltage), (False, False), (10.0, -90.0), still)
@@ -116,12 +115,13 @@ def test_the_kinematics_match_the_core(gravity: float | None) -> None:
         drive,
         sample_time=1e-3,
         samples=300,
-        record=[*motion, *ACCELEROMETER_QUANTITIES],
+        record=[*motion, *(name for axis in sensor_axes for name in axis.quantities)],
     )
     q, dq, ddq = (run[name] for name in motion)
-    basis = accelerometer_quantities(Arm.of(study.arm), JointMotion(q, dq, ddq))
-    for k, name in enumerate(ACCELEROMETER_QUANTITIES):
-        np.testing.assert_allclose(basis[:, :, k], run[name], atol=1e-9)
+    for axis in sensor_axes:
+        basis = link_quantities(axis, Arm.of(study.arm), JointMotion(q, dq, ddq))
+        for k, name in enumerate(axis.quantities):
+            np.testing.assert_allclose(basis[:, k], run[name][:, axis.joint - 1], atol=1e-9)
 
 
 def test_the_reading_of_a_spatial_motion() -> None:
@@ -130,13 +130,7 @@ def test_the_reading_of_a_spatial_motion() -> None:
         c, r, f, dw, w = rng.normal(size=(5, 3))
         signals = [*f, *dw, *(w * w), w[0] * w[1], w[0] * w[2], w[1] * w[2]]
         expected = c @ (f + np.cross(dw, r) + np.cross(w, np.cross(w, r)))
-        reading = spatial_weights(c.tolist(), r.tolist()) @ np.array(signals)
-        assert reading == pytest.approx(expected, abs=1e-12)
-        # the planar signals are those of a motion about z
-        in_plane = np.array([f[0], f[1], dw[2], w[2] ** 2])
-        f[2] = dw[0] = dw[1] = w[0] = w[1] = 0.0
-        expected = c @ (f + np.cross(dw, r) + np.cross(w, np.cross(w, r)))
-        reading = accelerometer_weights(c.tolist(), r.tolist()) @ in_plane
+        reading = accelerometer_weights(c.tolist(), r.tolist()) @ np.array(signals)
         assert reading == pytest.approx(expected, abs=1e-12)
 
 
@@ -160,7 +154,7 @@ def test_slopes_match_differences_of_the_factors(gravity: float | None, joint: i
     for imu in (Imu(), Imu(xyz=XYZ), Imu(rpy=RPY)):
         study = rig(gravity, joint, imu)
         imu_axes = axes(study, joint)
-        keys = unknowns_of(imu_axes, Arm.of(study.arm))
+        keys = unknowns_of(imu_axes)
         values = {key: float(rng.uniform(0.1, 0.5)) for key in keys}
         for axis in imu_axes:
             derivatives = axis.slopes(values, keys)
@@ -193,15 +187,13 @@ def test_unknowns_of_an_imu() -> None:
     }
     for (joint, gravity), names in expected.items():
         study = rig(gravity, joint, Imu())
-        assert unknowns_of(axes(study, joint), Arm.of(study.arm)) == [
-            (name, joint) for name in names
-        ]
-        one = mounted_axes(study.arm.joints[joint - 1], joint, [f"ay{joint}", f"gz{joint}"])
-        alone = [*names[:-3], "imu_turn_z", "imu_gz_z"]
-        assert unknowns_of(one, Arm.of(study.arm)) == [(name, joint) for name in alone]
-        assert not unknowns_of(axes(rig(gravity, joint), joint), Arm.of(rig(gravity, joint).arm))
+        assert unknowns_of(axes(study, joint)) == [(name, joint) for name in names]
+        one = mounted_axes(study.arm, joint, [f"ay{joint}", f"gz{joint}"])
+        alone = [*names[:-3], "imu_turn_z", "imu_gz_share"]
+        assert unknowns_of(one) == [(name, joint) for name in alone]
+        assert not unknowns_of(axes(rig(gravity, joint), joint))
     link_attitude = rig(None, 1, Imu(rpy=RPY))
-    assert unknowns_of(axes(link_attitude, 1), Arm.of(link_attitude.arm)) == [
+    assert unknowns_of(axes(link_attitude, 1)) == [
         ("imu_x", 1),
         ("imu_y", 1),
     ]
@@ -234,17 +226,13 @@ def test_the_search_recovers_a_random_mounting(
     true = rig(gravity, joint, Imu(xyz, tuple(rpy.tolist())))
     unknown = rig(gravity, joint, Imu())
     channels = [f"{name}{joint}" for name in names]
-    imu_axes, true_axes = (
-        mounted_axes(rig.arm.joints[joint - 1], joint, channels) for rig in (unknown, true)
-    )
-    basis = accelerometer_quantities(Arm.of(true.arm), JointMotion(q, dq, ddq))[:, joint - 1]
-    rate = dq[:, :joint].sum(axis=1)[:, None]
+    imu_axes, true_axes = (mounted_axes(rig.arm, joint, channels) for rig in (unknown, true))
     tables = []
     for axis in true_axes:
-        parts = rate if isinstance(axis.sensor, ImuGyros) else basis
+        parts = link_quantities(axis, Arm.of(true.arm), JointMotion(q, dq, ddq))
         rows = np.column_stack([parts, parts @ axis.weights({})])
         tables.append(rows - rows.mean(axis=0))
-    starts = estimate_imu_starts(imu_axes, tables, Arm.of(unknown.arm))
+    starts = estimate_imu_starts(imu_axes, tables)
     for axis, true_axis, table in zip(imu_axes, true_axes, tables, strict=True):
         counts, expected = axis.weights(starts), true_axis.weights({})
         is_excited = np.linalg.norm(table[:, :-1], axis=0) > 1e-9

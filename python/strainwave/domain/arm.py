@@ -26,6 +26,8 @@ EffectName = str  # of one of `domain.effects`
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]  # rows
 
+_PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
+
 
 @dataclass(frozen=True, slots=True)
 class Origin:
@@ -146,6 +148,11 @@ class ArmDescription:
     def gravity_size(self) -> float:
         """Size of gravity [m/s^2]; zero without gravity."""
         return math.hypot(*self.gravity) if self.gravity else 0.0
+
+    @property
+    def has_planar_program(self) -> bool:
+        """Whether the core has a compiled program of this kind, for motion in the xy plane."""
+        return self.kind in _PLANAR_PROGRAMS
 
     def with_joints(self, joints: Iterable[Joint]) -> Self:
         """Copy of the arm with other joints."""

@@ -11,8 +11,6 @@ from strainwave._core import Arm as CoreArm
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arrays import FloatArray
 
-_FAST_PATHS = ("planar-two-link", "single-joint")  # kinds with compiled programs of their own
-
 
 def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> CoreArm:
     """The equations of motion of an arm; `constants` are those of its electronics and sensors.
@@ -20,7 +18,7 @@ def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> C
     Planar arms have compiled programs of their own, which are faster than those of a chain.
     """
     ratios = [joint.gear_ratio for joint in arm.joints]
-    if arm.kind not in _FAST_PATHS:
+    if not arm.has_planar_program:
         placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints]
         gravity = arm.gravity or (0.0, 0.0, 0.0)
         return CoreArm.serial_chain(

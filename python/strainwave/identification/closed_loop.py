@@ -124,8 +124,8 @@ def observe(log: Log, arm: Arm, cutoff_hz: float | None = None) -> Observation:
     check_recorded_input(arm, log)
     cutoff = cutoff_hz or velocity_band(log, arm)
     numbers = range(1, arm.n_joints + 1)
-    compared = (compared_axes(arm.joints[i - 1], i, log.channels) for i in numbers)
-    axes = tuple(axis for one in compared for axis in one if axis.sensor.quantities() == _READS)
+    compared = (compared_axes(arm, i, log.channels) for i in numbers)
+    axes = tuple(axis for one in compared for axis in one if axis.quantities == _READS)
     record = prepare_record(log, arm)
     readings = [log.channels[axis.channel] for axis in axes]
     raw = np.column_stack([record.motor_angle, *readings])

@@ -24,7 +24,6 @@ from strainwave.domain.link_sensors.imu import (
     attitude_of,
 )
 from strainwave.domain.link_sensors.rotations import angles, attitude
-from strainwave.dynamics.arm import Arm
 
 _MAX_SEARCHES = 16  # number of best starting values from which the search continues
 _MAX_ITERATIONS = 120  # maximum number of iterations of each search
@@ -38,73 +37,82 @@ _MIN_COLUMN_NORM = 1e-9  # minimum column norm relative to the largest one
 _MAX_STEP = 0.7  # [rad or m] maximum step of any unknown
 
 
-def estimate_imu_starts(
-    axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm
-) -> dict[Key, float]:
+def estimate_imu_starts(axes: Sequence[Axis], tables: Sequence[FloatArray]) -> dict[Key, float]:
     """Estimate the unknowns of an IMU mounting by least squares over its readings.
 
     `axes` belong to one link. Each table is (n_rows, n_quantities + 1): the quantities of an axis
     and, in the last column, its reading. Returns (name, joint) -> value for
     `strainwave.domain.link_sensors.unknowns_of` and for the attitude at which the rotation starts.
     """
-    return imu_candidates(axes, tables, arm)[0]
+    return imu_candidates(axes, tables)[0]
 
 
 def imu_candidates(
-    axes: Sequence[Axis], tables: Sequence[FloatArray], arm: Arm, *, flat: bool = False
+    axes: Sequence[Axis], tables: Sequence[FloatArray], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Distinct local minima of the mounting of an IMU, the smallest objective first.
 
     The arguments are as for `estimate_imu_starts`. With `flat`, the x and y axes of the IMU lie in
-    the plane
-    of motion.
+    the plane of motion.
     """
     problems = [_AxisProblem.of(axis, table) for axis, table in zip(axes, tables, strict=True)]
     minima: list[tuple[float, dict[Key, float]]] = []
-    for cost, values in _search_minima(problems, axes, arm, flat=flat):
+    for cost, values in _search_minima(problems, flat=flat):
         differences = (
             abs(cost - other_cost) > _MIN_COST_DIFFERENCE * max(cost, other_cost)
             for other_cost, _ in minima
         )
         if all(differences):
             minima.append((cost, values))
-    return [_with_positive_distance(values, axes[0].joint) for _, values in minima]
+    return [_with_positive_distance(values, axes[0]) for _, values in minima]
 
 
-def _with_positive_distance(values: dict[Key, float], joint: int) -> dict[Key, float]:
+def _with_positive_distance(values: dict[Key, float], axis: Axis) -> dict[Key, float]:
     """The equivalent mounting with a positive distance: half a turn about the joint axis."""
+    joint = axis.joint
     distance = values.get((IMU_DISTANCE, joint), 1.0)
     if distance >= 0.0:
         return values
-    start = np.diag([-1.0, -1.0, 1.0]) @ attitude_of(values, joint)
-    flipped = {**values, (IMU_DISTANCE, joint): -distance}
-    flipped |= {(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in flipped}
-    flipped |= {
-        (name, joint): angle
-        for name, angle in zip(IMU_START_ATTITUDE, angles(start).tolist(), strict=True)
-    }
-    if (IMU_BEARING, joint) in flipped:
-        flipped[IMU_BEARING, joint] += np.pi
-    return flipped
+    turned = _turned(values, axis, (-1.0, -1.0, 1.0)) | {(IMU_DISTANCE, joint): -distance}
+    if (IMU_BEARING, joint) in turned:
+        turned[IMU_BEARING, joint] += np.pi
+    return turned
 
 
-def mirror_mounting(values: Mapping[Key, float], joint: int) -> dict[Key, float]:
-    """The mounting on the other side of the link, with the same factors of f_y and alpha.
+def mirror_mounting(values: Mapping[Key, float], axis: Axis) -> dict[Key, float]:
+    """The mounting on the other side of a link with one axis, with the same factors of f_y, alpha.
 
     The factors of f_x and w^2 change their sign, which only fast or large motions show. `values`
-    must contain a rotation; joints count from 1.
+    must contain a rotation.
     """
-    flipped = dict(values)
-    start = np.diag([-1.0, 1.0, -1.0]) @ attitude_of(values, joint)
-    flipped |= {(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in flipped}
-    flipped |= {
-        (name, joint): angle
-        for name, angle in zip(IMU_START_ATTITUDE, angles(start).tolist(), strict=True)
+    joint, directions = axis.joint, axis.space.directions
+    mirrored = _turned(values, axis, (-1.0, 1.0, -1.0))
+    if (IMU_BEARING, joint) in mirrored:
+        mirrored[IMU_BEARING, joint] = -mirrored[IMU_BEARING, joint]
+    keys: list[Key] = [(IMU_POSITION[k], joint) for k in axis.space.free_coordinates]
+    if keys[0] in mirrored:
+        position = np.zeros(3)
+        position[list(axis.space.free_coordinates)] = [values[key] for key in keys]
+        opposite = directions.T @ (np.array([1.0, -1.0, 1.0]) * (directions @ position))
+        mirrored |= zip(keys, axis.space.coordinates(opposite), strict=True)
+    return mirrored
+
+
+def _turned(values: Mapping[Key, float], axis: Axis, signs: Sequence[float]) -> dict[Key, float]:
+    """The mounting with another attitude, by signs along the directions of the link's space."""
+    joint, directions = axis.joint, axis.space.directions
+    start = directions.T @ np.diag(signs) @ directions @ attitude_of(values, joint)
+    return {
+        **values,
+        **{(name, joint): 0.0 for name in IMU_ROTATION if (name, joint) in values},
+        **_start_attitude(start, joint),
     }
-    for name in (IMU_POSITION[1], IMU_BEARING):
-        if (name, joint) in flipped:
-            flipped[name, joint] = -flipped[name, joint]
-    return flipped
+
+
+def _start_attitude(matrix: FloatArray, joint: int) -> dict[Key, float]:
+    """Starting attitude of a rotation matrix."""
+    rpy = zip(IMU_START_ATTITUDE, angles(matrix).tolist(), strict=True)
+    return {(name, joint): angle for name, angle in rpy}
 
 
 class _AxisProblem:
@@ -125,24 +133,21 @@ class _AxisProblem:
 
 
 def _search_minima(
-    problems: Sequence[_AxisProblem], axes: Sequence[Axis], arm: Arm, *, flat: bool
+    problems: Sequence[_AxisProblem], *, flat: bool
 ) -> list[tuple[float, dict[Key, float]]]:
     """Local minima as (objective, mounting), in ascending order of the objective."""
-    joint, keys = axes[0].joint, unknowns_of(axes, arm)
+    axes = [problem.axis for problem in problems]
+    joint, keys = axes[0].joint, unknowns_of(axes)
     has_rotation = any(key[0] in IMU_ROTATION for key in keys)
     if flat:
         keys = [key for key in keys if key[0] not in IMU_ROTATION[:2]]
     has_bearing = (IMU_BEARING, joint) in keys
     starts = []
-    for rotation in _starting_rotations(flat=flat) if has_rotation else [np.eye(3)]:
+    for rotation in _starting_rotations(problems, flat=flat) if has_rotation else [np.eye(3)]:
         for k in range(_N_BEARINGS if has_bearing else 1):
             values = dict.fromkeys(keys, 0.0)
             if has_rotation:
-                rpy = angles(rotation).tolist()
-                values |= {
-                    (name, joint): angle
-                    for name, angle in zip(IMU_START_ATTITUDE, rpy, strict=True)
-                }
+                values |= _start_attitude(rotation, joint)
             if has_bearing:
                 values[IMU_BEARING, joint] = 2.0 * np.pi * k / _N_BEARINGS
             candidate = _with_optimal_position(problems, values, keys)
@@ -152,12 +157,21 @@ def _search_minima(
     return sorted(minima, key=lambda one: one[0])
 
 
-def _starting_rotations(*, flat: bool) -> Iterator[FloatArray]:
-    """Starting rotations: right-angle rotations and two between each; or rotations in a plane."""
+def _starting_rotations(problems: Sequence[_AxisProblem], *, flat: bool) -> Iterator[FloatArray]:
+    """Starting rotations.
+
+    On a link that turns about several axes, the linear estimate; on another link right-angle
+    rotations and two between each, or rotations in the plane of motion.
+    """
+    space = problems[0].axis.space
+    if space.axis is None:
+        yield _linear_rotation(problems)
+        return
     if flat:
         for k, side in product(range(8), (1.0, -1.0)):
             c, s = np.cos(k * np.pi / 4.0), np.sin(k * np.pi / 4.0)
-            yield np.array([[c, -s * side, 0.0], [s, c * side, 0.0], [0.0, 0.0, side]])
+            in_plane = np.array([[c, -s * side, 0.0], [s, c * side, 0.0], [0.0, 0.0, side]])
+            yield space.directions.T @ in_plane
         return
     intermediate = [attitude(rpy) for rpy in ((0.5, 0.6, 0.7), (-0.7, 0.5, -0.6))]
     for order in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (0, 2, 1), (2, 1, 0), (1, 0, 2)):
@@ -166,6 +180,19 @@ def _starting_rotations(*, flat: bool) -> Iterator[FloatArray]:
             if np.linalg.det(matrix) > 0.0:
                 yield matrix
                 yield from (matrix @ rotation for rotation in intermediate)
+
+
+def _linear_rotation(problems: Sequence[_AxisProblem]) -> FloatArray:
+    """The rotation nearest to the directions of the axes by linear least squares.
+
+    An accelerometer reads the specific force along its direction, a gyro the rate.
+    """
+    directions = np.zeros((3, 3))
+    for problem in problems:
+        factors = np.linalg.lstsq(problem.root, problem.target)[0]
+        directions[:, problem.axis.number] += factors[:3] / np.linalg.norm(factors[:3])
+    left, _, right = np.linalg.svd(directions)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
 
 
 def _residual(problems: Sequence[_AxisProblem], values: dict[Key, float]) -> FloatArray:

@@ -17,10 +17,9 @@ from typing import Self
 import numpy as np
 
 from strainwave.domain import FloatArray, Joint
+from strainwave.domain.link_sensors.rotations import axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import differentiate
-
-_MAX_AXIAL_SHARE = 0.999  # of a direction along the link, as in the core
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ def read_rotation(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
 
 def read_gyro(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
     """Reading of the gyro on link i, from 0: (n_samples,) [rad/s]."""
-    return np.asarray(motion.links(arm)[:, i, :3] @ _sensor_axes(arm.joints[i])[2])
+    return np.asarray(motion.links(arm)[:, i, :3] @ axes_about(arm.joints[i].axis)[2])
 
 
 def read_gravity(arm: Arm, angle: FloatArray, i: int, gravity: FloatArray) -> FloatArray:
@@ -114,7 +113,7 @@ def preceding_gains(arm: Arm, angle: FloatArray, i: int, *, gyro: bool) -> Float
     for j in range(i):
         unit = replace(rest, acceleration=rest.acceleration + np.eye(arm.n_joints)[j])
         if gyro:
-            gains[:, j] = unit.links(arm)[:, i, 3:6] @ _sensor_axes(joint)[2]
+            gains[:, j] = unit.links(arm)[:, i, 3:6] @ axes_about(joint.axis)[2]
         else:
             gains[:, j] = read_accelerometer(arm, unit, i) - start
     return gains
@@ -123,7 +122,7 @@ def preceding_gains(arm: Arm, angle: FloatArray, i: int, *, gyro: bool) -> Float
 def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
     """Derivatives of a reading of accelerometer i by the joint angles: (n_samples, n_joints)."""
     joint = arm.joints[i]
-    x, y, z = _sensor_axes(joint)
+    x, y, z = axes_about(joint.axis)
     states = motion.angle, motion.velocity, motion.acceleration
     slope = np.swapaxes(arm.link_motion_derivatives(*states)[0][:, i], 1, 2)
     if joint.motion == "prismatic":
@@ -136,21 +135,13 @@ def angle_derivatives(arm: Arm, motion: JointMotion, i: int) -> FloatArray:
 
 def _direction(joint: Joint) -> FloatArray:
     """Direction of a link's accelerometer in the frame of the link."""
-    return np.asarray(_sensor_axes(joint)[2 if joint.motion == "prismatic" else 1])
+    return np.asarray(axes_about(joint.axis)[2 if joint.motion == "prismatic" else 1])
 
 
 def _rotation(joint: Joint, link: FloatArray) -> FloatArray:
     """Contribution of the rotation of a link (n_samples, 9) to the reading of its accelerometer."""
     if joint.motion == "prismatic":
         return np.zeros(len(link))
-    x, y, z = _sensor_axes(joint)
+    x, y, z = axes_about(joint.axis)
     rate, turning = link[:, :3], link[:, 3:6]
     return np.asarray(acceleration_gain(joint) * (turning @ z + (rate @ x) * (rate @ y)))
-
-
-def _sensor_axes(joint: Joint) -> FloatArray:
-    """Directions x, y and z of a link's sensors in the frame of the link, in rows."""
-    z = np.array(joint.axis) / np.linalg.norm(joint.axis)
-    across = (np.eye(3) - np.outer(z, z))[0 if abs(z[0]) < _MAX_AXIAL_SHARE else 1]
-    x = across / np.linalg.norm(across)
-    return np.array([x, np.cross(z, x), z])

@@ -16,12 +16,19 @@ from strainwave.domain import FloatArray, Joint, Log
 from strainwave.domain.keys import Key
 from strainwave.domain.link_sensors import Axis, mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.accelerometer import ACCELEROMETER_DISTANCE, Accelerometer
-from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros
+from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
+from strainwave.domain.link_sensors.link_signals import (
+    ACCELEROMETER_QUANTITIES,
+    GYRO_QUANTITIES,
+    accelerometer_weights,
+)
+from strainwave.domain.link_sensors.link_space import LinkSpace
+from strainwave.domain.link_sensors.rotations import axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.numerics.filters import low_pass
 from strainwave.signals.channels import unmeasured
 from strainwave.signals.imu_attitude import estimate_imu_starts
-from strainwave.signals.link_readings import JointMotion, read_gyro
+from strainwave.signals.link_readings import JointMotion
 from strainwave.signals.prepared_record import prepare_record
 
 _MAX_FREQUENCY_HZ = 2.0  # [Hz] below which links follow their motors; most resonances exceed 10 Hz
@@ -30,17 +37,17 @@ _EDGE_PERIODS = 1.0  # excluded edge of a record, in periods of the cutoff (low-
 _MIN_SAMPLES = 64  # minimum number of samples of a record
 _MIN_COLUMN_NORM = 1e-6  # minimum norm of a column relative to the largest one
 _MIN_SQUARED_SHARE = 0.1  # of the rate about the axis in the gyros of an IMU
+_MAX_FACTOR_ERROR = 0.1  # of a sum of axes that replaces a tangential accelerometer
 _MIN_DISTANCE = 0.02  # [m] minimum distance from the axis to measure angular acceleration
 
 
-def accelerometer_quantities(arm: Arm, motion: JointMotion) -> FloatArray:
-    """Quantities of which each accelerometer on a link reads a linear combination.
-
-    The result is (n_samples, n_joints, 4): f_x, f_y [m/s^2], alpha [rad/s^2] and w^2 [rad^2/s^2],
-    as in `ACCELEROMETER_QUANTITIES`.
-    """
-    links = motion.links(arm)
-    return np.concatenate([links[..., [6, 7, 5]], links[..., 2:3] ** 2], axis=2)
+def link_quantities(axis: Axis, arm: Arm, motion: JointMotion) -> FloatArray:
+    """The quantities (n_samples, n_quantities) that an axis reads, from the joints' motion."""
+    rates, accelerations, forces = np.split(motion.links(arm)[:, axis.joint - 1], 3, axis=1)
+    products = rates[:, [0, 1, 2, 0, 0, 1]] * rates[:, [0, 1, 2, 1, 2, 2]]
+    names = (*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES)
+    signals = np.column_stack([forces, accelerations, products, rates])
+    return signals[:, [names.index(name) for name in axis.quantities]]
 
 
 def estimate_mounting_starts(
@@ -55,28 +62,32 @@ def estimate_mounting_starts(
     starting_values: dict[Key, float] = {}
     for joint in range(1, arm.n_joints + 1):
         axes = axes_on(logs if used is None else used, arm, joint)
-        if unknowns_of(axes, arm):
+        if unknowns_of(axes):
             tables = _axis_tables(logs, arm, axes)
             if isinstance(axes[0].sensor, Accelerometer):
-                starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(tables[0])
+                starting_values[ACCELEROMETER_DISTANCE, joint] = distance_of(axes[0], tables[0])
             else:
-                starting_values |= estimate_imu_starts(axes, tables, arm)
+                starting_values |= estimate_imu_starts(axes, tables)
     return starting_values
 
 
 def axes_on(logs: Sequence[Log], arm: Arm, joint: int) -> tuple[Axis, ...]:
     """Sensor axes on the link of a joint (from 1) in any of the records, without duplicates."""
-    axes_per_log = (mounted_axes(arm.joints[joint - 1], joint, log.channels) for log in logs)
+    axes_per_log = (mounted_axes(arm, joint, log.channels) for log in logs)
     return tuple(dict.fromkeys(axis for axes in axes_per_log for axis in axes))
 
 
 def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[FloatArray]:
-    """Estimate the factors of the quantities in the reading of each axis by linear least squares.
+    """Estimate the factors of the link signals in the reading of each axis.
 
-    The axes belong to one link. Returns (n_quantities,) per axis. For a tangential accelerometer,
-    the factor of f_y is one, and the factors of f_x and w^2 are zero.
+    The axes belong to one link. Returns one array per axis, in the order of the quantities of its
+    sensor. Behind several joint axes the factors follow from the estimated mounting, otherwise from
+    linear least squares.
     """
     tables = _axis_tables(logs, arm, axes)
+    if axes[0].space.axis is None and isinstance(axes[0].sensor, ImuSensor):
+        values = estimate_imu_starts(axes, tables)
+        return [axis.sensor.weights(axis, values) for axis in axes]
     return [_fit_factors(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
 
@@ -86,14 +97,13 @@ def _axis_tables(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[Fl
     for log in logs:
         if len(log) < _MIN_SAMPLES or f"theta_m{arm.n_joints}" not in log.channels:
             continue
-        motion, i = _motion_from_motors(log, arm), axes[0].joint - 1
-        basis, rate = accelerometer_quantities(arm, motion)[:, i], read_gyro(arm, motion, i)
+        motion = _motion_from_motors(log, arm)
         for axis, table in zip(axes, tables, strict=True):
             if axis.channel not in log.channels:
                 continue
             reading = low_pass(log.channels[axis.channel], _cutoff_hz(log), log.sample_time)
-            columns = [rate] if isinstance(axis.sensor, ImuGyros) else list(basis.T)
-            rows = np.column_stack([*columns, reading])[_inner_samples(log)]
+            rows = np.column_stack([link_quantities(axis, arm, motion), reading])
+            rows = rows[_inner_samples(log)]
             table.append(rows - rows.mean(axis=0))
     return [np.concatenate(table) for table in tables]
 
@@ -118,23 +128,26 @@ def _inner_samples(log: Log) -> slice:
 def _fit_factors(axis: Axis, rows: FloatArray) -> FloatArray:
     """Least squares for the factors of one axis over all records, without negligible columns."""
     if isinstance(axis.sensor, Accelerometer):
-        return np.array([0.0, 1.0, distance_of(rows), 0.0])
+        distance: dict[Key, float] = {(ACCELEROMETER_DISTANCE, axis.joint): distance_of(axis, rows)}
+        return axis.sensor.weights(axis, distance)
     columns, reading = rows[:, :-1], rows[:, -1]
     column_norm = np.linalg.norm(columns, axis=0)
     is_significant = column_norm > _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
-    estimate = np.zeros(columns.shape[1])
-    estimate[is_significant] = np.linalg.lstsq(columns[:, is_significant], reading)[0]
+    estimate = np.zeros(len(axis.is_simulated))
+    places = np.flatnonzero(axis.is_simulated)[is_significant]
+    estimate[places] = np.linalg.lstsq(columns[:, is_significant], reading)[0]
     return estimate
 
 
-def distance_of(rows: FloatArray) -> float:
+def distance_of(axis: Axis, rows: FloatArray) -> float:
     """Estimate the distance [m] of a tangential accelerometer from the axis of its link.
 
-    `rows` is (n_rows, 5): f_x, f_y, alpha and w^2 of the link, and the reading. The estimate is by
-    least squares.
+    `rows` is (n_rows, n_quantities + 1): the quantities of the axis, and the reading. The estimate
+    is by least squares.
     """
-    alpha, tangential = rows[:, 2], rows[:, 4] - rows[:, 1]
-    return float(alpha @ tangential) / max(float(alpha @ alpha), 1e-300)
+    at_axis, at_one = (axis.weights({(ACCELEROMETER_DISTANCE, axis.joint): d}) for d in (0.0, 1.0))
+    rotation, tangential = rows[:, :-1] @ (at_one - at_axis), rows[:, -1] - rows[:, :-1] @ at_axis
+    return float(rotation @ tangential) / max(float(rotation @ rotation), 1e-300)
 
 
 def substitute_equivalent_sensors(
@@ -191,7 +204,7 @@ class _EquivalentSensor:
     description: Joint  # with the constants of the equivalent sensor
     axes: tuple[Axis, ...]
     weights: FloatArray  # (n_axes,)
-    # factors (4,) of other quantities in the sum, which the motors give; None: not subtracted
+    # factors of other quantities in the sum, which the motors give; None: not subtracted
     others: FloatArray | None = None
 
     def added_to(self, log: Log, arm: Arm) -> Log:
@@ -201,8 +214,8 @@ class _EquivalentSensor:
             return log
         reading = self.weights @ np.array([log.channels[name] for name in names])
         if self.others is not None:
-            motion, i = _motion_from_motors(log, arm), self.axes[0].joint - 1
-            reading -= accelerometer_quantities(arm, motion)[:, i] @ self.others
+            axis, motion = self.axes[0], _motion_from_motors(log, arm)
+            reading -= link_quantities(axis, arm, motion) @ self.others[axis.is_simulated]
         channels = {**log.channels, self.channel: reading}
         return replace(
             log, channels=channels, masked={**log.masked, self.channel: unmeasured(log, names)}
@@ -213,43 +226,55 @@ def _equivalent_sensor(
     arm: Arm, axes: Sequence[Axis], linear: Sequence[FloatArray]
 ) -> _EquivalentSensor | None:
     """The equivalent accelerometer or gyro of one link; None if no sum of axes is one."""
-    joint = axes[0].joint
+    joint, space = axes[0].joint, axes[0].space
+    x, y, z = axes_about(arm.joints[joint - 1].axis)
     description, pairs = arm.joints[joint - 1], list(zip(axes, linear, strict=True))
     gyros = [(a, f) for a, f in pairs if isinstance(a.sensor, ImuGyros)]
     accelerometers = [(a, f) for a, f in pairs if not isinstance(a.sensor, ImuGyros)]
     factors = [f for _, f in accelerometers]
-    weights, distance = _tangential_weights(factors, joint)
+    weights, distance = _tangential_weights(factors, (x, y, z), space)
     if accelerometers and abs(distance) > _MIN_DISTANCE:
         used = tuple(axis for axis, _ in accelerometers)
         hz, others = used[0].sensor.hz, None
         if isinstance(used[0].sensor, ImuAccelerometers):
-            others = weights @ np.array(factors) - np.array([0.0, 1.0, distance, 0.0])
+            tangential = accelerometer_weights(y.tolist(), (distance * x).tolist())
+            others = weights @ np.array(factors) - tangential
         changed = replace(description, accelerometer_distance=distance, accelerometer_hz=hz)
         return _EquivalentSensor(f"a{joint}", changed, used, weights, others)
-    shares = np.array([factor[0] for _, factor in gyros])
+    shares = np.array([factor @ z for _, factor in gyros])
     if not float(shares @ shares) > _MIN_SQUARED_SHARE:
         return None
     hz = gyros[0][0].sensor.hz
     # equal delay of the first-order and the second-order low-pass
     changed = replace(description, gyro_hz=hz / np.sqrt(2.0) if hz else None)
     used, weights = tuple(axis for axis, _ in gyros), shares / float(shares @ shares)
-    return _EquivalentSensor(f"gyro{joint}", changed, used, weights)
+    others = weights @ np.array([f for _, f in gyros]) - z if space.axis is None else None
+    return _EquivalentSensor(f"gyro{joint}", changed, used, weights, others)
 
 
-def _tangential_weights(linear: Sequence[FloatArray], joint: int) -> tuple[FloatArray, float]:
-    """Weights of a sum of axes with factor one of f_y and zero of f_x, and its factor of alpha.
+def _tangential_weights(
+    linear: Sequence[FloatArray], directions: Sequence[FloatArray], space: LinkSpace
+) -> tuple[FloatArray, float]:
+    """Weights of a sum of axes that reads f along the tangent only, and its factor of alpha.
 
-    On the first link, where f is small, the sum has factor one of alpha and zero of w^2. The factor
-    is zero if no weights achieve this.
+    `directions` are x, along the link, the tangent y and the axis z of the joint. About a fixed
+    axis, where f is small, the sum has factor one of alpha and zero of w^2. The factor is zero if
+    no weights achieve this.
     """
     if not linear:
         return np.zeros(0), 0.0
-    matrix = np.array(linear).T  # (4, n_axes)
-    if len(linear) == 1 and joint > 1:
-        return np.ones(1), float(matrix[2, 0]) if abs(matrix[1, 0] - 1.0) < 0.1 else 0.0
-    rows, target = (matrix[:2], [0.0, 1.0]) if joint > 1 else (matrix[[3, 2]], [0.0, 1.0])
+    forces, accelerations, products = np.split(np.array(linear).T, [3, 6])  # (.., n_axes)
+    x, y, z = directions
+    by_alpha = z @ accelerations
+    if len(linear) == 1 and not space.is_axis_fixed:
+        is_tangential = abs(y @ forces[:, 0] - 1.0) < _MAX_FACTOR_ERROR
+        return np.ones(1), float(by_alpha[0]) if is_tangential else 0.0
+    if space.is_axis_fixed:
+        by_square = (z[[0, 1, 2, 0, 0, 1]] * z[[0, 1, 2, 1, 2, 2]]) @ products
+        rows, target = np.array([by_square, by_alpha]), np.array([0.0, 1.0])
+    else:
+        rows, target = np.array([x, y, z]) @ forces, np.array([0.0, 1.0, 0.0])
     weights = np.linalg.pinv(rows, rcond=0.1) @ target
-    achieved = rows @ weights
-    if abs(achieved[1] - 1.0) > 0.1 or abs(achieved[0]) > 0.1:
+    if np.any(np.abs(rows @ weights - target) > _MAX_FACTOR_ERROR):
         return weights, 0.0
-    return weights, float(matrix[2] @ weights)
+    return weights, float(by_alpha @ weights)

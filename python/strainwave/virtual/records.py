@@ -10,7 +10,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import Axis
+from strainwave.domain.link_sensors import Axis, axes_of
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
@@ -61,10 +61,9 @@ def record_experiment(
     imu_axes = [axis for i in range(1, arm.n_joints + 1) for axis in _imu_axes(study.path, arm, i)]
     by_channel = [
         axis
-        for i, joint in enumerate(arm.joints, start=1)
-        for sensor in joint.sensors
-        for axis in sensor.axes(i)
-        if sensor.by_channel and axis.channel in study.channels
+        for i in range(1, arm.n_joints + 1)
+        for axis in axes_of(arm, i)
+        if axis.sensor.by_channel and axis.channel in study.channels
     ]
     record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
     record += [name for axis in (*imu_axes, *by_channel) for name in axis.quantities]
@@ -116,8 +115,7 @@ def _imu_axes(path: Path, arm: Arm, joint: int) -> list[Axis]:
             where=str(path),
             remedy="set its xyz and rpy; identification does not need them",
         )
-    sensors = [s for s in arm.joints[joint - 1].sensors if isinstance(s, ImuSensor)]
-    return [axis for sensor in sensors for axis in sensor.axes(joint)]
+    return [axis for axis in axes_of(arm, joint) if isinstance(axis.sensor, ImuSensor)]
 
 
 def _imu_readings(

@@ -26,6 +26,7 @@ from strainwave.domain.link_sensors.interface import (
     TypicalSensor,
 )
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
+from strainwave.domain.link_sensors.link_space import link_space
 from strainwave.domain.link_sensors.torque_sensor import TorqueSensor
 from strainwave.domain.link_sensors.torsion_sensor import TorsionSensor
 from strainwave.domain.parameter_table import base_name
@@ -43,6 +44,7 @@ __all__ = [
     "SensorConstant",
     "TypicalSensor",
     "all_types",
+    "axes_of",
     "compared_axes",
     "constant_of",
     "is_hidden",
@@ -165,14 +167,18 @@ def low_passes(joint: Joint) -> dict[str, float | None]:
     return passes
 
 
-def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+def axes_of(arm: ArmDescription, number: int) -> tuple[Axis, ...]:
+    """Axes of all sensors that the link of a joint, from 1, can have."""
+    space, sensors = link_space(arm, number), arm.joints[number - 1].sensors
+    return tuple(axis for sensor in sensors for axis in sensor.axes(number, space))
+
+
+def compared_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
     """Axes on a link, from 1, that a fit compares if a log has these channels.
 
     Of each group of sensors, in the order of the groups, these are the axes of least rank.
     """
-    axes = [
-        axis for sensor in joint.sensors for axis in sensor.axes(number) if axis.channel in channels
-    ]
+    axes = [axis for axis in axes_of(arm, number) if axis.channel in channels]
     compared: list[Axis] = []
     for group in Group:
         of_group = [axis for axis in axes if axis.sensor.group is group]
@@ -181,15 +187,15 @@ def compared_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple
     return tuple(compared)
 
 
-def mounted_axes(joint: Joint, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+def mounted_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
     """The compared axes whose readings depend on a mounting."""
-    axes = compared_axes(joint, number, channels)
+    axes = compared_axes(arm, number, channels)
     return tuple(axis for axis in axes if axis.is_mounted)
 
 
-def unknowns_of(axes: Sequence[Axis], arm: ArmDescription) -> list[Key]:
+def unknowns_of(axes: Sequence[Axis]) -> list[Key]:
     """Unknowns of the mounting of one link's axes, in the coordinates of a fit."""
-    return axes[0].sensor.unknowns(axes, has_gravity=bool(arm.gravity)) if axes else []
+    return axes[0].sensor.unknowns(axes) if axes else []
 
 
 def with_estimates(joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:

@@ -77,9 +77,10 @@ class Accelerometer(LinkSensor):
         if self.is_at_known_place:
             return np.ones(1)
         tilt = values.get((ACCELEROMETER_TILT, axis.joint), 0.0)
-        direction = (-np.sin(tilt), np.cos(tilt), 0.0)
-        position = (values[ACCELEROMETER_DISTANCE, axis.joint], 0.0, 0.0)
-        return accelerometer_weights(direction, position)
+        x, y, _ = axis.space.directions
+        direction = np.cos(tilt) * y - np.sin(tilt) * x
+        position = values[ACCELEROMETER_DISTANCE, axis.joint] * x
+        return accelerometer_weights(direction.tolist(), position.tolist())
 
     def with_place(self, joint: Joint, number: int, values: Mapping[Key, float]) -> Joint:
         known = joint.accelerometer_distance or values.get((ACCELEROMETER_DISTANCE, number))
@@ -95,11 +96,11 @@ class Accelerometer(LinkSensor):
         table = replace(joint, accelerometer_distance=distance, accelerometer_hz=hz)
         return TypicalSensor(table, text, noise_density=ACCELEROMETER_DENSITY)
 
-    def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
+    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
         return [] if self.is_at_known_place else [(ACCELEROMETER_DISTANCE, axes[0].joint)]
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
-        return self.is_at_known_place or axis.joint > 1 or has_gravity
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+        return self.is_at_known_place or axis.space.has_varying_force
 
     @classmethod
     def extra_constants(cls) -> tuple[SensorConstant, ...]:

@@ -1,9 +1,11 @@
 """IMU: accelerometers and gyros in one case at any position and attitude on a link.
 
-Axis 1 is fixed. On link 1 an unknown position is therefore a distance from the axis and, under
-gravity, a bearing, and the attitude is relative to the bearing. These coordinates separate
-identifiable from unidentifiable quantities in short motions. A single accelerometer is assumed to
-lie in the plane of motion, and each gyro axis then has an unknown share of the rate.
+An unknown mounting is a position and a rotation from a starting attitude, of which the space of the
+link (`LinkSpace`) frees what its readings show. A link that turns about one direction has two
+coordinates across it; a single accelerometer is then assumed to lie in the plane of motion, and
+each gyro axis has an unknown share of the rate. If that axis is fixed, the position is a distance
+from the axis and, where the specific force varies, a bearing, and the attitude is relative to the
+bearing. These coordinates separate identifiable from unidentifiable quantities in short motions.
 """
 
 from __future__ import annotations
@@ -29,13 +31,14 @@ from strainwave.domain.link_sensors.link_signals import (
     GYRO_QUANTITIES,
     accelerometer_weights,
 )
+from strainwave.domain.link_sensors.link_space import LinkSpace
 from strainwave.domain.link_sensors.rotations import angles, attitude, rotation
 from strainwave.domain.quantities import Quantity
 
 if TYPE_CHECKING:
     from strainwave.domain.arm import Imu, Joint
 
-IMU_POSITION = ("imu_x", "imu_y")
+IMU_POSITION = ("imu_x", "imu_y", "imu_z")
 IMU_DISTANCE, IMU_BEARING = "imu_distance", "imu_bearing"
 IMU_ROTATION = ("imu_turn_x", "imu_turn_y", "imu_turn_z")
 """Rotation vector from the starting attitude, without singular point."""
@@ -43,11 +46,11 @@ IMU_START_ATTITUDE = ("imu_start_roll", "imu_start_pitch", "imu_start_yaw")
 """Starting attitude, fixed in a fit."""
 
 _K = ConstantKind
-_OWN_AXIS = "link, from the link's own axis"
 _IN_FRAME = "of the IMU in its link's frame, as in URDF"
 _MOUNTING_CONSTANTS = (
-    SensorConstant("imu", _K.POSITION_X, "m", f"position of the IMU along its {_OWN_AXIS}", "x"),
-    SensorConstant("imu", _K.POSITION_Y, "m", f"position of the IMU across its {_OWN_AXIS}", "y"),
+    SensorConstant("imu", _K.POSITION_X, "m", f"x coordinate {_IN_FRAME}", "x"),
+    SensorConstant("imu", _K.POSITION_Y, "m", f"y coordinate {_IN_FRAME}", "y"),
+    SensorConstant("imu", _K.POSITION_Z, "m", f"z coordinate {_IN_FRAME}", "z"),
     SensorConstant("imu", _K.DISTANCE, "m", "distance of the IMU from its link's own axis"),
     SensorConstant("imu", _K.ROLL, "rad", f"roll {_IN_FRAME}"),
     SensorConstant("imu", _K.PITCH, "rad", f"pitch {_IN_FRAME}"),
@@ -107,49 +110,69 @@ class ImuSensor(LinkSensor):
         """Attitude (3, 3); its columns are the sensor's axes in the link's frame."""
         return attitude_of(values, joint) if self.rpy is None else attitude(self.rpy)
 
-    def pose(self, joint: int, values: Mapping[Key, float]) -> tuple[FloatArray, Sequence[float]]:
+    def pose(self, axis: Axis, values: Mapping[Key, float]) -> tuple[FloatArray, Sequence[float]]:
         """Attitude (3, 3) and position (3,) [m] in the link's frame, turned by the bearing."""
-        matrix = self.attitude(joint, values)
+        joint, matrix = axis.joint, self.attitude(axis.joint, values)
         if self.xyz is not None:
             return matrix, self.xyz
-        if not self._is_polar(joint):
-            x, y = (values[name, joint] for name in IMU_POSITION)
-            return matrix, (x, y, 0.0)
+        if not self._is_polar(axis.space):
+            free = axis.space.free_coordinates
+            return matrix, [values[IMU_POSITION[k], joint] if k in free else 0.0 for k in range(3)]
         bearing, distance = values.get((IMU_BEARING, joint), 0.0), values[IMU_DISTANCE, joint]
-        position = (distance * math.cos(bearing), distance * math.sin(bearing), 0.0)
-        return attitude((0.0, 0.0, bearing)) @ matrix, position
+        x, y, z = axis.space.directions
+        position = distance * (math.cos(bearing) * x + math.sin(bearing) * y)
+        return rotation(bearing * z) @ matrix, position.tolist()
 
-    def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
-        joint, count = axes[0].joint, _count_accelerometers(axes)
+    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
+        joint, space, count = axes[0].joint, axes[0].space, _count_accelerometers(axes)
         names: list[str] = []
         if count and self.xyz is None:
-            bearing = (IMU_BEARING,) if has_gravity else ()
-            names += (IMU_DISTANCE, *bearing) if self._is_polar(joint) else IMU_POSITION
-        if count and self.rpy is None:
-            names += IMU_ROTATION if count > 1 else IMU_ROTATION[2:]
+            bearing = (IMU_BEARING,) if space.has_varying_force else ()
+            coordinates = [IMU_POSITION[k] for k in space.free_coordinates]
+            names += (IMU_DISTANCE, *bearing) if self._is_polar(space) else coordinates
+        if self.rpy is None:
+            names += self._turns(axes)
         shares = (axis.key(ConstantKind.SHARE) for axis in axes)
         keys: list[Key] = [(name, joint) for name in names]
-        has_shares = self.rpy is None and count < 2
-        return [*keys, *(key for key in shares if key and has_shares)]
+        return [*keys, *(key for key in shares if key and self._has_shares(axes))]
+
+    def _turns(self, axes: Sequence[Axis]) -> Sequence[str]:
+        """Rotations that change the readings: all, or not that about the only axis."""
+        numbers, count = {axis.number for axis in axes}, _count_accelerometers(axes)
+        if axes[0].space.axis is None:
+            return [name for k, name in enumerate(IMU_ROTATION) if numbers != {k}]
+        return IMU_ROTATION if count > 1 else IMU_ROTATION[2:] if count else ()
+
+    def _has_shares(self, axes: Sequence[Axis]) -> bool:
+        """Whether too few axes show the attitude, so that gyros have shares of the only rate."""
+        has_one_rate = axes[0].space.axis is not None
+        return has_one_rate and self.rpy is None and _count_accelerometers(axes) < 2
 
     def report(
         self, axes: Sequence[Axis], values: Mapping[Key, float]
     ) -> dict[str, tuple[float, str]]:
         """Position and attitude as far as they follow from unknowns that are not in results.
 
-        Roll and pitch need three accelerometers, or two and gyros. Two accelerometers without gyros
-        do not distinguish mirror images, so only the yaw is reported, and only if the x axis is one
-        of them. On link 1 without gravity the yaw counts from the direction of the position.
+        About one axis, roll and pitch need three accelerometers, or two and gyros. Two
+        accelerometers without gyros do not distinguish mirror images, so only the yaw is reported,
+        and only if the x axis is one of them. On a link about a fixed axis without gravity the yaw
+        counts from the direction of the position. About several axes, any two sensor axes show the
+        attitude.
         """
-        joint = axes[0].joint
+        joint, space = axes[0].joint, axes[0].space
         if (IMU_ROTATION[2], joint) not in values:
             return {}
         report: dict[str, tuple[float, str]] = {}
         matrix = self.attitude(joint, values)
         if (IMU_BEARING, joint) in values:
-            matrix, position = self.pose(joint, values)
-            report |= {name: (x, "m") for name, x in zip(IMU_POSITION, position, strict=False)}
+            matrix, position = self.pose(axes[0], values)
+            names = (IMU_POSITION[k] for k in space.free_coordinates)
+            coordinates = space.coordinates(np.array(position))
+            report |= {name: (x, "m") for name, x in zip(names, coordinates, strict=True)}
         roll, pitch, yaw = angles(matrix).tolist()
+        if space.axis is None:
+            rpy = {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad"), "imu_yaw": (yaw, "rad")}
+            return rpy if len({axis.number for axis in axes}) > 1 else {}
         count = _count_accelerometers(axes)
         has_gyros = count < len(axes)
         if count == 2 and not has_gyros and all(axis.number for axis in axes):
@@ -158,9 +181,9 @@ class ImuSensor(LinkSensor):
             report |= {"imu_roll": (roll, "rad"), "imu_pitch": (pitch, "rad")}
         return report | {"imu_yaw": (yaw, "rad")}
 
-    def _is_polar(self, joint: int) -> bool:
+    def _is_polar(self, space: LinkSpace) -> bool:
         """Whether position and attitude are both unknown and the link's axis is fixed."""
-        return joint == 1 and self.xyz is None and self.rpy is None
+        return space.is_axis_fixed and self.xyz is None and self.rpy is None
 
 
 @dataclass(frozen=True)
@@ -179,11 +202,11 @@ class ImuAccelerometers(ImuSensor):
         return ACCELEROMETER_QUANTITIES
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
-        matrix, position = self.pose(axis.joint, values)
+        matrix, position = self.pose(axis, values)
         return accelerometer_weights(matrix[:, axis.number].tolist(), position)
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
-        has_varying_force = axis.joint > 1 or has_gravity
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+        has_varying_force = axis.space.has_varying_force
         return has_varying_force or _count_accelerometers(axes) > 1 or self.xyz is not None
 
     @classmethod
@@ -209,11 +232,11 @@ class ImuGyros(ImuSensor):
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
         share = values.get(axis.key(ConstantKind.SHARE) or ("", None))
         if share is None:
-            share = self.attitude(axis.joint, values)[2, axis.number]
-        return np.array([share])
+            return self.attitude(axis.joint, values)[:, axis.number]
+        return np.asarray(share * axis.space.directions[2])
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
-        return self.rpy is not None or _count_accelerometers(axes) > 1
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
+        return not self._has_shares(axes)
 
     @classmethod
     def extra_constants(cls) -> tuple[SensorConstant, ...]:

@@ -14,13 +14,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 from strainwave.domain.keys import Key
+from strainwave.domain.link_sensors.link_space import PLANE, LinkSpace
 from strainwave.domain.parameter_table import of_record
 from strainwave.domain.quantities import Quantity
 
@@ -43,11 +44,12 @@ class ConstantKind(Enum):
     DISTANCE = "distance"
     POSITION_X = "x"
     POSITION_Y = "y"
+    POSITION_Z = "z"
     BEARING = "bearing"
     ROTATION_X = "turn_x"
     ROTATION_Y = "turn_y"
     ROTATION_Z = "turn_z"
-    SHARE = "z"
+    SHARE = "share"
     START_ROLL = "start_roll"
     START_PITCH = "start_pitch"
     START_YAW = "start_yaw"
@@ -67,7 +69,7 @@ _OPTIONAL = frozenset(
     {K.DELAY, K.SCALE, K.DRIFT, K.BANDWIDTH, K.MOUNT_FREQUENCY, K.MOUNT_DAMPING, K.TILT}
 )
 _HIDDEN = frozenset({K.BEARING, K.ROTATION_X, K.ROTATION_Y, K.ROTATION_Z, K.SHARE})
-_MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y}
+_MOUNTING = _HIDDEN | {K.DISTANCE, K.TILT, K.POSITION_X, K.POSITION_Y, K.POSITION_Z}
 _NOMINAL = {K.SCALE: 1.0, K.BANDWIDTH: np.inf, K.MOUNT_FREQUENCY: np.inf}
 _PER_SECOND = {"m/s^2": "m/s^3", "rad/s": "rad/s^2", "N m": "N m/s"}
 # unit, symbol and description of the constants of every sensor
@@ -162,9 +164,10 @@ class LinkSensor(ABC):
     def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that each axis reads."""
 
-    def axes(self, joint: int) -> tuple[Axis, ...]:
-        """All axes of the sensor on the link of a joint."""
-        return tuple(Axis(self, joint, number) for number in range(len(self.channel_kinds)))
+    def axes(self, joint: int, space: LinkSpace = PLANE) -> tuple[Axis, ...]:
+        """All axes of the sensor on the link of a joint, which moves in `space`."""
+        numbers = range(len(self.channel_kinds))
+        return tuple(Axis(self, joint, number, space) for number in numbers)
 
     def low_passes(self) -> Mapping[str, float | None]:
         """Low-passes [Hz] of the core that its quantities pass, by argument; None: no low-pass."""
@@ -200,14 +203,14 @@ class LinkSensor(ABC):
         return None
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
-        """Weights (n_quantities,) of the quantities for values of the mounting's unknowns."""
+        """Weights of all `quantities` for values of the mounting's unknowns."""
         return np.ones(1)
 
-    def unknowns(self, axes: Sequence[Axis], *, has_gravity: bool) -> list[Key]:
+    def unknowns(self, axes: Sequence[Axis]) -> list[Key]:
         """Unknowns of the mounting of one link's logged axes, in the coordinates of a fit."""
         return []
 
-    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis], *, has_gravity: bool) -> bool:
+    def is_scale_identifiable(self, axis: Axis, axes: Sequence[Axis]) -> bool:
         """Whether the scale of an axis is identifiable in addition to the mounting of `axes`."""
         return True
 
@@ -274,13 +277,14 @@ class TypicalSensor:
         return float(np.hypot(noise, self.resolution / np.sqrt(12.0)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Axis:
     """One axis of a sensor on the link of a joint."""
 
     sensor: LinkSensor
     joint: int  # from 1
     number: int = 0
+    space: LinkSpace = PLANE  # in which the link moves
 
     @property
     def channel(self) -> str:
@@ -305,7 +309,12 @@ class Axis:
     @property
     def quantities(self) -> tuple[Quantity, ...]:
         """Simulated quantities that it reads."""
-        return self.sensor.quantities()
+        return tuple(name for name in self.sensor.quantities() if self.space.has(name))
+
+    @cached_property
+    def is_simulated(self) -> list[bool]:
+        """Whether the simulation has each quantity of the sensor."""
+        return [self.space.has(name) for name in self.sensor.quantities()]
 
     def key(self, kind: ConstantKind, record: str | None = None) -> Key | None:
         """Key of one of its constants; None if it has none of this kind."""
@@ -326,8 +335,8 @@ class Axis:
         return (frequency, damping) if frequency and damping else None
 
     def weights(self, values: Mapping[Key, float]) -> FloatArray:
-        """Weights (n_quantities,) of the sensor's quantities in the reading."""
-        return self.sensor.weights(self, values)
+        """Weights (n_quantities,) of its quantities in the reading."""
+        return self.sensor.weights(self, values)[self.is_simulated]
 
     def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
         """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""

@@ -5,8 +5,7 @@ At r in the frame of its link, along the direction c, an accelerometer reads
     c . (f + dw x r + w x (w x r)) + bias
 
 and a gyro c . w + bias. f is the specific force at the frame's origin, w and dw are the rate and
-the angular acceleration of the link in space. The origin is on the link's own axis, x points along
-the link and z along the axis.
+the angular acceleration of the link in space. The origin is on the link's own axis.
 """
 
 from __future__ import annotations
@@ -21,27 +20,35 @@ from strainwave.domain.quantities import Quantity
 ACCELEROMETER_QUANTITIES: tuple[Quantity, ...] = (
     "specific_force_x",
     "specific_force_y",
+    "specific_force_z",
+    "angular_acceleration_x",
+    "angular_acceleration_y",
+    "angular_acceleration_z",
+    "rate_product_xx",
+    "rate_product_yy",
+    "rate_product_zz",
+    "rate_product_xy",
+    "rate_product_xz",
+    "rate_product_yz",
+)
+"""Signals of a link: f, dw and the products of w."""
+
+GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate_x", "angular_rate_y", "angular_rate_z")
+"""The same for gyros: w."""
+
+_IN_PLANE: tuple[Quantity, ...] = (
+    "specific_force_x",
+    "specific_force_y",
     "angular_acceleration_z",
     "rate_product_zz",
+    "angular_rate_z",
 )
-"""Signals of a link that moves in the plane of its x and y axes: f_x, f_y, dw_z, w_z^2."""
-
-GYRO_QUANTITIES: tuple[Quantity, ...] = ("angular_rate_z",)
-"""The same for gyros: w_z."""
-
-_IN_PLANE = [0, 1, 5, 8]  # places of these signals among all of a link
+OUT_OF_PLANE = frozenset({*ACCELEROMETER_QUANTITIES, *GYRO_QUANTITIES}.difference(_IN_PLANE))
+"""Signals that are zero on a link that moves in the xy plane."""
 
 
 def accelerometer_weights(direction: Sequence[float], position: Sequence[float]) -> FloatArray:
-    """Weights (n_quantities,) of `ACCELEROMETER_QUANTITIES` in the reading of an accelerometer."""
-    return spatial_weights(direction, position)[_IN_PLANE]
-
-
-def spatial_weights(direction: Sequence[float], position: Sequence[float]) -> FloatArray:
-    """Weights (12,) of all signals of a link in the reading of an accelerometer.
-
-    These are those of f, of dw, of w_x^2, w_y^2, w_z^2 and of w_x w_y, w_x w_z, w_y w_z.
-    """
+    """Weights (12,) of `ACCELEROMETER_QUANTITIES` in the reading of an accelerometer."""
     (a, b, c), (x, y, z) = direction, position
     along = a * x + b * y + c * z
     turning = (y * c - z * b, z * a - x * c, x * b - y * a)

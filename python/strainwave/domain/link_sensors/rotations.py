@@ -9,6 +9,8 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 
+_MAX_AXIAL_SHARE = 0.999  # of a direction along the link, as in the core
+
 
 def rotation(vector: FloatArray) -> FloatArray:
     """Rotation matrix (3, 3) of a rotation vector (3,) [rad], by Rodrigues' formula."""
@@ -50,3 +52,14 @@ def angles(matrix: FloatArray) -> FloatArray:
     roll = np.arctan2(matrix[2, 1], matrix[2, 2])
     pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))
     return np.array([roll, pitch, np.arctan2(matrix[1, 0], matrix[0, 0])])
+
+
+def axes_about(axis: Sequence[float]) -> FloatArray:
+    """Directions x, y and z of a right-handed frame in rows, with z along an axis.
+
+    x is the direction along the link as far as it is perpendicular to the axis.
+    """
+    z = np.array(axis) / np.linalg.norm(axis)
+    across = (np.eye(3) - np.outer(z, z))[0 if abs(z[0]) < _MAX_AXIAL_SHARE else 1]
+    x = across / np.linalg.norm(across)
+    return np.array([x, np.cross(z, x), z])

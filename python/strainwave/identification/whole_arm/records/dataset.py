@@ -270,11 +270,11 @@ class Dataset:
 
     def sensor_constants(self) -> list[Key]:
         """Sensor constants of the link sensors: delays, scale factors, tilts and drifts."""
-        has_gravity, kinds = bool(self.arm.gravity), (ConstantKind.DELAY, ConstantKind.SCALE)
+        kinds = (ConstantKind.DELAY, ConstantKind.SCALE)
         constants: dict[Key | None, None] = {}
         for axis in self.channels:
             axes = [one for one in self.channels if one.joint == axis.joint]
-            is_separate = axis.sensor.is_scale_identifiable(axis, axes, has_gravity=has_gravity)
+            is_separate = axis.sensor.is_scale_identifiable(axis, axes)
             constants |= dict.fromkeys(axis.key(kind) for kind in kinds[: 1 + is_separate])
             if axis.is_mounted:
                 constants[axis.key(ConstantKind.TILT)] = None

@@ -172,8 +172,8 @@ def _channels(log: Log, arm: Arm) -> Iterator[Axis]:
     """Compared channels of a log: motor angles, then the link sensors of each joint."""
     for i in range(1, arm.n_joints + 1):
         yield Axis(MotorEncoder(), i)
-    for i, joint in enumerate(arm.joints, start=1):
-        yield from compared_axes(joint, i, log.channels)
+    for i in range(1, arm.n_joints + 1):
+        yield from compared_axes(arm, i, log.channels)
 
 
 def _drive(log: Log, arm: Arm, *, closed_loop: bool) -> Drive:
@@ -207,7 +207,7 @@ def _simulated_arm(log: Log, arm: Arm) -> Arm:
     """The arm for simulation: unquantised encoders, and the IMUs whose channels are logged."""
     joints = []
     for i, joint in enumerate(arm.joints, start=1):
-        axes = compared_axes(joint, i, log.channels)
+        axes = compared_axes(arm, i, log.channels)
         has_imu = any(isinstance(axis.sensor, ImuSensor) for axis in axes)
         imu = (joint.imu or Imu()) if has_imu else None
         joints.append(replace(joint, encoder_counts=None, imu=imu))

@@ -45,47 +45,49 @@ def select_mountings(
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of each sensor by short searches.
 
-    The candidates are the given mounting, those from the simulated arm at `z` (n_unknowns,), and
-    for an IMU their mirror images on the other side of the link. An IMU with two accelerometer axes
-    is assumed to lie in the plane of motion unless a tilt explains much more.
+    The candidates are the given mounting and those from the simulated arm at `z` (n_unknowns,). For
+    an IMU on a link that turns about one direction, they include the mirror images on the other
+    side of the link, and two accelerometer axes are assumed to lie in the plane of motion unless a
+    tilt explains much more.
 
     The returned parameter space holds the attitudes that rotations are relative to.
     """
     for joint in range(1, arm.n_joints + 1):
         axes = _axes_on(objective, joint)
-        if unknowns_of(axes, arm):
-            objective, z = _choose_mounting(objective, z, axes, arm, options)
+        if unknowns_of(axes):
+            objective, z = _choose_mounting(objective, z, axes, options)
     return objective, z
 
 
 def _choose_mounting(
-    objective: Objective, z: FloatArray, axes: Sequence[Axis], arm: Arm, options: WholeArmOptions
+    objective: Objective, z: FloatArray, axes: Sequence[Axis], options: WholeArmOptions
 ) -> tuple[Objective, FloatArray]:
     """Choose the starting mounting of the sensors of one link."""
     joint, values = axes[0].joint, objective.space.values(z)
     mounting_keys: list[Key] = [
-        *unknowns_of(axes, arm),
+        *unknowns_of(axes),
         *((name, joint) for name in IMU_START_ATTITUDE),
     ]
     mountings: list[Mapping[Key, float]] = [
         {key: values[key] for key in mounting_keys if key in values}
     ]
     try:
-        mountings += _simulated_mountings(objective, values, axes, arm)
+        mountings += _simulated_mountings(objective, values, axes)
     except (InvalidInput, NumericalFailure):
         return objective, z
     has_attitude = (IMU_ROTATION[0], joint) in objective.space.keys
-    if has_attitude:
-        mountings += [mirror_mounting(one, joint) for one in mountings]
+    has_mirror = has_attitude and axes[0].space.axis is not None
+    if has_mirror:
+        mountings += [mirror_mounting(one, axes[0]) for one in mountings]
     starts = [_with_mounting(objective, values, one) for one in mountings]
     if (
-        has_attitude
+        has_mirror
         and all(isinstance(axis.sensor, ImuAccelerometers) for axis in axes)
         and {0, 1} == {a.number for a in axes}
     ):
         held: dict[Key, float] = {(name, joint): 0.0 for name in IMU_ROTATION[:2]}
-        lying = _simulated_mountings(objective, values, axes, arm, flat=True)
-        lying += [mirror_mounting(one, joint) for one in lying]
+        lying = _simulated_mountings(objective, values, axes, flat=True)
+        lying += [mirror_mounting(one, axes[0]) for one in lying]
         starts += [
             _hold(*_with_mounting(objective, values, {**one, **held}), held) for one in lying
         ]
@@ -136,15 +138,14 @@ def improve_mountings(fit: Fit, selection: Selection) -> Fit:
     for joint in range(1, arm.n_joints + 1):
         space, values = fit.space, fit.values
         axes = _axes_on(fit.objective, joint)
-        has_attitude = (IMU_ROTATION[2], joint) in space.keys and (
-            IMU_ROTATION[2],
-            joint,
-        ) in unknowns_of(axes, arm)
+        attitude: Key = (IMU_ROTATION[2], joint)
+        has_attitude = attitude in space.keys and attitude in unknowns_of(axes)
         if not has_attitude or fit.iterations >= options.max_iterations:
             continue
         flat = _is_in_plane(space, joint)
-        mountings = _simulated_mountings(fit.objective, values, axes, arm, flat=flat)
-        mountings += [mirror_mounting(one, joint) for one in mountings]
+        mountings = _simulated_mountings(fit.objective, values, axes, flat=flat)
+        if axes[0].space.axis is not None:
+            mountings += [mirror_mounting(one, axes[0]) for one in mountings]
         starts = [_with_mounting(fit.objective, values, one) for one in mountings]
         for _, k in sorted((cost_of(*one), k) for k, one in enumerate(starts))[:_MAX_STARTS]:
             trial = search_minimum(
@@ -174,7 +175,8 @@ def add_significant_tilts(fit: Fit, selection: Selection) -> Fit:
     arm, options = selection.arm, selection.options
     for joint in range(1, arm.n_joints + 1):
         # about a fixed axis, tilt and distance are nearly collinear without gravity
-        if not _is_in_plane(fit.space, joint) or (joint == 1 and not arm.gravity):
+        axes = _axes_on(fit.objective, joint)
+        if not _is_in_plane(fit.space, joint) or not axes[0].space.has_varying_force:
             continue
         tilts: list[Key] = [(name, joint) for name in IMU_ROTATION[:2]]
         trials = []
@@ -213,11 +215,11 @@ def _hold(
 
 
 def _simulated_mountings(
-    objective: Objective, values: Values, axes: Sequence[Axis], arm: Arm, *, flat: bool = False
+    objective: Objective, values: Values, axes: Sequence[Axis], *, flat: bool = False
 ) -> list[dict[Key, float]]:
     """Mountings by least squares on the simulated link motion of all records."""
     per_record = [record.tables(values, axes) for record in objective.records]
     tables = [np.concatenate(parts) for parts in zip(*per_record, strict=True)]
     if isinstance(axes[0].sensor, Accelerometer):
-        return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(tables[0])}]
-    return imu_candidates(axes, tables, arm, flat=flat)[:_MAX_STARTS]
+        return [{(ACCELEROMETER_DISTANCE, axes[0].joint): distance_of(axes[0], tables[0])}]
+    return imu_candidates(axes, tables, flat=flat)[:_MAX_STARTS]

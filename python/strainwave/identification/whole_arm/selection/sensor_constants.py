@@ -284,13 +284,17 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
 
 
 def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
-    """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes."""
+    """Whether a scale factor is collinear with the tilt of an IMU with two accelerometer axes.
+
+    It is on a link that turns about one direction only.
+    """
     axes = {axis for record in fit.objective.records for axis in record.channels}
     accelerometers = [
         axis for axis in axes if axis.joint == key[1] and isinstance(axis.sensor, ImuAccelerometers)
     ]
     return (
         len(accelerometers) == 2
+        and accelerometers[0].space.axis is not None
         and key in [axis.key(ConstantKind.SCALE) for axis in accelerometers]
         and (IMU_ROTATION[0], key[1]) in fit.space.keys
     )
