@@ -91,11 +91,13 @@ def test_numbers_that_are_not_finite_are_null() -> None:
     assert document["parameters"][0]["ci95"] is None
 
 
-def test_the_torque_ratio_is_published() -> None:
-    one = identification()
-    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratios={2: (0.98, 0.004)}))
+def test_torque_ratios_are_published_by_joint() -> None:
+    one, ratios = identification(), {2: (0.98, 0.004), 3: (1.1, 0.2)}
+    ratio = replace(one, rigid=replace(rigid(one.rigid), torque_ratios=ratios))
     stage = json.loads(result.to_json(result.to_document(ratio)))["stages"]["rigid"]
-    assert stage["torque_ratio"] == {"value": 0.98, "std": 0.004}
+    second, third = stage["torque_ratios"]
+    assert stage["torque_ratio"] == second == {"joint": 2, "value": 0.98, "std": 0.004}
+    assert third == {"joint": 3, "value": 1.1, "std": 0.2}
     text = "0.9800 ± 0.004; 1 if both torque constants are correct"
     assert text in report.render(ratio)
     assert text not in report.render(one)

@@ -319,6 +319,8 @@ def _verdict(verdict: Verdict) -> dict[str, Any]:
 
 
 def _rigid(model: RigidModel) -> dict[str, Any]:
+    pairs = model.torque_ratios.items()
+    ratios = [{"joint": joint, "value": value, "std": std} for joint, (value, std) in pairs]
     return {
         "status": model.status,
         "parameters": [_parameter(p) for p in model.parameters],
@@ -328,9 +330,8 @@ def _rigid(model: RigidModel) -> dict[str, Any]:
         "decimation": model.decimation,
         "n_rows": model.n_rows,
         "load_friction": [_parameter(p) for p in model.load_friction],
-        "torque_ratio": next(
-            ({"value": value, "std": std} for value, std in model.torque_ratios.values()), None
-        ),
+        "torque_ratio": next((ratio for ratio in ratios if ratio["joint"] == 2), None),
+        "torque_ratios": ratios,
     }
 
 

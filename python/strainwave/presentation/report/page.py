@@ -374,7 +374,9 @@ def _provenance_blocks(result: Identification) -> Iterator[Block]:
                 f" decimation {model.decimation}, condition number {model.condition_number:.3g}",
             )
         )
-        for value, std in model.torque_ratios.values():
+        for joint, (value, std) in model.torque_ratios.items():
             text = f"{value:.4f} ± {std:.2g}; 1 if both torque constants are correct"
-            facts.append(("torque ratio from the symmetry of the inertia matrix", text))
+            facts.append(
+                (f"torque ratio of joints 1 and {joint}, by symmetry of the inertia matrix", text)
+            )
     yield Facts(tuple(facts))
