@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.special import chdtrc, chdtri, stdtrit
 
 from strainwave.domain.distributions import (
@@ -10,7 +11,10 @@ from strainwave.domain.distributions import (
     STD_PER_MEDIAN,
     chi_square_limit,
     chi_square_tail,
+    f_tail,
+    student_degrees,
     student_quantile,
+    student_tail,
 )
 
 
@@ -42,3 +46,13 @@ def test_factors_of_intervals() -> None:
     assert pytest.approx(stdtrit(normal, 0.975), abs=5e-5) == CI95_STDS
     assert pytest.approx(stdtrit(normal, 0.995), abs=5e-5) == CI99_STDS
     assert pytest.approx(1.0 / stdtrit(normal, 0.75), abs=5e-5) == STD_PER_MEDIAN
+
+
+@pytest.mark.parametrize("degrees", [1.0, 3.5, 40.0])
+@pytest.mark.parametrize("value", [-2.0, 0.0, 0.7, 30.0])
+def test_distributions_of_real_degrees(value: float, degrees: float) -> None:
+    assert student_tail(value, degrees) == pytest.approx(2.0 * stats.t.sf(abs(value), degrees))
+    assert student_tail(value, np.inf) == pytest.approx(2.0 * stats.norm.sf(abs(value)))
+    assert f_tail(value**2, 3.0, degrees) == pytest.approx(stats.f.sf(value**2, 3.0, degrees))
+    quantile = float(stats.t.ppf(0.975, degrees))
+    assert student_degrees(quantile) == pytest.approx(degrees, rel=1e-6)

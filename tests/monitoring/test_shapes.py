@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from strainwave.domain import FloatArray
+from strainwave.domain.distributions import student_tail
 from strainwave.monitoring.shapes import (
     MIN_VISITS,
     Change,
@@ -21,7 +22,6 @@ from strainwave.monitoring.shapes import (
     fit_change,
     fitted_line,
     regressors,
-    student_tail_probability,
 )
 
 FAILURE_P = 1e-4  # probability that a test with a fresh seed fails by chance
@@ -201,10 +201,10 @@ def test_one_direction_gives_student_s_t_and_small_p_values_add_up() -> None:
     for t2 in (0.3, 9.0, 400.0):
         share = t2 / (t2 + 8.0)
         assert cap_union_probability(share, orthogonal[:, :1], free, rng) == pytest.approx(
-            student_tail_probability(t2, 8)
+            student_tail(np.sqrt(t2), 8)
         )
     assert cap_union_probability(share, orthogonal, free, rng) == pytest.approx(
-        4.0 * student_tail_probability(t2, 8)
+        4.0 * student_tail(np.sqrt(t2), 8)
     )
     assert cap_union_probability(1.0, orthogonal, free, rng) == 0.0
     assert cap_union_probability(0.0, orthogonal, free, rng) == pytest.approx(1.0)

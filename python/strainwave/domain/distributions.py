@@ -1,6 +1,7 @@
-"""Factors of intervals; chi-square and Student's t distributions for integer degrees of freedom.
+"""Factors of intervals; the chi-square, Student's t and F distributions.
 
-SciPy provides the distributions too, but its import takes longer than most stages.
+An identification needs integer degrees of freedom, for which there are closed forms. The import of
+SciPy takes longer than most stages, so only comparisons of results load it, for real degrees.
 """
 
 from __future__ import annotations
@@ -79,3 +80,27 @@ def _student_probability(angle: float, degrees: int) -> float:
     if not odd:
         return math.sin(angle) * total
     return 2.0 / math.pi * (angle + math.sin(angle) * total)
+
+
+def student_tail(value: float, degrees: float) -> float:
+    """Probability that the magnitude of Student's t exceeds that of a value.
+
+    `degrees` is positive; infinite: the distribution is normal.
+    """
+    from scipy.special import stdtr
+
+    return float(2.0 * stdtr(degrees, -abs(value)))
+
+
+def student_degrees(quantile: float) -> float:
+    """Degrees of freedom with this 97.5 % quantile of Student's t, which exceeds `CI95_STDS`."""
+    from scipy.special import stdtridf
+
+    return float(stdtridf(0.975, quantile))
+
+
+def f_tail(value: float, numerator: float, denominator: float) -> float:
+    """Probability that an F variable with these degrees of freedom exceeds a value."""
+    from scipy.special import fdtrc
+
+    return float(fdtrc(numerator, denominator, value))

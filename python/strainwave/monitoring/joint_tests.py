@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.domain.distributions import chi_square_tail
+from strainwave.domain.distributions import chi_square_tail, f_tail, student_tail
 
 _RANK_TOLERANCE = 1e-8  # of the largest eigenvalue of the correlation matrix; below: dependent
 
@@ -36,8 +37,6 @@ def joint_test(
     nu - r + 1 degrees with nu = (r + r^2) / sum_i (tr G_i^2 + (tr G_i)^2)/nu_i, G_i the part in
     coordinates where S is the identity (Krishnamoorthy and Yu, 2004). None if nu <= r.
     """
-    from scipy.stats import f
-
     S = np.sum(parts, axis=0)
     scale = np.sqrt(np.diag(S))
     if not len(difference) or not (scale > 0.0).all():
@@ -56,7 +55,7 @@ def joint_test(
         return JointTest(statistic, r, len(difference), nu, chi_square_tail(statistic, r))
     if nu <= r:
         return None
-    p = float(f.sf(statistic * (nu - r + 1.0) / (nu * r), r, nu - r + 1.0))
+    p = f_tail(statistic * (nu - r + 1.0) / (nu * r), r, nu - r + 1.0)
     return JointTest(statistic, r, len(difference), nu, p)
 
 
@@ -68,15 +67,11 @@ def welch_test(
     `stds` are those of its independent errors. Student's t with the degrees of freedom of Welch and
     Satterthwaite; a normal distribution if all degrees are infinite.
     """
-    from scipy.special import ndtr, stdtr
-
     variances = [s * s for s in stds]
     total = sum(variances)
-    z = difference / np.sqrt(total)
+    z = float(difference / np.sqrt(total))
     spread = sum(v * v / nu for v, nu in zip(variances, degrees, strict=True))
-    if spread == 0.0:
-        return float(z), float(2.0 * ndtr(-abs(z)))
-    return float(z), float(2.0 * stdtr(total * total / spread, -abs(z)))
+    return z, student_tail(z, total * total / spread if spread > 0.0 else math.inf)
 
 
 def adjust_p_values(p: Sequence[float]) -> list[float]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from strainwave.domain import Parameter
-from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.distributions import CI95_STDS, student_degrees
 from strainwave.domain.link_sensors import ConstantKind, is_kind
 from strainwave.domain.parameter_table import record_of
 from strainwave.errors import InvalidInput
@@ -87,20 +86,9 @@ def degrees_of_freedom(parameter: Parameter) -> float:
     if parameter.ci95 is None or not parameter.std:
         return float("inf")
     quantile = 0.5 * (parameter.ci95[1] - parameter.ci95[0]) / parameter.std
-    return _degrees(round(quantile, 6))
-
-
-@cache
-def _degrees(quantile: float) -> float:
-    """Degrees of freedom with this 97.5 % quantile of Student's distribution."""
-    from scipy.optimize import brentq
-    from scipy.stats import t
-
     if quantile <= CI95_STDS + _QUANTILE_TOLERANCE:
         return float("inf")
-    if quantile >= t.ppf(0.975, 1.0):
-        return 1.0
-    return float(brentq(lambda nu: t.ppf(0.975, nu) - quantile, 1.0, 1e5))
+    return max(1.0, student_degrees(quantile))
 
 
 def _read(path: Path) -> ResultEstimates:

@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
+from strainwave.domain.distributions import student_tail
 
 Kind = Literal["drift", "step", "drift since"]
 
@@ -104,7 +105,7 @@ def fit_change(series: Series, rng: np.random.Generator) -> Change | None:
         p=p,
         drift=float(size[0]) / float(np.ptp(series.time)),
         drift_std=float(size_std[0]) / float(np.ptp(series.time)),
-        drift_p=student_tail_probability(float(t2[0]), degrees),
+        drift_p=student_tail(float(np.sqrt(t2[0])), degrees),
         level=space.level(series.value - size[best] * column),
         repeatability=float(np.sqrt(tau2)),
         degrees=degrees,
@@ -153,13 +154,6 @@ def estimate_visit_variance(value: FloatArray, std: FloatArray, X: FloatArray) -
             break
         tau2 += excess / float(np.sum(w * r * r))
     return tau2
-
-
-def student_tail_probability(t2: float, degrees: int) -> float:
-    """Probability that the square of Student's t exceeds t2."""
-    from scipy.special import stdtr
-
-    return float(2.0 * stdtr(degrees, -np.sqrt(t2)))
 
 
 def cap_union_probability(
