@@ -24,7 +24,9 @@ from strainwave.domain.units import unit_in
 MOTOR_INERTIA = "motor_inertia"
 
 _SAMPLES = 60  # random states; each gives one equation per joint for at most 77 parameters
-_MAX_DEPENDENT_NORM = 1e-8  # of the part of a unit column that is independent of others
+# Relative rounding error of norms, independent parts, weights and ratios of the regressor's
+# columns. Smaller ones are zero.
+_MAX_ROUNDING_ERROR = 1e-8
 
 
 @dataclass(frozen=True)
@@ -94,15 +96,15 @@ def base_parameters(arm: ArmDescription) -> BaseParameters:
 def _base_parameters(arm: ArmDescription) -> BaseParameters:
     regressor, links = _regressor(arm)
     norms = np.linalg.norm(regressor, axis=0)
-    norms[norms < _MAX_DEPENDENT_NORM * norms.max()] = 0.0
+    norms[norms < _MAX_ROUNDING_ERROR * norms.max()] = 0.0
     regressor = regressor * (norms > 0.0)
     scale = np.where(norms > 0.0, norms, 1.0)
     order = _preference(links, arm)
     triangular = np.linalg.qr(regressor[:, order] / scale[order], mode="r")
-    kept = np.abs(np.diag(triangular)) > _MAX_DEPENDENT_NORM
+    kept = np.abs(np.diag(triangular)) > _MAX_ROUNDING_ERROR
     independent = sorted(np.array(order)[kept].tolist())
     grouping = np.linalg.lstsq(regressor[:, independent] / scale[independent], regressor / scale)[0]
-    grouping = np.where(np.abs(grouping) > _MAX_DEPENDENT_NORM, grouping, 0.0)
+    grouping = np.where(np.abs(grouping) > _MAX_ROUNDING_ERROR, grouping, 0.0)
     grouping *= scale / scale[independent][:, None]
     grouping[:, independent] = np.eye(len(independent))
     keys = (*links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints)))
@@ -177,7 +179,7 @@ def _named_column(
     for key, declared in named.items():
         if declared.keys() == row.keys():
             factors = [declared[part] / weight for part, weight in row.items()]
-            if np.ptp(factors) < _MAX_DEPENDENT_NORM * abs(factors[0]):
+            if np.ptp(factors) < _MAX_ROUNDING_ERROR * abs(factors[0]):
                 return RigidColumn(*key, unit_in(arm, key), declared)
     name, joint = leading
     key = (grouped_name(name) if len(row) > 1 else name, joint)

@@ -10,8 +10,11 @@ import numpy as np
 from strainwave.domain.keys import Key
 from strainwave.errors import NotIdentifiable
 
-MOTOR_SHARE = 0.3
-"""Motor's share of a joint's total inertia if unknown: motors roughly match their load."""
+MOTOR_SHARE = 0.5
+"""Motor's share of a joint's total inertia where only the total is known.
+
+Designs match motor and link within a small factor.
+"""
 
 
 @dataclass(frozen=True, slots=True)

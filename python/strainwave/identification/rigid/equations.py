@@ -21,13 +21,6 @@ from strainwave.numerics.banded import Banded
 from strainwave.numerics.filters import differentiate, low_pass
 from strainwave.numerics.least_squares import Equations, Factor, Local
 
-MOTOR_SHARE = 0.5
-"""Assumed motor share of inertias that rigid motion does not separate into motor and link.
-
-Only the gear compliance separates motor and link inertia. Designs match the two within a small
-factor, and the fitted compliance compensates for an error of the share.
-"""
-
 # prior standard deviation of the stiction torque in units of f: uniform distribution in [-f, f]
 _STICTION_STD = 0.58
 _JACKKNIFE_BLOCKS = 20  # blocks of the jackknife over all records
@@ -44,7 +37,8 @@ class Estimate:
     compliance: FloatArray  # (n_joints,) [rad/(N m)] link side, at least 0
     # per record (n_motion, n_joints) free friction [N m], or empty
     standing: tuple[FloatArray, ...]
-    motor_share: float = MOTOR_SHARE
+    # of inertias that rigid motion does not separate; the compliance compensates for its error
+    motor_share: float
 
 
 def convert_estimate(
@@ -183,7 +177,7 @@ def estimate_of(
     stretches: Sequence[Stretch],
     equations: Equations,
     factor: Factor,
-    motor_share: float = MOTOR_SHARE,
+    motor_share: float,
 ) -> Estimate:
     """Estimate from a solution, around which the next equations are linearised.
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
 from strainwave.domain.distributions import student_quantile
+from strainwave.domain.kinds.starts import MOTOR_SHARE
 from strainwave.domain.parameter_table import family_of, parameter_table
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.rigid.equations import (
-    MOTOR_SHARE,
     Estimate,
     Loads,
     anti_resonances,
