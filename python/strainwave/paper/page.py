@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from importlib.resources import files
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import median
 from typing import Any
 
 from strainwave.domain import OUTCOME_TEXTS, outcomes_text
+from strainwave.io.templates import fill_text
 
 Claim = Mapping[str, Any]
+ByProtocol = dict[str, Any]
 
-_PROTOCOLS = {
-    "own": "default settings",
-    "as-published": "published settings",
-}
-_MAX_REASONS = 1  # per claim on the page; comparisons.json has them all
+_PROTOCOLS = {"own": "default settings", "as-published": "published settings"}
 
 
 def to_markdown(document: Mapping[str, Any]) -> str:
@@ -24,99 +23,70 @@ def to_markdown(document: Mapping[str, Any]) -> str:
     `document` comes from `document_of` or from comparisons.json.
     """
     claims: Sequence[Claim] = document["claims"]
-    protocols = [name for name in _PROTOCOLS if any(c["protocol"] == name for c in claims)]
-    figures: dict[int, dict[str, Claim]] = {}
+    figures: dict[int, ByProtocol] = {}
+    limits: dict[str, dict[str, None]] = {}  # reason -> limits
     for claim in claims:
         figures.setdefault(claim["figure"], {})[claim["protocol"]] = claim
-    lines = [
-        files("strainwave.paper").joinpath("introduction.md").read_text("utf-8"),
-        "## Verdicts",
-        "",
-        f"Version {document['version']}, seeds {_seeds(document['seeds'])}.",
-        "",
-        "| figure | claim | " + " | ".join(_PROTOCOLS[name] for name in protocols) + " |",
-        "|---" * (2 + len(protocols)) + "|",
-    ]
-    for figure, by_protocol in figures.items():
-        cells = [_verdict(by_protocol.get(name)) for name in protocols]
-        claim_text = _cell(next(iter(by_protocol.values()))["claim"])
-        lines.append(f"| {figure} | {claim_text} | {' | '.join(cells)} |")
-    lines += ["", "## Limits", "", "| limit | reason |", "|---|---|"]
-    limits = {(c["name"], _limit(c)): c["reason"] for claim in claims for c in claim["criteria"]}
-    for reason in dict.fromkeys(limits.values()):
-        of_reason = dict.fromkeys(limit for (_, limit), text in limits.items() if text == reason)
-        lines.append(f"| {', '.join(of_reason)} | {_cell(reason)} |")
-    for figure, by_protocol in figures.items():
-        lines += ["", f"## Fig. {figure}: {next(iter(by_protocol.values()))['title']}", ""]
-        lines += _criteria(by_protocol, protocols)
-        for name in protocols:
-            lines += _reasons(by_protocol[name]) if name in by_protocol else ()
-    return re.sub(r"\n{3,}", "\n\n", "\n".join(lines)).strip() + "\n"
-
-
-def _criteria(by_protocol: Mapping[str, Claim], protocols: Sequence[str]) -> Iterator[str]:
-    """Table of a figure's criteria: median and range of the values, and how many pass."""
-    yield "| criterion | limit | " + " | ".join(_PROTOCOLS[name] for name in protocols) + " |"
-    yield "|---" * (2 + len(protocols)) + "|"
-    columns = {
-        protocol: {(c["name"], _limit(c)): c for c in claim["criteria"]}
-        for protocol, claim in by_protocol.items()
-    }
-    for key in dict.fromkeys(key for column in columns.values() for key in column):
-        cells = [_passed(columns.get(name, {}).get(key)) for name in protocols]
-        yield f"| {_cell(key[0])} | {key[1]} | {' | '.join(cells)} |"
-    yield ""
-
-
-def _passed(criterion: Mapping[str, Any] | None) -> str:
-    if criterion is None:
-        return ""
-    least, median, largest = _spread_cells(criterion["values"])
-    spread = median if least == largest else f"{median} ({least} to {largest})"
-    return f"{spread}, {sum(criterion['passed'])}/{len(criterion['passed'])}"
+        for criterion in claim["criteria"]:
+            limits.setdefault(criterion["reason"], {})[_limit(criterion)] = None
+    seeds = document["seeds"]
+    return fill_text(
+        Path(__file__).with_name("page.md.j2"),
+        version=document["version"],
+        seeds=seeds[0] if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}",
+        settings={
+            name: text
+            for name, text in _PROTOCOLS.items()
+            if any(claim["protocol"] == name for claim in claims)
+        },
+        figures=figures,
+        limits=limits,
+        cell=lambda text: text.replace("|", "\\|"),
+        criteria_of=_criteria_of,
+        outcomes_text=outcomes_text,
+        reasons_of=_reasons_of,
+        spread_of=_spread_of,
+    )
 
 
 def _limit(criterion: Mapping[str, Any]) -> str:
     return f"{criterion['bound']} {criterion['limit']:g}"
 
 
-def _reasons(claim: Claim) -> Iterator[str]:
-    """The most frequent reasons why a claim is not shown or does not hold, one example of each."""
-    examples: dict[tuple[str, str], dict[int, str]] = {}
-    for seed, (outcome, reasons) in enumerate(
-        zip(claim["outcomes"], claim["reasons"], strict=True)
-    ):
-        for reason in reasons:
-            # numbers and joints differ between seeds and criteria, the explanation does not
-            explanation = re.search(r"\((.*)\)$", reason)
-            kind = re.sub(r"[-+\d.]+", "", explanation[1] if explanation else reason)
-            examples.setdefault((OUTCOME_TEXTS[outcome], kind), {}).setdefault(seed, reason)
-    most_frequent = sorted(examples.items(), key=lambda item: -len(item[1]))[:_MAX_REASONS]
-    for (outcome, _), by_seed in most_frequent:
-        example = next(iter(by_seed.values()))
-        yield f"- {_PROTOCOLS[claim['protocol']]}, {outcome} in {len(by_seed)}: {example}"
+def _criteria_of(by_protocol: Mapping[str, Claim]) -> dict[tuple[str, str], ByProtocol]:
+    """Criteria of a figure by name and limit, then by protocol."""
+    criteria: dict[tuple[str, str], ByProtocol] = {}
+    for protocol, claim in by_protocol.items():
+        for criterion in claim["criteria"]:
+            key = criterion["name"], _limit(criterion)
+            criteria.setdefault(key, {})[protocol] = criterion
+    return criteria
 
 
-def _verdict(claim: Claim | None) -> str:
-    if claim is None:
-        return ""
-    return outcomes_text(claim["outcomes"])
+def _spread_of(criterion: Mapping[str, Any]) -> str:
+    """Median and range of the values, and how many pass."""
+    values = [value for value in criterion["values"] if value is not None]
+    spread = "none"
+    if values:
+        least, middle, largest = (f"{f(values):.4g}" for f in (min, median, max))
+        spread = middle if least == largest else f"{middle} ({least} to {largest})"
+    return f"{spread}, {sum(criterion['passed'])}/{len(criterion['passed'])}"
 
 
-def _spread_cells(values: Sequence[float | None]) -> tuple[str, ...]:
-    """Least, median and largest value as text."""
-    known = sorted(value for value in values if value is not None)
-    if not known:
-        return ("none",) * 3
-    middle = known[len(known) // 2]
-    if len(known) % 2 == 0:
-        middle = 0.5 * (middle + known[len(known) // 2 - 1])
-    return f"{known[0]:.4g}", f"{middle:.4g}", f"{known[-1]:.4g}"
-
-
-def _seeds(seeds: Sequence[int]) -> str:
-    return str(seeds[0]) if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+def _reasons_of(by_protocol: Mapping[str, Claim]) -> list[str]:
+    """For each protocol the most frequent reason why a claim is not shown, with one example."""
+    reasons = []
+    for protocol, claim in by_protocol.items():
+        examples: dict[tuple[str, str], dict[int, str]] = {}
+        outcomes = zip(claim["outcomes"], claim["reasons"], strict=True)
+        for seed, (outcome, texts) in enumerate(outcomes):
+            for text in texts:
+                # numbers and joints differ between seeds and criteria, the explanation does not
+                explanation = re.search(r"\((.*)\)$", text)
+                kind = re.sub(r"[-+\d.]+", "", explanation[1] if explanation else text)
+                examples.setdefault((OUTCOME_TEXTS[outcome], kind), {}).setdefault(seed, text)
+        if examples:
+            (outcome, _), by_seed = max(examples.items(), key=lambda item: len(item[1]))
+            example = next(iter(by_seed.values()))
+            reasons.append(f"{_PROTOCOLS[protocol]}, {outcome} in {len(by_seed)}: {example}")
+    return reasons
