@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +12,9 @@ from strainwave.experiment_design.command_table import applied_columns, table_na
 from strainwave.experiment_design.plan import Design, Planned
 from strainwave.io.atomic_files import write_whole
 from strainwave.io.study import write_study
+from strainwave.io.templates import fill_text
 
 HEADER_FILE = "excitation.h"
-_VALUES_PER_LINE = 8  # of the C header
 
 
 def write(design: Design, folder: Path) -> None:
@@ -36,35 +37,18 @@ def _columns(study: Study, record: Planned) -> dict[str, FloatArray]:
 
 
 def _csv(columns: dict[str, FloatArray]) -> str:
-    rows = zip(*columns.values(), strict=True)
-    lines = [",".join(columns), *(",".join(f"{value:.9g}" for value in row) for row in rows)]
-    return "\n".join(lines) + "\n"
+    rows = map(_row, zip(*columns.values(), strict=True))
+    return "\n".join([",".join(columns), *rows, ""])
+
+
+def _row(values: Iterable[float]) -> str:
+    return ",".join(f"{value:.9g}" for value in values)
 
 
 def _c_header(design: Design) -> str:
     """All columns except time as C arrays, and the tick of each record."""
-    parts = [
-        "/* Experiments designed by strainwave. SI units, one value per tick. The voltage of a",
-        "   joint without an array is zero; under a servo its velocity reference is zero. */",
-        "#ifndef STRAINWAVE_EXCITATION_H",
-        "#define STRAINWAVE_EXCITATION_H",
+    records = [
+        (re.sub(r"\W", "_", record.experiment.name), record.drive, _columns(design.study, record))
+        for record in design.records
     ]
-    for record in design.records:
-        name = re.sub(r"\W", "_", record.experiment.name)
-        columns = _columns(design.study, record)
-        time, *values = columns.items()
-        parts += [
-            "",
-            f"#define {name.upper()}_TICKS {len(time[1])}",
-            f"#define {name.upper()}_TICK_SECONDS {record.drive.tick:.9g}",
-        ]
-        for column, array in values:
-            channel, unit = column.split(" ", 1)
-            parts.append(f"static const double {name}_{channel}[{len(array)}] = {{ /* {unit} */")
-            texts = [f"{value:.9g}" for value in array]
-            parts += [
-                ",".join(texts[k : k + _VALUES_PER_LINE]) + ","
-                for k in range(0, len(texts), _VALUES_PER_LINE)
-            ]
-            parts.append("};")
-    return "\n".join([*parts, "", "#endif", ""])
+    return fill_text(Path(__file__).with_name("excitation.h.j2"), records=records, row=_row)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 from dataclasses import dataclass, fields
+from pathlib import Path
 
 from strainwave.domain.kinds import kind_of
 from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
+from strainwave.io.templates import fill_text
 
 HEADER_PREFIX = "strainwave_"
 """Of every name in the C header; without it `gamma` collides with <math.h>."""
@@ -75,30 +77,12 @@ def to_json(arm: IdentifiedArm) -> Export:
 def to_c_header(arm: IdentifiedArm) -> Export:
     """C header of `static const double`; a comment replaces a parameter without value."""
     notes = (*notes_of(arm, _OMISSIONS), CORRELATIONS)
-    lines = [
-        "/* Parameters of an arm, identified by strainwave. SI units, angles in rad.",
-        " * A number at the end of a name is the number of the joint, from the base.",
-        *(f" * {_comment(sentence_of(note))}" for note in notes),
-        " */",
-        "#ifndef STRAINWAVE_ARM_H",
-        "#define STRAINWAVE_ARM_H",
-        "",
-        *(_line(entry) for entry in entries(arm)),
-        "",
-        "#endif",
-    ]
-    return Export(("\n".join(lines) + "\n").encode(), arm.warnings, notes)
-
-
-def _line(entry: Entry) -> str:
-    name, unit = HEADER_PREFIX + entry.name, _comment(entry.unit)
-    if entry.value is None:
-        return f"/* {name} [{unit}] is not identified */"
-    std = f"{entry.std:.2g}" if entry.std else "unknown"
-    origin = "known" if entry.known else f"std {std}"
-    return f"static const double {name} = {entry.value!r}; /* [{unit}], {origin} */"
-
-
-def _comment(text: str) -> str:
-    """Text that does not end a C comment."""
-    return text.replace("*/", "* /")
+    text = fill_text(
+        Path(__file__).with_name("arm.h.j2"),
+        entries=entries(arm),
+        notes=notes,
+        prefix=HEADER_PREFIX,
+        comment=lambda text: text.replace("*/", "* /"),  # which would end it
+        sentence_of=sentence_of,
+    )
+    return Export(text.encode(), arm.warnings, notes)

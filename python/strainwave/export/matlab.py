@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,21 +22,10 @@ from strainwave.export.state_space import (
     linearised,
     state_space,
 )
+from strainwave.io.templates import fill_text
 
 _UNKNOWN = float("nan")
 _ELSEWHERE = (Part.SERVO, Part.UNCERTAINTY)  # not among the numbers of the file either
-
-_GREY_MODEL = """\
-function [A, B, C, D] = two_inertia(m_M, d_M, m_L, d_L, k, d_G, Ts, n)
-% One joint: motor, gear and link. Ts is 0: the model is in continuous time.
-A = [0, n, -1; ...
-     -n*k/m_M, -(d_M + n^2*d_G)/m_M, n*d_G/m_M; ...
-     k/m_L, n*d_G/m_L, -(d_L + d_G)/m_L];
-B = [0, 0; 1/m_M, 0; 0, 1/m_L];
-C = [0, 1, 0; A(3, :)];
-D = [0, 0; B(3, :)];
-end
-"""
 
 
 def to_mat(arm: IdentifiedArm) -> Export:
@@ -86,46 +76,26 @@ def to_script(arm: IdentifiedArm) -> Export:
 
     Raises `InvalidInput` if a gear is rigid or a parameter of the models is missing.
     """
-    lines = [
-        "% An arm with elastic joints, identified by strainwave. SI units, angles in rad.",
-        *(f"% {sentence_of(note)}" for note in _notes(arm)),
-        "% sys{i} is the model of joint i alone; refine it on your own data with",
-        "%   greyest(data, idgrey(grey(i).function, grey(i).parameters, 'c', grey(i).args))",
-        "if exist('OCTAVE_VERSION', 'builtin'), pkg load control, end % ss in GNU Octave",
-        "",
-    ]
-    for entry in entries(arm):
-        unit = " ".join(entry.unit.split())  # a line end would end the comment
-        lines.append(f"parameters.{entry.name} = {_number(entry.value)}; % [{unit}]")
-        if not entry.known:
-            lines.append(f"parameters_std.{entry.name} = {_number(entry.std)};")
-    for number in range(1, arm.study.arm.n_joints + 1):
-        lines += ["", *_joint_lines(arm, number)]
-    text = "\n".join(lines) + "\n\n" + _GREY_MODEL
+    numbers = range(1, arm.study.arm.n_joints + 1)
+    models = [joint_model(arm, number) for number in numbers]
+    text = fill_text(
+        Path(__file__).with_name("arm.m.j2"),
+        entries=entries(arm),
+        joints=[
+            ({name: getattr(model, name) for name in NAMES}, state_space(arm, number)._asdict())
+            for number, model in zip(numbers, models, strict=True)
+        ],
+        gear_ratios=[model.gear_ratio for model in models],
+        states=STATES,
+        inputs=INPUTS,
+        outputs=OUTPUTS,
+        notes=_notes(arm),
+        matrix=_matrix,
+        names=_names,
+        number=lambda value: "NaN" if value is None else repr(value),
+        sentence_of=sentence_of,
+    )
     return Export(text.encode(), linearised(arm), _notes(arm))
-
-
-def _joint_lines(arm: IdentifiedArm, number: int) -> list[str]:
-    """`ss` model of one joint, and the arguments of `idgrey`."""
-    model = joint_model(arm, number)
-    index = f"({number})"
-    parameter_list = "; ".join(f"'{name}', {getattr(model, name)!r}" for name in NAMES)
-    matrices = state_space(arm, number)._asdict().items()
-    return [
-        f"% joint {number}",
-        *(f"joints{index}.{name} = {_matrix(matrix)};" for name, matrix in matrices),
-        f"sys{{{number}}} = ss({', '.join(f'joints{index}.{name}' for name in 'ABCD')}, ...",
-        f"    'StateName', {_names(STATES)}, ...",
-        f"    'InputName', {_names(INPUTS)}, ...",
-        f"    'OutputName', {_names(OUTPUTS)});",
-        f"grey{index}.function = @two_inertia;",
-        f"grey{index}.parameters = {{{parameter_list}}};",
-        f"grey{index}.args = {{{model.gear_ratio!r}}};",
-    ]
-
-
-def _number(value: float | None) -> str:
-    return "NaN" if value is None else repr(value)
 
 
 def _matrix(matrix: FloatArray) -> str:
