@@ -86,7 +86,7 @@ def linear_factors(logs: Sequence[Log], arm: Arm, axes: Sequence[Axis]) -> list[
     """
     tables = _axis_tables(logs, arm, axes)
     if axes[0].space.axis is None and isinstance(axes[0].sensor, ImuSensor):
-        values = estimate_imu_starts(axes, tables)
+        values = estimate_imu_starts(axes, tables) if unknowns_of(axes) else {}
         return [axis.sensor.weights(axis, values) for axis in axes]
     return [_fit_factors(axis, table) for axis, table in zip(axes, tables, strict=True)]
 
