@@ -55,7 +55,8 @@ class Registry(Generic[T]):
             )
 
     def add(self, entry: T) -> None:
-        """Add an entry with an unused name."""
+        """Add an entry. Raises InvalidInput if its name is taken."""
+        self.check_new(entry.name)
         self._entries[entry.name] = entry
 
     def remove(self, name: str) -> None:

@@ -54,19 +54,17 @@ _EFFECTS = Registry[Effect](
 )
 
 
-def effect_named(name: str) -> Effect:
-    """The effect with a name. Raises InvalidInput if there is none."""
-    return _EFFECTS[name]
+effect_named = _EFFECTS.__getitem__
+"""The effect with a name. Raises InvalidInput if there is none."""
 
+names = _EFFECTS.names
+"""Names of all effects in the order of registration."""
 
-def names() -> tuple[str, ...]:
-    """Names of all effects in the order of registration."""
-    return _EFFECTS.names()
+all_effects = _EFFECTS.all
+"""All effects in the order of registration."""
 
-
-def all_effects() -> tuple[Effect, ...]:
-    """All effects in the order of registration."""
-    return _EFFECTS.all()
+unregister = _EFFECTS.remove
+"""Remove an effect. Raises InvalidInput if there is none of that name."""
 
 
 def register(effect: Effect) -> None:
@@ -75,7 +73,6 @@ def register(effect: Effect) -> None:
     Raises InvalidInput if the name is taken, if the core does not know a parameter, if a parameter
     is a size here and a shape in another effect, or if a size cannot be zero.
     """
-    _EFFECTS.check_new(effect.name)
     for name in effect.names:
         problem = _parameter_fault(effect, name)
         if problem:
@@ -96,8 +93,3 @@ def _parameter_fault(effect: Effect, name: str) -> str | None:
     if any((name in other.sizes) != (name in effect.sizes) for other in others):
         return "has a different role in another effect"
     return None
-
-
-def unregister(name: str) -> None:
-    """Remove an effect. Raises InvalidInput if there is none of that name."""
-    _EFFECTS.remove(name)

@@ -27,14 +27,11 @@ RIGID = Rigid.name
 _LAWS = Registry[GearLaw]("gear law", "a", "spring", (Linear(), ThreeSlope(), Cubic(), Rigid()))
 
 
-def gear_law(name: str) -> GearLaw:
-    """The law with a name. Raises InvalidInput if there is none."""
-    return _LAWS[name]
+gear_law = _LAWS.__getitem__
+"""The law with a name. Raises InvalidInput if there is none."""
 
-
-def names() -> tuple[str, ...]:
-    """Names of all laws in the order of registration."""
-    return _LAWS.names()
+names = _LAWS.names
+"""Names of all laws in the order of registration."""
 
 
 def register(law: GearLaw) -> None:
@@ -43,15 +40,13 @@ def register(law: GearLaw) -> None:
     Raises InvalidInput if the name is taken, if the core does not know a parameter, or if a
     parameter has a different meaning in another law.
     """
-    _LAWS.check_new(law.name)
-    known = gear_parameters()
-    unknown = "is not a parameter of the compiled core"
     for parameter in law.parameters:
-        same_name = known.get(parameter.name, parameter)
-        if parameter.name not in parameter_table() or parameter != same_name:
-            problem = (
-                "has a different meaning in another law" if parameter != same_name else unknown
-            )
+        problem = None
+        if gear_parameters().get(parameter.name, parameter) != parameter:
+            problem = "has a different meaning in another law"
+        elif parameter.name not in parameter_table():
+            problem = "is not a parameter of the compiled core"
+        if problem:
             raise InvalidInput(
                 f"the parameter {parameter.name!r} of the gear law {law.name!r} {problem}",
                 remedy="give it another name",
@@ -69,11 +64,8 @@ def unregister(name: str) -> None:
 @cache
 def gear_parameters() -> Mapping[str, GearParameter]:
     """Parameters of all laws by name. Laws that share a name share the parameter."""
-    parameters: dict[str, GearParameter] = {}
-    for law in _LAWS.all():
-        for parameter in law.parameters:
-            parameters.setdefault(parameter.name, parameter)
-    return MappingProxyType(parameters)
+    parameters = (parameter for law in _LAWS.all() for parameter in law.parameters)
+    return MappingProxyType({parameter.name: parameter for parameter in parameters})
 
 
 def is_slope(name: str) -> bool:

@@ -24,30 +24,22 @@ _KINDS = Registry[Kind[Any]]("arm kind", "an", "kind", (PlanarTwoLink(), SingleJ
 _CHAIN = SerialChain()  # study files do not describe it
 
 
-def kind_named(name: str) -> Kind[Any]:
-    """The kind with a name in a study file. Raises InvalidInput if there is none."""
-    return _KINDS[name]
+kind_named = _KINDS.__getitem__
+"""The kind with a name in a study file. Raises InvalidInput if there is none."""
+
+all_kinds = _KINDS.all
+"""Kinds of arms that study files describe."""
+
+register = _KINDS.add
+"""Register a kind, so that studies can name it. Raises InvalidInput if the name is taken."""
+
+unregister = _KINDS.remove
+"""Remove a kind. Raises InvalidInput if there is none of that name."""
 
 
 def kind_of(arm: ArmDescription) -> Kind[Any]:
     """Kind of an arm."""
     return _CHAIN if arm.kind == _CHAIN.name else _KINDS[arm.kind]
-
-
-def all_kinds() -> tuple[Kind[Any], ...]:
-    """Kinds of arms that study files describe."""
-    return _KINDS.all()
-
-
-def register(kind: Kind[Any]) -> None:
-    """Register a kind, so that studies can name it. Raises InvalidInput if the name is taken."""
-    _KINDS.check_new(kind.name)
-    _KINDS.add(kind)
-
-
-def unregister(name: str) -> None:
-    """Remove a kind. Raises InvalidInput if there is none of that name."""
-    _KINDS.remove(name)
 
 
 def arm_keys(arm: ArmDescription) -> tuple[str, ...]:

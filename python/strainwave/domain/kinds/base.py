@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.clauses import Clause
-from strainwave.domain.keys import Key, Row, Values
+from strainwave.domain.keys import Key, Keyed, Row, Values
 from strainwave.errors import InvalidInput, NotIdentifiable
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class RigidColumn:
+class RigidColumn(Keyed):
     """One unknown of the rigid model: a combination of parameters that motor torque identifies.
 
     If the combination adds a motor's inertia to inertias of links, rigid motion does not separate
@@ -31,22 +31,12 @@ class RigidColumn:
     parts: Row
 
     @property
-    def key(self) -> Key:
-        """Name and joint of the combination."""
-        return self.name, self.joint
-
-    @property
     def motor(self) -> tuple[int, float] | None:
         """Joint, from 1, whose motor inertia the combination contains, and its weight."""
         for (name, joint), weight in self.parts.items():
             if name == "motor_inertia" and joint is not None:
                 return joint, weight
         return None
-
-    @property
-    def label(self) -> str:
-        """Name and joint, as in a verdict."""
-        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
     def __str__(self) -> str:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
@@ -112,9 +102,9 @@ class Kind(ABC, Generic[Table]):
     gravity_note: str = ""
     """Formula of `effective_gravity`, if it is not the gravity of the study."""
 
-    @abstractmethod
     def faults(self, table: Table, joints: Sequence[Joint]) -> Iterator[Fault]:
         """Contradictions between the tables of a study file and this kind, most severe first."""
+        yield from ()
 
     @abstractmethod
     def construct(

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
-from strainwave.domain.kinds.base import Fault, Kind
-
-_MAX_JOINTS = 7  # of the compiled core
+from strainwave.domain.kinds.base import Kind
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,18 +21,6 @@ class SerialChain(Kind[SerialTable]):
 
     name = "serial"
     table = SerialTable
-
-    def faults(self, table: SerialTable, joints: Sequence[Joint]) -> Iterator[Fault]:
-        """Too many joints, or an axis of length zero."""
-        if len(joints) > _MAX_JOINTS:
-            yield Fault(
-                f"there are {len(joints)} [[joint]] tables, but a chain has at most {_MAX_JOINTS}",
-                "describe the joints that move",
-                "joint",
-            )
-        for index, joint in enumerate(joints):
-            if not any(joint.axis):
-                yield Fault("the axis has length zero", "set its direction", "joint", index, "axis")
 
     def construct(
         self, table: SerialTable, joints: Sequence[Joint], servo: Servo | None = None
