@@ -27,6 +27,7 @@ from strainwave.domain import (
 )
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.domain.formatting import percent, plus_minus
+from strainwave.domain.keys import label_of
 from strainwave.domain.progress import Progress, ProgressEvent, ignore_progress
 from strainwave.errors import Cancelled, InvalidInput, import_optional, suggest_name
 from strainwave.io import results
@@ -238,7 +239,7 @@ class Parameters(Sequence[Parameter]):
 
     def _find(self, key: Key) -> Parameter | None:
         """A parameter by key, or by its name in the verdict: "gear_stiffness 1"."""
-        label = key if isinstance(key, str) else _label(*key)
+        label = key if isinstance(key, str) else label_of(*key)
         return next((p for p in self._parameters if p.label == label), None)
 
     def _describe_unknown(self, key: Key) -> str:
@@ -251,16 +252,12 @@ class Parameters(Sequence[Parameter]):
             near = [p.label for p in same]
         else:
             labels = [p.label for p in self._parameters]
-            matches = difflib.get_close_matches(_label(name, joint), labels, _NEAR_KEYS)
+            matches = difflib.get_close_matches(label_of(name, joint), labels, _NEAR_KEYS)
             near = sorted(matches, key=labels.index)
         keys = {p.label: k for p, k in zip(self._parameters, self.keys(), strict=True)}
         hint = " or ".join(_shown(keys[label]) for label in near)
         listed = ", ".join(_shown(k) for k in self.keys())
         return f"no parameter {_shown(key)}; " + (f"did you mean {hint}?" if hint else listed)
-
-
-def _label(name: str, joint: int | None) -> str:
-    return name if joint is None else f"{name} {joint}"
 
 
 def _shown(key: Key) -> str:

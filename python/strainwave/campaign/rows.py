@@ -85,7 +85,7 @@ def failure_of(
 
 def _parameter_row(p: Parameter, truth: Mapping[Key, float]) -> dict[str, Any]:
     low, high = p.ci95 or (None, None)
-    true = truth.get((p.name, p.joint))
+    true = truth.get(p.key)
     error = None
     if true and p.value is not None:
         error = 100.0 * (p.value - true) / abs(true)

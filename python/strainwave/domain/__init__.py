@@ -86,7 +86,6 @@ from strainwave.domain.options import RigidOptions as RigidOptions
 from strainwave.domain.options import WholeArmOptions as WholeArmOptions
 from strainwave.domain.parameter_table import ParameterDescription as ParameterDescription
 from strainwave.domain.parameter_table import parameter_table as parameter_table
-from strainwave.domain.parameter_words import ParameterText as ParameterText
 from strainwave.domain.parameter_words import parameter_descriptions as parameter_descriptions
 from strainwave.domain.progress import Progress as Progress
 from strainwave.domain.progress import ProgressEvent as ProgressEvent

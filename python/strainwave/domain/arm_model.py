@@ -12,7 +12,7 @@ from strainwave.domain.arm import EffectName
 from strainwave.domain.arrays import ComplexArray, FloatArray
 from strainwave.domain.clauses import Clause, Place
 from strainwave.domain.estimates import Diagnostic, Parameter, Prediction
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Keyed
 from strainwave.domain.search_end import SearchEnd
 
 
@@ -57,7 +57,7 @@ class ResidualTest:
 
 
 @dataclass(frozen=True, slots=True)
-class ParameterShift:
+class ParameterShift(Keyed):
     """Shift of a parameter if one more effect is added to the model."""
 
     name: str
@@ -113,7 +113,7 @@ class TorqueHistogram:
 
 
 @dataclass(frozen=True, slots=True)
-class StageDifference:
+class StageDifference(Keyed):
     """Difference of one parameter between the rigid step and the whole-arm fit.
 
     The rigid model is a prior of the whole-arm fit, which correlates the two values. The standard
@@ -229,7 +229,7 @@ class MotorResponse:
 
 
 @dataclass(frozen=True, slots=True)
-class SensorGain:
+class SensorGain(Keyed):
     """Predicted standard deviation of one parameter with an additional link sensor."""
 
     sensor: str  # type of link sensor
@@ -240,11 +240,6 @@ class SensorGain:
     value: float
     std: float  # without the sensor
     predicted_std: float  # with the sensor, same records
-
-    @property
-    def label(self) -> str:
-        """Name and joint, as in the verdict."""
-        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
     @property
     def percent(self) -> float:

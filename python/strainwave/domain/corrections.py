@@ -28,10 +28,8 @@ def apply_corrections(study: Study, corrections: Sequence[Correction]) -> Study:
             arm = change_arm_keys(study.arm, **{correction.key: correction.value})
             study = replace(study, arm=arm)
         elif correction.table == "joint":
-            joints = list(study.arm.joints)
-            number = int(correction.entry) - 1
-            joints[number] = replace(joints[number], **{correction.key: correction.value})  # type: ignore[arg-type]
-            study = replace(study, arm=study.arm.with_joints(joints))
+            changes = {correction.key: correction.value}
+            study = replace(study, arm=study.arm.with_joint(int(correction.entry), **changes))
         elif correction.table == "channels":
             before = study.channels.get(correction.entry) or Channel(correction.entry)
             after = replace(before, **{correction.key: correction.value})  # type: ignore[arg-type]
@@ -77,12 +75,8 @@ def _describe_changes(
         elif correction.value is None:
             steps.append(f"remove {correction.key} from {place}")
         else:
-            value = (
-                f"{correction.value:.7g}"
-                if isinstance(correction.value, float)
-                else correction.value
-            )
-            steps.append(f"set {correction.key} = {value} in {place}")
+            spec = ".7g" if isinstance(correction.value, float) else ""
+            steps.append(f"set {correction.key} = {correction.value:{spec}} in {place}")
     return ", ".join(steps)
 
 

@@ -7,6 +7,7 @@ SciPy takes longer than most stages, so only comparisons of results load it, for
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 
 CI95_STDS = 1.96
@@ -45,12 +46,7 @@ def chi_square_limit(probability: float, degrees: int) -> float:
     low, high = 0.0, float(degrees)
     while chi_square_tail(high, degrees) > probability:
         low, high = high, 2.0 * high
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        if chi_square_tail(middle, degrees) > probability:
-            low = middle
-        else:
-            high = middle
+    _, high = _bisect(low, high, lambda value: chi_square_tail(value, degrees) > probability)
     return high
 
 
@@ -59,14 +55,20 @@ def student_quantile(probability: float, degrees: int) -> float:
 
     `probability` is at least 0.5 and below 1, `degrees` at least 1.
     """
-    low, high = 0.0, 0.5 * math.pi
+
+    def is_low(angle: float) -> bool:
+        return 0.5 + 0.5 * _student_probability(angle, degrees) < probability
+
+    low, _ = _bisect(0.0, 0.5 * math.pi, is_low)
+    return math.sqrt(degrees) * math.tan(low)
+
+
+def _bisect(low: float, high: float, is_low: Callable[[float], bool]) -> tuple[float, float]:
+    """Neighbouring numbers between which a condition ceases to hold."""
     for _ in range(60):
         middle = 0.5 * (low + high)
-        if 0.5 + 0.5 * _student_probability(middle, degrees) < probability:
-            low = middle
-        else:
-            high = middle
-    return math.sqrt(degrees) * math.tan(low)
+        low, high = (middle, high) if is_low(middle) else (low, middle)
+    return low, high
 
 
 def _student_probability(angle: float, degrees: int) -> float:

@@ -10,7 +10,7 @@ from strainwave.domain.arrays import FloatArray
 from strainwave.domain.clauses import Clause, Place, Value
 from strainwave.domain.corrections import Correction
 from strainwave.domain.distributions import CI95_STDS
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Keyed
 from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.domain.messages import observation_of, places_text, text_of
 from strainwave.domain.stages import Stage
@@ -129,7 +129,7 @@ def _is_on_link(place: Place) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class Parameter(Keyed):
     """Estimate of one physical parameter; value and uncertainty are None if not identified."""
 
     name: str  # as in docs/notation.md
@@ -147,16 +147,6 @@ class Parameter:
         """Estimate with its 95 % interval, of the half-width `width` in standard deviations."""
         interval = (value - width * std, value + width * std)
         return cls(*key, value, std, unit, stage, interval)
-
-    @property
-    def key(self) -> Key:
-        """Name and joint."""
-        return self.name, self.joint
-
-    @property
-    def label(self) -> str:
-        """Name and joint, as in the verdict: "gear_stiffness 1", or "beta" for the whole arm."""
-        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -82,6 +82,10 @@ class _Entry:
     parameter: Parameter
     rejected: Clause | None = None
 
+    def reject(self, reason: Clause) -> _Entry:
+        """The entry, rejected for the first reason."""
+        return self if self.rejected else replace(self, rejected=reason)
+
 
 _Table = dict[Key, _Entry]
 
@@ -102,30 +106,26 @@ def decide(results: StageResults) -> tuple[Decision, ...]:
         table = _stage_table(rigid.parameters, "rigid", spread_to_all=False)
     if first_affected <= _RIGID:
         table = _reject_all(table.values(), _FAULT_REASON)
-    accepted = [
-        joint_model
-        for joint_model in results.joints
-        if not _enter_if_rejected(table, joint_model, first_affected)
-    ]
+    accepted = [j for j in results.joints if not _enter_if_rejected(table, j, first_affected)]
     accepted = [_at_zero_angles(joint, table, study.arm) for joint in accepted]
     for joint in accepted:
-        table.update({_key(p): _Entry(p) for p in joint.parameters})
+        table.update({p.key: _Entry(p) for p in joint.parameters})
     if whole_arm is not None:
         _enter_whole_arm(table, whole_arm, first_affected)
+        _remove_equivalent_stiffness(table, study)
     else:
         _make_consistent(table, study.arm, accepted)
-    _remove_equivalent_stiffness(table, study, whole_arm is not None)
     _reject_contradictions(table, study.arm)
     levels_by_joint = {level.joint: level for level in results.activity}
     rows = [_decide_row(entry, study, levels_by_joint) for entry in table.values()]
-    names = dict.fromkeys([*_FIRST_ROWS, *parameter_table()])
-    order = {name: sort_key for sort_key, name in enumerate(names)}
+    order = list(dict.fromkeys([*_FIRST_ROWS, *parameter_table()]))
 
-    def sort_key(row: Decision) -> tuple[int, int]:
+    def place(row: Decision) -> tuple[int, int]:
         """Sort key: parameters of the whole arm first, then joint by joint."""
-        return row.parameter.joint or 0, order.get(base_name(row.parameter.name), len(order))
+        name = base_name(row.parameter.name)
+        return row.parameter.joint or 0, order.index(name) if name in order else len(order)
 
-    return tuple(sorted(rows, key=sort_key))
+    return tuple(sorted(rows, key=place))
 
 
 def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
@@ -151,10 +151,6 @@ def first_affected_stage(suspicion: Suspicion, study: Study) -> int:
     return max(channel_stage, min(record_stages, default=_RIGID))
 
 
-def _key(parameter: Parameter) -> Key:
-    return parameter.name, parameter.joint
-
-
 def _impossible_parameters(parameters: Iterable[Parameter]) -> list[Parameter]:
     """Parameters with a physically impossible, significantly negative value."""
     return [
@@ -170,7 +166,7 @@ def _stage_table(parameters: Sequence[Parameter], stage: Stage, *, spread_to_all
     """Table of a stage; an impossible value rejects its joint and the parameters of the arm."""
     impossible = _impossible_parameters(parameters)
     if not impossible:
-        return {_key(p): _Entry(p) for p in parameters}
+        return {p.key: _Entry(p) for p in parameters}
     first = impossible[0]
     reason = Clause(
         "reason/stage", stage=stage, label=first.label, value=first.value, unit=first.unit
@@ -178,13 +174,13 @@ def _stage_table(parameters: Sequence[Parameter], stage: Stage, *, spread_to_all
     joints = {p.joint for p in impossible} | {None}
     is_all_rejected = spread_to_all or None in {p.joint for p in impossible}
     return {
-        _key(p): _Entry(p, reason if is_all_rejected or p.joint in joints else None)
+        p.key: _Entry(p, reason if is_all_rejected or p.joint in joints else None)
         for p in parameters
     }
 
 
 def _reject_all(entries: Iterable[_Entry], reason: Clause) -> _Table:
-    return {_key(e.parameter): replace(e, rejected=reason) for e in entries}
+    return {e.parameter.key: replace(e, rejected=reason) for e in entries}
 
 
 def _enter_if_rejected(table: _Table, joint: JointModel, first_affected: int) -> bool:
@@ -212,24 +208,21 @@ def _enter_whole_arm(table: _Table, whole_arm: ArmModel, first_affected: int) ->
     """
     if first_affected <= _TUNED:
         for p in whole_arm.parameters:
-            table.setdefault(_key(p), _Entry(p, _FAULT_REASON))
+            table.setdefault(p.key, _Entry(p, _FAULT_REASON))
         return
     bounded = set(whole_arm.at_bounds)
     for p in whole_arm.parameters:
         reason = Clause("reason/at-bound", value=p.value or 0.0, unit=p.unit)
-        table[_key(p)] = _Entry(p, reason if _key(p) in bounded else None)
+        table[p.key] = _Entry(p, reason if p.key in bounded else None)
     for key, reason in _effect_shift_reasons(whole_arm).items():
-        if key in table and not table[key].rejected:
-            table[key] = replace(table[key], rejected=reason)
+        if key in table:
+            table[key] = table[key].reject(reason)
     failed_tests = contradictions(whole_arm.agreement)
     friction_joints = {test.joint for test in failed_tests if test.scope == "friction"}
     is_torque_wrong = any(test.scope == "inertias" for test in failed_tests)
-    for key, entry in table.items():
-        is_wrong_friction = (
-            is_friction(entry.parameter.name) and entry.parameter.joint in friction_joints
-        )
-        if (is_torque_wrong or is_wrong_friction) and not entry.rejected:
-            table[key] = replace(entry, rejected=_CONTRADICTION_REASON)
+    for (name, joint), entry in table.items():
+        if is_torque_wrong or (joint in friction_joints and is_friction(name)):
+            table[name, joint] = entry.reject(_CONTRADICTION_REASON)
 
 
 def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, Clause]:
@@ -242,7 +235,7 @@ def _effect_shift_reasons(whole_arm: ArmModel) -> dict[Key, Clause]:
         for shift in cause.shifts:
             is_large = abs(shift.shift) > MAX_EFFECT_SHIFT * abs(shift.without)
             if is_large and abs(shift.deviations) > CI95_STDS:
-                reasons.setdefault((shift.name, shift.joint), reason)
+                reasons.setdefault(shift.key, reason)
     return reasons
 
 
@@ -258,7 +251,7 @@ def _at_zero_angles(model: JointModel, table: _Table, arm: ArmDescription) -> Jo
     change = [(weight, _accepted_estimate(table, key)) for key, weight in weights.items()]
     parameters = {p.name: p for p in model.parameters}
     own = parameters[LINK_INERTIA]
-    at_zero = _weighted_sum(own.name, own.joint, [(1.0, own), *change])
+    at_zero = _weighted_sum(own.key, [(1.0, own), *change])
     parameters[LINK_INERTIA] = at_zero or replace(own, value=None, std=None, ci95=None)
     return replace(model, parameters=tuple(parameters.values()))
 
@@ -277,19 +270,17 @@ def _make_consistent(
     }
 
     def parts(row: Row) -> list[tuple[float, Parameter | None]]:
-        known = (
-            (w, joint_estimates[k] if k in joint_estimates else _accepted_estimate(table, k))
-            for k, w in row.items()
-        )
-        return list(known)
+        return [
+            (w, joint_estimates.get(key) or _accepted_estimate(table, key))
+            for key, w in row.items()
+        ]
 
     derived_rows: dict[Key, Row] = {}
     for key, row in inertias_of_links(arm):
-        parameter = (
-            _renamed_parameter(key, parts(row))
-            if len(row) == 1
-            else _weighted_sum(*key, parts(row))
-        )
+        parameter = _weighted_sum(key, parts(row))
+        if len(row) == 1:  # a joint's parameter under its name in the whole arm
+            ((_, own),) = parts(row)
+            parameter = own and replace(own, name=key[0], joint=key[1])
         if parameter is not None and key not in row:
             table[key], derived_rows[key] = _Entry(parameter), row
     for key, row in lumped_inertias(arm).items():
@@ -300,17 +291,9 @@ def _make_consistent(
             for part, w in row.items()
             for k, v in derived_rows.get(part, {part: 1.0}).items()
         }
-        total = _weighted_sum(*key, parts(expanded_row))
+        total = _weighted_sum(key, parts(expanded_row))
         if total is not None:
             table[key] = _Entry(total)
-
-
-def _renamed_parameter(
-    key: Key, parts: Sequence[tuple[float, Parameter | None]]
-) -> Parameter | None:
-    """Return a joint parameter under its name in the whole arm."""
-    (_, parameter), *_ = parts
-    return None if parameter is None else replace(parameter, name=key[0], joint=key[1])
 
 
 def _accepted_estimate(table: _Table, key: Key) -> Parameter | None:
@@ -318,9 +301,7 @@ def _accepted_estimate(table: _Table, key: Key) -> Parameter | None:
     return entry.parameter if entry is not None and not entry.rejected else None
 
 
-def _weighted_sum(
-    name: str, joint: int | None, parts: Sequence[tuple[float, Parameter | None]]
-) -> Parameter | None:
+def _weighted_sum(key: Key, parts: Sequence[tuple[float, Parameter | None]]) -> Parameter | None:
     """Weighted sum with added standard deviations; None if a part is missing."""
     value = std = 0.0
     for weight, p in parts:
@@ -328,25 +309,21 @@ def _weighted_sum(
             return None
         value += weight * p.value
         std += abs(weight) * p.std
-    return Parameter.estimated((name, joint), value, std, "kg m^2", "decoupled")
+    return Parameter.estimated(key, value, std, "kg m^2", "decoupled")
 
 
-def _remove_equivalent_stiffness(table: _Table, study: Study, has_whole_arm_fit: bool) -> None:
+def _remove_equivalent_stiffness(table: _Table, study: Study) -> None:
     """Remove the equivalent stiffness of joints whose stiffness curve was fitted."""
     for number, joint in enumerate(study.arm.joints, start=1):
-        law_names = joint.law.names
-        if (
-            has_whole_arm_fit
-            and STIFFNESS not in law_names
-            and any((name, number) in table for name in law_names)
-        ):
+        names = joint.law.names
+        if STIFFNESS not in names and any((name, number) in table for name in names):
             table.pop((STIFFNESS, number), None)
 
 
 def _reject_contradictions(table: _Table, arm: ArmDescription) -> None:
     """Reject values of link parameters that contradict the others."""
     accepted = [e.parameter for e in table.values() if not e.rejected]
-    values = {_key(p): p.value for p in accepted if p.value is not None}
+    values = {p.key: p.value for p in accepted if p.value is not None}
     for key, reason in kind_of(arm).contradictions(values).items():
         table[key] = replace(table[key], rejected=reason)
 
@@ -362,12 +339,8 @@ def _decide_row(entry: _Entry, study: Study, levels: Mapping[int, Activity]) -> 
     if p.value is None or reason:
         without_value = replace(p, value=None, std=None, ci95=None)
         # a parameter without a value is not identified instead of rejected
-        return Decision(
-            without_value,
-            identified=False,
-            rejected=reason if p.value is not None else None,
-            raw=p.value,
-        )
+        rejected = reason if p.value is not None else None
+        return Decision(without_value, identified=False, rejected=rejected, raw=p.value)
     return Decision(p, identified=_is_identified(p, study, levels))
 
 
@@ -434,9 +407,9 @@ def _motion_per_unit(p: Parameter, arm: ArmDescription) -> dict[int, float]:
     if p.joint is not None or physical_range(p.name) != "any":
         return {}
     if family_of(p.name) == "gravity":
-        row = kind_of(arm).standard_rows(arm).get(_key(p), {})
+        row = kind_of(arm).standard_rows(arm).get(p.key, {})
         last = min((joint for _, joint in row if joint is not None), default=0)
         return dict.fromkeys(range(1, last + 1), 1.0)
     joints = range(1, arm.n_joints + 1)
-    weight = max(abs(link_inertia(arm, joint).get(_key(p), 0.0)) for joint in joints)
+    weight = max(abs(link_inertia(arm, joint).get(p.key, 0.0)) for joint in joints)
     return dict.fromkeys(joints, weight)

@@ -148,19 +148,10 @@ class FrequencyResponse(Displayed):
         if len(lines) > max_lines:
             targets = np.geomspace(f[lines[0]], f[lines[-1]], max_lines)
             lines = np.unique(np.searchsorted(f, targets).clip(lines[0], lines[-1]))
-
-        def select(values: FloatArray | None) -> FloatArray | None:
-            return None if values is None else values[lines]
-
-        return replace(
-            self,
-            frequencies_hz=f[lines],
-            response=self.response[lines],
-            covariance=select(self.covariance),
-            coherence=select(self.coherence),
-            noise_variance=select(self.noise_variance),
-            distortion_variance=select(self.distortion_variance),
-        )
+        by_line = ("response", "covariance", "coherence", "noise_variance", "distortion_variance")
+        known = {name: values for name in by_line if (values := getattr(self, name)) is not None}
+        selected = {name: values[lines] for name, values in known.items()}
+        return replace(self, frequencies_hz=f[lines], **selected)
 
     @property
     def magnitude_std(self) -> FloatArray | None:

@@ -65,6 +65,17 @@ PLAUSIBLE_RANGES = (
 )
 """From desktop arms to the largest industrial axes, with a margin of at least a factor of two."""
 
+_QUANTITIES: Mapping[str, str] = {
+    "link_inertia": "link inertia",
+    "rigid_inertia": "link inertia",
+    "motor_inertia": "motor inertia",
+    "inertia": "motor inertia",
+    "motor_coulomb_friction": "Coulomb friction",
+    "motor_viscous_friction": "viscous friction",
+    "total_viscous_friction": "viscous friction",
+}
+"""Quantities of parameters; slopes of a gear are stiffnesses."""
+
 _TORQUE_UNITS: Mapping[str, float] = {
     "mN m": 1e-3,
     "N cm": 1e-2,
@@ -157,32 +168,22 @@ def _pair_with_ranges(
     if joint.torque_per_volt is not None:
         constant = f"torque_per_volt {number}"
         rows.insert(0, (constant, joint.torque_per_volt, "N m/V", "torque per volt"))
+    ratio = abs(joint.gear_ratio)
     for label, value, unit, quantity in rows:
         ranges = [
-            (
-                r.minimum * abs(joint.gear_ratio) ** r.power,
-                r.maximum * abs(joint.gear_ratio) ** r.power,
-            )
+            r
             for r in PLAUSIBLE_RANGES
-            if r.quantity == quantity
-            and (abs(joint.gear_ratio) <= MAX_GEARED_RATIO or not r.geared)
+            if r.quantity == quantity and (ratio <= MAX_GEARED_RATIO or not r.geared)
         ]
         if ranges:
-            minimum, maximum = max(low for low, _ in ranges), min(high for _, high in ranges)
+            minimum = max(r.minimum * ratio**r.power for r in ranges)
+            maximum = min(r.maximum * ratio**r.power for r in ranges)
             yield SizedValue(label, value, unit, minimum, maximum, quantity in _PER_ANGLE)
 
 
 def _quantity_of(name: str) -> str | None:
     """Quantity of `PLAUSIBLE_RANGES` that a parameter belongs to; None if there is none."""
-    if name in ("link_inertia", "rigid_inertia"):
-        return "link inertia"
-    if name in ("motor_inertia", "inertia"):
-        return "motor inertia"
-    if name == "motor_coulomb_friction":
-        return "Coulomb friction"
-    if name in ("motor_viscous_friction", "total_viscous_friction"):
-        return "viscous friction"
-    return "stiffness" if is_slope(name) else None
+    return _QUANTITIES.get(name, "stiffness" if is_slope(name) else None)
 
 
 def _explain_values(

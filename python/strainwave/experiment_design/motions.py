@@ -185,7 +185,7 @@ def _sizes(arm: Arm, values: Values) -> dict[int, float]:
     """Magnitudes of the guessed rigid parameters that are not zero, by column of the regressor."""
     sizes = {}
     for k, column in enumerate(arm.rigid_columns):
-        size = abs(values.get((column.name, column.joint), 0.0))
+        size = abs(values.get(column.key, 0.0))
         if size > 0.0:
             sizes[k] = size
     return sizes

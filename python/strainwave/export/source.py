@@ -67,7 +67,7 @@ class IdentifiedArm:
         """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""
         value = self.values.get((name, joint))
         if value is None:
-            matches = [p for p in self.parameters if (p.name, p.joint) == (name, joint)]
+            matches = [p for p in self.parameters if p.key == (name, joint)]
             if matches and matches[0].label in self.rejected:
                 raise self._refuse(name, joint, "rejected by the verdict of the result")
             raise self._refuse(name, joint, "null" if matches else "missing")
@@ -109,7 +109,7 @@ class IdentifiedArm:
         return tuple(assumptions)
 
     def _identified(self) -> Values:
-        return {(p.name, p.joint): p.value for p in self.parameters if p.value is not None}
+        return {p.key: p.value for p in self.parameters if p.value is not None}
 
     def _joints_with_total_friction(self) -> list[int]:
         """Joints whose total viscous friction is identified without the part of the link."""

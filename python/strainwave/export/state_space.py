@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.domain import Diagnostic, FloatArray, Place
 from strainwave.domain.base_parameters import link_inertia
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, label_of
 from strainwave.dynamics import two_inertia
 from strainwave.dynamics.two_inertia import TwoInertia
 from strainwave.errors import InvalidInput
@@ -117,7 +117,7 @@ def joint_model_covariance(
     rows: dict[str, FloatArray] = {}
     for k, row in enumerate(keys):
         for (name, number), weight in row.items():
-            label = name if number is None else f"{name} {number}"
+            label = label_of(name, number)
             if label not in known and std.get(label) is None:
                 return None
             rows.setdefault(label, np.zeros(len(keys)))[k] += weight

@@ -15,7 +15,7 @@ import numpy as np
 
 from strainwave.campaign.store import read_parameters, read_runs
 from strainwave.domain import FloatArray
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, Keyed
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.monitoring.result_estimates import is_record_parameter
@@ -47,7 +47,7 @@ class Visit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ParameterHistory:
+class ParameterHistory(Keyed):
     """One parameter over the visits of an arm in which it is identified."""
 
     name: str
@@ -56,11 +56,6 @@ class ParameterHistory:
     stage: str
     visits: tuple[Visit, ...]  # by time
     series: Series
-
-    @property
-    def label(self) -> str:
-        """Name with joint, as in the verdict."""
-        return self.name if self.joint is None else f"{self.name} {self.joint}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

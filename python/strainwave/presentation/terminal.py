@@ -181,7 +181,7 @@ def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Tabl
             value, std = "rejected" if decision.rejected else "not identified", ""
         row = [p.name, str(p.joint or "arm"), value, std, p.unit]
         if truth is not None:
-            row += _truth_cells(p, truth.get((p.name, p.joint)))
+            row += _truth_cells(p, truth.get(p.key))
         table.add_row(*(Text(cell) for cell in row))
     return table
 

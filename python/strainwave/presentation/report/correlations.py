@@ -80,7 +80,7 @@ def _of(
 ) -> Correlations | None:
     """Without sums of other parameters, which are correlated with these by definition."""
     variance = np.diag(covariance)
-    keys = {(p.name, p.joint) for p in parameters}
+    keys = {p.key for p in parameters}
     sums = {key for key, parts in reported(arm).items() if not keys.isdisjoint(parts)}
     rows = [
         k
@@ -88,7 +88,7 @@ def _of(
         if p.value is not None
         and np.isfinite(variance[k])
         and variance[k] > 0.0
-        and (p.name, p.joint) not in sums
+        and p.key not in sums
     ]
     if len(rows) < 2:
         return None

@@ -8,7 +8,7 @@ from strainwave.domain import Decision
 from strainwave.domain.formatting import plus_minus
 from strainwave.domain.messages import text_of
 from strainwave.domain.parameter_table import base_name
-from strainwave.domain.parameter_words import ParameterText, parameter_descriptions
+from strainwave.domain.parameter_words import parameter_descriptions
 from strainwave.presentation.report.blocks import (
     Cell,
     Group,
@@ -28,7 +28,6 @@ _HEADS: tuple[str | Cell, ...] = (
     *map(number, ("95 % interval", "half-width [%]")),
     "stage",
 )
-_NO_WORDS = ParameterText("", "")
 
 
 def descriptions_table(decisions: Sequence[Decision]) -> Iterator[Table]:
@@ -71,11 +70,11 @@ def _row(decision: Decision) -> Row:
         low, high = p.ci95
         interval = f"{_like(value, low)} … {_like(value, high)}"
         half = _relative(0.5 * (high - low), p.value)
-    words = parameter_descriptions().get(base_name(p.name), _NO_WORDS)
-    link = f"#{_key(base_name(p.name))}" if words.description else ""
+    words = parameter_descriptions().get(base_name(p.name))
+    link = f"#{_key(base_name(p.name))}" if words else ""
     return (
-        Cell(p.name, href=link, tip=words.description),
-        Cell(words.symbol, "symbol"),
+        Cell(p.name, href=link, tip=words.description if words else ""),
+        Cell(words.symbol if words else "", "symbol"),
         *map(number, (value, std)),
         p.unit.replace("^2", "²").replace("^3", "³").replace(" ", "\N{NO-BREAK SPACE}"),
         *map(number, (interval, half)),

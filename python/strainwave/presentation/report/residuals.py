@@ -228,10 +228,9 @@ def _cause_row(cause: Cause) -> Row:
 
 
 def _describe_shift(shift: ParameterShift) -> str:
-    name = shift.name if shift.joint is None else f"{shift.name} {shift.joint}"
     if not shift.without:
-        return f"{name} {shift.deviations:+.2g} standard deviations"
-    return f"{name} {100.0 * shift.shift / shift.without:+.2g} %"
+        return f"{shift.label} {shift.deviations:+.2g} standard deviations"
+    return f"{shift.label} {100.0 * shift.shift / shift.without:+.2g} %"
 
 
 def _describe_effect(name: str) -> Paragraph:

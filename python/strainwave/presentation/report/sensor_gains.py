@@ -31,7 +31,7 @@ def _sentences(identification: Identification) -> Iterator[str]:
     for gain in identification.whole_arm.sensor_gains if identification.whole_arm else ():
         helps = gain.predicted_std < _MAX_INTERVAL_RATIO * gain.std
         helps = helps and gain.percent > _MIN_HALF_WIDTH_PERCENT
-        if helps and (gain.name, gain.joint) in published:
+        if helps and gain.key in published:
             groups.setdefault(gain.sensor, {}).setdefault(gain.link, []).append(gain)
     nouns = {kind.name.replace("_", "-"): kind.suggested_as for kind in all_types()}
     for sensor, by_link in groups.items():

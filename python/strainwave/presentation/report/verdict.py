@@ -107,7 +107,7 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
         groups[_certainty_class(decision)].append(decision.parameter)
     for name, members in groups.items():
         if members:
-            yield name, named((p.name, p.joint) for p in members)
+            yield name, named(p.key for p in members)
     estimated_labels = {d.parameter.label for d in decisions}
     missing = [
         label for label in identification.verdict.not_identified if label not in estimated_labels

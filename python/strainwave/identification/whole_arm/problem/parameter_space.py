@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray
-from strainwave.domain.keys import Key, Values
+from strainwave.domain.keys import Key, Keyed, Values
 from strainwave.domain.parameter_table import SETTLING
 from strainwave.identification.whole_arm.problem.prior import Prior
 
@@ -19,7 +19,7 @@ _MIN_SETTLING_CHANGE = -0.99
 
 
 @dataclass(frozen=True, slots=True)
-class Unknown:
+class Unknown(Keyed):
     """An unknown parameter and its coordinate z, which is zero at the start.
 
     The value of a positive parameter is scale exp(z), plus that of its lower bound `above` if there
@@ -36,11 +36,6 @@ class Unknown:
     limits: tuple[float, float] | None = None  # bounds of z that replace its reach
     above: str | None = None  # name of a parameter of the same joint that is a lower bound
     prior_std: float | None = None  # of a normal prior centred at the start; None for no prior
-
-    @property
-    def key(self) -> Key:
-        """Name and joint."""
-        return self.name, self.joint
 
     def __str__(self) -> str:
         return self.name if self.joint is None else f"{self.name} of joint {self.joint}"
