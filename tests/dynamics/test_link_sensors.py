@@ -15,6 +15,7 @@ from strainwave.domain.link_sensors import (
     all_types,
     compared_axes,
     constant_of,
+    installed_axes,
     low_passes,
     nominal,
     optional_constants,
@@ -22,7 +23,9 @@ from strainwave.domain.link_sensors import (
     with_bandwidths,
     with_estimates,
 )
+from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.link_sensors import apply_sensor_model, differentiate_rows, shift_samples
+from strainwave.signals.hygiene.defects import count_of
 
 T = 1e-3
 TIME = T * np.arange(2000)
@@ -107,6 +110,30 @@ def test_constants_and_their_keys() -> None:
 def test_what_a_fit_compares(joint: Joint, logged: str, compared: str) -> None:
     axes = compared_axes(single_joint(joint), 1, [f"{kind}1" for kind in logged.split()])
     assert {axis.channel for axis in axes} == {f"{kind}1" for kind in compared.split()}
+
+
+def test_a_link_encoder_has_the_resolution_of_its_counts() -> None:
+    arm = single_joint(replace(JOINT, link_encoder_counts=1000.0, encoder_counts=500.0))
+    (axis,) = compared_axes(arm, 1, ["theta_l1"])
+    assert axis.sensor.resolution == pytest.approx(2e-3 * np.pi)
+    assert count_of("theta_l1", Arm.of(arm)) == axis.sensor.resolution
+    assert count_of("theta_m1", Arm.of(arm)) == pytest.approx(4e-3 * np.pi)
+    assert count_of("a1", Arm.of(arm)) == 0.0
+
+
+def test_a_link_has_the_sensors_of_its_table_and_of_the_channels() -> None:
+    arm = single_joint(replace(JOINT, gyro_hz=5.0, imu=Imu()))
+    installed = installed_axes(arm, 1, ["a1", "theta_l1", "tau_l1"])
+    kinds = ("a", "theta_l", "gyro", "ax", "ay", "az", "gx", "gy", "gz", "tau_l")
+    assert [axis.channel for axis in installed] == [f"{kind}1" for kind in kinds]
+    assert not installed_axes(single_joint(ANYWHERE), 1, ["a1", "gyro1"])
+
+
+def test_a_torsion_sensor_reads_minus_the_torsion() -> None:
+    (axis,) = installed_axes(ARM, 2, ["deflection2"])[1:]
+    assert axis.quantities == ("torsion",)
+    torsion = np.array([[1.0, 2.0], [3.0, 4.0]])
+    assert axis.reading({"torsion": torsion}, {}).tolist() == [-2.0, -4.0]
 
 
 def test_bandwidths_reach_the_low_passes_of_the_core() -> None:

@@ -204,6 +204,14 @@ def test_a_prismatic_joint_rejects_gravity(tmp_path: Path) -> None:
         read_study(studies.write(tmp_path, text))
 
 
+def test_counts_per_turn_need_a_revolute_joint(tmp_path: Path) -> None:
+    text = '[arm]\nkind = "single-joint"\n[[joint]]\nmotion = "prismatic"\nspring = "rigid"\n'
+    text += "gear_ratio = 1.0\nlink_encoder_counts = 1e6\n"
+    text += '[[experiment]]\nname = "a"\nfile = "motion.csv"\nuse = "motion"\n'
+    with pytest.raises(InvalidInput, match="'link_encoder_counts' are counts per turn"):
+        read_study(studies.write(tmp_path, text))
+
+
 @pytest.mark.parametrize("table", ["arm", "joint", "experiment"])
 def test_a_study_needs_its_tables(table: str, tmp_path: Path) -> None:
     remaining = [

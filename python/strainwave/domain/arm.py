@@ -57,6 +57,7 @@ class Joint:
     torque_per_volt: Positive | None = None  # e [N m/V], motor side
     current_loop_hz: Positive | None = None
     encoder_counts: Positive | None = None  # per motor turn
+    link_encoder_counts: Positive | None = None  # per turn of the link
     accelerometer_distance: Positive | None = None  # l_a [m]; None: estimated
     accelerometer_hz: Positive | None = None  # second-order Butterworth
     gyro_hz: Positive | None = None  # first-order low-pass

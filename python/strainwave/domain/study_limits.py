@@ -25,6 +25,7 @@ JOINT_LIMITS = (
     SizeLimit("torque_per_volt", 1e-6, 1e4, "N m/V, motor side", 1e-3, "mN m/V"),
     SizeLimit("current_loop_hz", 5.0, 1e6, "Hz", 1e3, "kHz"),
     SizeLimit("encoder_counts", 4.0, 1e9, "counts per motor turn"),
+    SizeLimit("link_encoder_counts", 4.0, 1e10, "counts per link turn"),
     SizeLimit("accelerometer_distance", 1e-3, 10.0, "m", 1e-3, "mm"),
     SizeLimit("accelerometer_hz", 1.0, 1e6, "Hz", 1e3, "kHz"),
     SizeLimit("gyro_hz", 0.05, 1e6, "Hz", 1e3, "kHz"),

@@ -42,13 +42,13 @@ class RecordInputs:
         joints = enumerate(angles, start=1)
         return tuple(angle + self.offsets.get((name, joint), 0.0) for joint, angle in joints)
 
-    def read(self, angles: FloatArray, gear_ratios: FloatArray | None = None) -> FloatArray:
+    def read(self, angles: FloatArray, arm: Arm | None = None) -> FloatArray:
         """Encoder readings of motor angles (n_samples, n_joints) [rad] with shifted zeros.
 
-        For link angles, pass the gear ratios (n_joints,).
+        For link angles, pass the arm.
         """
         zeros = np.array(self._shifted(_MOTOR_ANGLE, [0.0] * angles.shape[1]))
-        return angles - (zeros if gear_ratios is None else zeros * gear_ratios)
+        return angles - (zeros if arm is None else arm.links_of(zeros))
 
     def directions(self, parameters: Sequence[Key]) -> list[Key]:
         """Directions in which the core must differentiate to give derivatives by the parameters."""

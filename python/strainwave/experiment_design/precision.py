@@ -8,6 +8,7 @@ import numpy as np
 
 from strainwave.domain import Log, Parameter, Study
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors import installed_axes
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import SensorNoise, measure, simulate
@@ -22,9 +23,9 @@ def predicted_precision(
     """Predict the result of the whole-arm fit of the guessed arm for the planned records.
 
     The prediction uses the voltages at full amplitude and the steps; sweeps add little information
-    and take the most time. A link has an accelerometer if its joint states its distance, a gyro if
-    its joint states the bandwidth, and an encoder if [channels] names its link angle. `seed` is
-    that of the sensor noise, which determines the compared band. Empty if no record excites a gear
+    and take the most time. The sensors are those that the tables of the joints describe and
+    [channels] names, without IMUs. `seed` is that of their noise, which determines the compared
+    band. Empty if no record excites a gear
     enough for a fit.
     """
     rng = np.random.default_rng(seed)
@@ -38,15 +39,22 @@ def predicted_precision(
 
 def _log(study: Study, values: Values, record: Planned, rng: np.random.Generator) -> Log:
     """A planned record as a log at the drive's clock, with sensor noise."""
-    tick = clock_of(study.arm)
-    quantities: list[Quantity] = ["voltage", "encoder", "accelerometer", "gyro", "link_angle"]
+    arm, tick = Arm.of(study.arm), clock_of(study.arm)
+    axes = [
+        axis
+        for i in range(1, arm.n_joints + 1)
+        for axis in installed_axes(arm, i, study.channels)
+        if not axis.is_mounted
+    ]
+    quantities: list[Quantity] = ["voltage", "encoder"]
+    quantities += [name for axis in axes for name in axis.quantities]
     run = simulate(
-        Arm.of(study.arm),
+        arm,
         values,
         record.drive,
         sample_time=tick,
         samples=round(record.duration / tick),
-        record=quantities,
+        record=list(dict.fromkeys(quantities)),
     )
     readings = measure(run, SensorNoise(), rng)
     channels = {}
@@ -54,10 +62,5 @@ def _log(study: Study, values: Values, record: Planned, rng: np.random.Generator
         drive = "u" if joint.torque_per_volt else "torque"
         channels[f"{drive}{i + 1}"] = readings["voltage"][:, i]
         channels[f"theta_m{i + 1}"] = readings["encoder"][:, i]
-        if joint.accelerometer_distance:
-            channels[f"a{i + 1}"] = readings["accelerometer"][:, i]
-        if joint.gyro_hz:
-            channels[f"gyro{i + 1}"] = readings["gyro"][:, i]
-        if f"theta_l{i + 1}" in study.channels:
-            channels[f"theta_l{i + 1}"] = readings["link_angle"][:, i]
+    channels |= {axis.channel: axis.reading(readings, {}) for axis in axes}
     return Log(record.experiment, run.time, tick, channels)

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from strainwave.domain import Study
 from strainwave.domain.distributions import CI95_STDS
+from strainwave.domain.link_sensors import installed_axes
 from strainwave.experiment_design.command_table import table_name
 from strainwave.experiment_design.plan import Design, Planned, clock_of
 from strainwave.experiment_design.written import HEADER_FILE
@@ -62,14 +63,11 @@ def _precision(design: Design) -> Iterator[str]:
 def _sensors(study: Study) -> Iterator[str]:
     """Sensors of each joint."""
     for number, joint in enumerate(study.arm.joints, start=1):
-        listed_parameters = [
-            f"encoder of {joint.encoder_counts:g} counts" if joint.encoder_counts else "encoder"
-        ]
-        listed_parameters += ["accelerometer"] if joint.accelerometer_distance else []
-        listed_parameters += ["gyro"] if joint.gyro_hz else []
-        listed_parameters += ["link encoder"] if f"theta_l{number}" in study.channels else []
-        listed_parameters += [] if len(listed_parameters) > 1 else ["no link sensor"]
-        yield f"joint {number}'s {' and '.join(listed_parameters)}"
+        counts = joint.encoder_counts
+        axes = installed_axes(study.arm, number, study.channels)
+        nouns = dict.fromkeys(axis.sensor.noun for axis in axes) or ("no link sensor",)
+        encoder = f"encoder of {counts:g} counts" if counts else "encoder"
+        yield f"joint {number}'s {' and '.join((encoder, *nouns))}"
 
 
 def _table(design: Design) -> Table:

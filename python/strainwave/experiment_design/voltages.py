@@ -9,6 +9,8 @@ import numpy as np
 
 from strainwave.domain import Control, Experiment, FloatArray, Prbs
 from strainwave.domain.keys import Values
+from strainwave.domain.link_sensors import installed_axes
+from strainwave.domain.link_sensors.accelerometer import Accelerometer
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
@@ -303,10 +305,12 @@ def _required_periods(signal: Signal, drive: Drive, band: ExcitationBand) -> tup
         lines, size = _spectral_lines(signal, trajectory, "motor_velocity", tick, band)
         density = 2.0 * tick * q * q / 12.0 * (2.0 * np.pi * lines) ** 2
         ratios["encoder rounding"] = np.sqrt(2.0 * density / signal.period) / size
-    if description.accelerometer_distance:
-        lines, size = _spectral_lines(signal, trajectory, "accelerometer", tick, band)
-        density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
-        ratios["accelerometer noise"] = np.sqrt(2.0 * density / signal.period) / size
+    for axis in installed_axes(arm, signal.joint, ()):
+        if isinstance(axis.sensor, Accelerometer):
+            (name,) = axis.quantities
+            lines, size = _spectral_lines(signal, trajectory, name, tick, band)
+            density = np.full_like(lines, SensorNoise().accelerometer_density ** 2)
+            ratios[f"{axis.sensor.noun} noise"] = np.sqrt(2.0 * density / signal.period) / size
     default_reason = (
         f"{_SETTLING_PERIODS} period to settle and {_MIN_PERIODS} to separate noise from distortion"
     )

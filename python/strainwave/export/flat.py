@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 from strainwave.domain.kinds import kind_of
+from strainwave.domain.link_sensors import key_texts
 from strainwave.export.omissions import CORRELATIONS, Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
 from strainwave.io.templates import fill_text
@@ -20,9 +21,7 @@ _JOINT_UNITS = {
     "torque_per_volt": "N m/V",
     "current_loop_hz": "Hz",
     "encoder_counts": "1",
-    "accelerometer_distance": "m",
-    "accelerometer_hz": "Hz",
-    "gyro_hz": "Hz",
+    **{key: unit for key, (_, unit) in key_texts().items() if unit},
 }
 _OMISSIONS = {Part.SERVO: "the study file has its gains"}
 

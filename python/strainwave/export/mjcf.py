@@ -9,12 +9,17 @@ knees. Motors rotate relative to the world: (1) neglects the motion of the link 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import partial
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, Joint, Place
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
+from strainwave.domain.link_sensors import Axis, installed_axes
+from strainwave.domain.link_sensors.accelerometer import Accelerometer
+from strainwave.domain.link_sensors.gyro import Gyro
+from strainwave.domain.link_sensors.rotations import axes_about
 from strainwave.export.bodies import (
     effective_gravity,
     gravity_warnings,
@@ -95,11 +100,13 @@ def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET
         if not holds_motor(arm):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
-    if _has_accelerometer(arm, number):
-        distance = numbers(joint.accelerometer_distance or 0.0, 0.0, 0.0)
-        ET.SubElement(element, "site", name=f"accelerometer{number}", pos=distance)
-    if joint.gyro_hz:
-        ET.SubElement(element, "site", name=f"gyroscope{number}")
+    x, y, _ = axes_about(joint.axis)
+    for axis, tag, _ in _installed(arm, number):
+        site = ET.SubElement(element, "site", name=f"{tag}{number}")
+        if isinstance(axis.sensor, Accelerometer):
+            site.set("pos", numbers(*((joint.accelerometer_distance or 0.0) * x)))
+        if joint.axis != (0.0, 0.0, 1.0):
+            site.set("xyaxes", numbers(*x, *y))
     following = arm.study.arm.joints[number:]
     end = following[0].origin.xyz if following else tuple(2.0 * part for part in body.centre)
     ET.SubElement(
@@ -214,16 +221,18 @@ def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
         ET.SubElement(sensors, "jointvel", name=f"omega_m{number}", joint=motor)
     ET.SubElement(sensors, "actuatorfrc", name=f"torque{number}", actuator=f"drive{number}")
     ET.SubElement(sensors, "jointpos", name=f"theta_l{number}", joint=link)
-    if _has_accelerometer(arm, number):
-        site = f"accelerometer{number}"
-        ET.SubElement(sensors, "accelerometer", name=f"a{number}", site=site)
-    if arm.joint(number).gyro_hz:
-        ET.SubElement(sensors, "gyro", name=f"gyro{number}", site=f"gyroscope{number}")
+    for axis, site, tag in _installed(arm, number):
+        ET.SubElement(sensors, tag, name=axis.channel, site=f"{site}{number}")
 
 
-def _has_accelerometer(arm: IdentifiedArm, number: int) -> bool:
-    joint = arm.joint(number)
-    return joint.accelerometer_distance is not None and joint.motion == "revolute"
+def _installed(arm: IdentifiedArm, number: int) -> Iterator[tuple[Axis, str, str]]:
+    """Sensors of a revolute joint's link that the file describes: axis, site, and element."""
+    if arm.joint(number).motion == "revolute":
+        for axis in installed_axes(arm.study.arm, number, ()):
+            if isinstance(axis.sensor, Accelerometer):
+                yield axis, "accelerometer", "accelerometer"
+            elif isinstance(axis.sensor, Gyro):
+                yield axis, "gyroscope", "gyro"
 
 
 def _approximations(arm: IdentifiedArm) -> tuple[Diagnostic, ...]:

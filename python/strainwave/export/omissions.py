@@ -10,7 +10,7 @@ from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.combinations import change_from
 from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import sensor_constants
+from strainwave.domain.link_sensors import link_keys, sensor_constants
 from strainwave.domain.parameter_table import base_name, family_of
 from strainwave.export.source import IdentifiedArm
 
@@ -42,13 +42,7 @@ _PART_OF = {
     "friction_settling_time": Part.SETTLING,
 }
 _DRIVE_KEYS = ("torque_per_volt", "current_loop_hz")
-_SENSOR_KEYS = (
-    "encoder_counts",
-    "accelerometer_distance",
-    "accelerometer_hz",
-    "gyro_hz",
-    "imu",
-)
+_SENSOR_KEYS = ("encoder_counts", *link_keys())
 
 
 def notes_of(arm: IdentifiedArm, reasons: Mapping[Part, str]) -> tuple[str, ...]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Joint, Study
+from strainwave.domain import FloatArray, Study
 from strainwave.domain.keys import Values
-from strainwave.domain.link_sensors import Axis, axes_of
+from strainwave.domain.link_sensors import Axis, installed_axes
 from strainwave.domain.link_sensors.imu import ImuAccelerometers, ImuGyros, ImuSensor
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics.arm import Arm
@@ -53,20 +53,12 @@ def record_experiment(
     record effects. Without `noise` the sensors are ideal. Raises InvalidInput if a parameter is
     missing or impossible, or if an IMU has no position and attitude.
     """
-    quantities: dict[str, Quantity] = {"theta_m": "encoder"}
-    if any(joint.accelerometer_distance for joint in arm.joints):
-        quantities["a"] = "accelerometer"
-    if any(joint.gyro_hz for joint in arm.joints):
-        quantities["gyro"] = "gyro"
-    imu_axes = [axis for i in range(1, arm.n_joints + 1) for axis in _imu_axes(study.path, arm, i)]
-    by_channel = [
-        axis
-        for i in range(1, arm.n_joints + 1)
-        for axis in axes_of(arm, i)
-        if axis.sensor.by_channel and axis.channel in study.channels
+    axes = [
+        axis for i in range(1, arm.n_joints + 1) for axis in installed_axes(arm, i, study.channels)
     ]
-    record: list[Quantity] = ["voltage", "link_angle", *quantities.values()]
-    record += [name for axis in (*imu_axes, *by_channel) for name in axis.quantities]
+    _check_imus(study.path, axes)
+    record: list[Quantity] = ["voltage", "encoder", "link_angle"]
+    record += [name for axis in axes for name in axis.quantities]
     inputs = record_inputs(arm, values, name, hanging=plan.drive.link_angle is None)
     trajectory = simulator(
         arm,
@@ -78,18 +70,16 @@ def record_experiment(
     )
     measured = measure(trajectory, noise, rng)
     measured["encoder"] = inputs.read(measured["encoder"])
-    measured["motor_angle"] = measured["encoder"]
-    measured["link_angle"] = inputs.read(measured["link_angle"], arm.gear_ratios)
+    measured["link_angle"] = inputs.read(measured["link_angle"], arm)
     columns = {"t": trajectory.time}
     for i, joint in enumerate(arm.joints):
         name = f"u{i + 1}" if joint.torque_per_volt else f"torque{i + 1}"
         columns[name] = measured["voltage"][:, i]
-    for channel, quantity in quantities.items():
-        for i, joint in enumerate(arm.joints):
-            if _has_sensor(joint, quantity):
-                columns[f"{channel}{i + 1}"] = measured[quantity][:, i]
+    for i in range(arm.n_joints):
+        columns[f"theta_m{i + 1}"] = measured["encoder"][:, i]
+    columns |= _readings([axis for axis in axes if not axis.is_mounted], measured)
+    imu_axes = [axis for axis in axes if axis.is_mounted]
     columns |= _imu_readings(imu_axes, trajectory, noise, rng)
-    columns |= {axis.channel: axis.reading(measured, {}) for axis in by_channel}
     if any(plan.drive.servo):
         tick = np.floor(trajectory.time / plan.drive.tick + 1e-9).astype(int)
         for i in range(arm.n_joints):
@@ -97,25 +87,27 @@ def record_experiment(
     return columns
 
 
-def _has_sensor(joint: Joint, quantity: Quantity) -> bool:
-    """Whether a joint has the sensor that measures a quantity."""
-    if quantity == "accelerometer":
-        return joint.motion == "prismatic" or joint.accelerometer_distance is not None
-    return quantity != "gyro" or joint.gyro_hz is not None
+def _check_imus(path: Path, axes: Sequence[Axis]) -> None:
+    """Raise InvalidInput if an IMU has no position and attitude."""
+    for axis in axes:
+        sensor = axis.sensor
+        if isinstance(sensor, ImuSensor) and (sensor.xyz is None or sensor.rpy is None):
+            raise InvalidInput(
+                f"the IMU on link {axis.joint} has no position and attitude for the simulation",
+                where=str(path),
+                remedy="set its xyz and rpy; identification does not need them",
+            )
 
 
-def _imu_axes(path: Path, arm: Arm, joint: int) -> list[Axis]:
-    """All axes of a link's IMU."""
-    imu = arm.joints[joint - 1].imu
-    if imu is None:
-        return []
-    if imu.xyz is None or imu.rpy is None:
-        raise InvalidInput(
-            f"the IMU on link {joint} has no position and attitude for the simulation",
-            where=str(path),
-            remedy="set its xyz and rpy; identification does not need them",
-        )
-    return [axis for axis in axes_of(arm, joint) if isinstance(axis.sensor, ImuSensor)]
+def _readings(
+    axes: Sequence[Axis], measured: Mapping[Quantity, FloatArray]
+) -> dict[str, FloatArray]:
+    """Readings by channel, rounded to the counts of the sensors."""
+    columns: dict[str, FloatArray] = {}
+    for axis in axes:
+        reading, count = axis.reading(measured, {}), axis.sensor.resolution
+        columns[axis.channel] = count * np.round(reading / count) if count else reading
+    return columns
 
 
 def _imu_readings(

@@ -47,8 +47,10 @@ __all__ = [
     "axes_of",
     "compared_axes",
     "constant_of",
+    "installed_axes",
     "is_hidden",
     "is_kind",
+    "key_texts",
     "link_channel_kinds",
     "link_keys",
     "low_passes",
@@ -93,7 +95,12 @@ def link_channel_kinds() -> tuple[str, ...]:
 
 def link_keys() -> tuple[str, ...]:
     """Keys of a `[[joint]]` table that describe sensors of the link."""
-    return tuple(dict.fromkeys(key for sensor in all_types() for key in sensor.keys))
+    return tuple(key_texts())
+
+
+def key_texts() -> Mapping[str, tuple[str, str]]:
+    """Title in reports and unit of these keys."""
+    return {key: text for sensor in all_types() for key, text in sensor.keys.items()}
 
 
 def register(sensor: type[LinkSensor]) -> None:
@@ -171,6 +178,15 @@ def axes_of(arm: ArmDescription, number: int) -> tuple[Axis, ...]:
     """Axes of all sensors that the link of a joint, from 1, can have."""
     space, sensors = link_space(arm, number), arm.joints[number - 1].sensors
     return tuple(axis for sensor in sensors for axis in sensor.axes(number, space))
+
+
+def installed_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:
+    """Axes that the link of a joint, from 1, has by its table or by the channels of a study."""
+    return tuple(
+        axis
+        for axis in axes_of(arm, number)
+        if axis.sensor.is_in_table or (axis.sensor.by_channel and axis.channel in channels)
+    )
 
 
 def compared_axes(arm: ArmDescription, number: int, channels: Collection[str]) -> tuple[Axis, ...]:

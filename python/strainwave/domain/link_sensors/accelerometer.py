@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
@@ -44,19 +44,23 @@ class Accelerometer(LinkSensor):
 
     is_at_known_place: bool
     hz: float | None = None
+    is_in_table: bool = False
 
     name = noun = "accelerometer"
     channel_kinds = ("a",)
     unit = "m/s^2"
     measurand = "acceleration"
-    keys = ("accelerometer_distance", "accelerometer_hz")
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "accelerometer_distance": ("accelerometer distance from the joint axis", "m"),
+        "accelerometer_hz": ("accelerometer bandwidth", "Hz"),
+    }
     suggested_as = "an accelerometer"
     bandwidth_key = "accelerometer_hz"
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:
         is_known = joint.motion == "prismatic" or joint.accelerometer_distance is not None
-        return cls(is_known, joint.accelerometer_hz)
+        return cls(is_known, joint.accelerometer_hz, joint.accelerometer_distance is not None)
 
     @property
     def group(self) -> Group:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from strainwave.domain.link_sensors.interface import LinkSensor, TypicalSensor
 from strainwave.domain.quantities import Quantity
@@ -29,7 +29,7 @@ class Gyro(LinkSensor):
     unit = "rad/s"
     measurand = "link rate"
     low_pass_order = 1
-    keys = ("gyro_hz",)
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {"gyro_hz": ("gyro bandwidth", "Hz")}
     suggested_as = "a gyro"
     bandwidth_key = "gyro_hz"
     rank = 2
@@ -37,6 +37,10 @@ class Gyro(LinkSensor):
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:
         return cls(joint.gyro_hz)
+
+    @property
+    def is_in_table(self) -> bool:
+        return self.hz is not None
 
     def quantities(self) -> tuple[Quantity, ...]:
         return ("gyro",)

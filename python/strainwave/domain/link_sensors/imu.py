@@ -67,7 +67,7 @@ class ImuSensor(LinkSensor):
 
     case: Imu | None = None  # None: the joint's table has none, and nothing is known
 
-    keys = ("imu",)
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {"imu": ("IMU", "")}
     axis_name: ClassVar[str]
     case_key: ClassVar[str]  # of the bandwidth [Hz] in the table of the IMU
     symbols = False
@@ -80,6 +80,10 @@ class ImuSensor(LinkSensor):
     @property
     def hz(self) -> float | None:
         return None if self.case is None else getattr(self.case, self.case_key)
+
+    @property
+    def is_in_table(self) -> bool:
+        return self.case is not None
 
     def with_bandwidth(self, joint: Joint, hz: float) -> Joint:
         changes: dict[str, Any] = {self.case_key: hz}

@@ -145,7 +145,8 @@ class LinkSensor(ABC):
     prismatic_unit: ClassVar[str | None] = None  # on a prismatic joint, if it differs
     measurand: ClassVar[str]  # noun of what it measures, in reports
     suggested_as: ClassVar[str] = ""  # noun and article, in a report that suggests the sensor
-    keys: ClassVar[tuple[str, ...]] = ()  # of a `[[joint]]` table that describe it
+    # of a `[[joint]]` table that describe it: key -> title in reports, and unit
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {}
     by_channel: ClassVar[bool] = False  # the channels of a study alone state that a link has it
     bandwidth_key: ClassVar[str | None] = None  # key of its bandwidth [Hz] in the table
     low_pass_order: ClassVar[Literal[1, 2]] = 2  # 2: Butterworth
@@ -177,6 +178,16 @@ class LinkSensor(ABC):
     def hz(self) -> float | None:
         """Bandwidth [Hz] of the table; None if it gives none."""
         return None
+
+    @property
+    def is_in_table(self) -> bool:
+        """Whether the table alone states that the link has the sensor."""
+        return False
+
+    @property
+    def resolution(self) -> float:
+        """One count of a reading; zero if unknown or without counts."""
+        return 0.0
 
     @property
     def group(self) -> Group | None:
@@ -341,8 +352,6 @@ class Axis:
     def reading(self, of: Mapping[Quantity, FloatArray], values: Mapping[Key, float]) -> FloatArray:
         """Ideal reading (n, ...) from (n, n_joints, ...) of each quantity."""
         parts = [of[name][:, self.joint - 1] for name in self.quantities]
-        if len(parts) == 1 and not self.is_mounted:
-            return parts[0]
         pairs = zip(self.weights(values), parts, strict=True)
         return np.asarray(sum(weight * part for weight, part in pairs))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from strainwave.domain.link_sensors.interface import ConstantKind, LinkSensor, TypicalSensor
 from strainwave.domain.quantities import Quantity
@@ -20,6 +21,8 @@ _TYPICAL_COUNTS = 2**17  # per turn, of a typical link encoder
 class LinkEncoder(LinkSensor):
     """Encoder `theta_l{i}` of the link angle; the line count gives its scale."""
 
+    resolution: float = 0.0
+
     name = "link_encoder"
     noun = "link encoder"
     channel_kinds = ("theta_l",)
@@ -27,7 +30,9 @@ class LinkEncoder(LinkSensor):
     measurand = "link angle"
     prismatic_unit = "m"
     by_channel = True
-    keys = ("link_encoder_counts",)
+    keys: ClassVar[Mapping[str, tuple[str, str]]] = {
+        "link_encoder_counts": ("link encoder, counts per turn", "1")
+    }
     suggested_as = "an encoder"
     rank = 1
     reads_angle = True
@@ -37,7 +42,8 @@ class LinkEncoder(LinkSensor):
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:
-        return cls()
+        counts = joint.link_encoder_counts
+        return cls(math.tau / counts if counts else 0.0)
 
     def quantities(self) -> tuple[Quantity, ...]:
         return ("link_angle",)
@@ -46,5 +52,5 @@ class LinkEncoder(LinkSensor):
     def typical(cls, joint: Joint, length: float) -> TypicalSensor | None:
         if joint.motion == "prismatic":
             return None
-        text = f"{_TYPICAL_COUNTS} counts per turn"
-        return TypicalSensor(joint, text, resolution=2.0 * math.pi / _TYPICAL_COUNTS)
+        counts = joint.link_encoder_counts or _TYPICAL_COUNTS
+        return TypicalSensor(joint, f"{counts:g} counts per turn", resolution=math.tau / counts)

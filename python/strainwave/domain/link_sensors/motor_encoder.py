@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 class MotorEncoder(LinkSensor):
     """Encoder `theta_m{i}`, to which the delays of link sensors are relative."""
 
+    resolution: float = 0.0
+
     name = noun = "encoder"
     channel_kinds = ("theta_m",)
     unit = "rad"
@@ -27,7 +29,7 @@ class MotorEncoder(LinkSensor):
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:
-        return cls()
+        return cls(joint.encoder_resolution)
 
     def quantities(self) -> tuple[Quantity, ...]:
         return ("motor_angle",)

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class TorsionSensor(LinkSensor):
-    """Sensor `deflection{i}` of theta_L - n theta_M. With the motor's angle, a link encoder."""
-
-    gear_ratio: float
+    """Sensor `deflection{i}` of theta_L - C N theta_M. With the motors' angles, a link encoder."""
 
     name = "torsion_sensor"
     noun = "torsion sensor"
@@ -37,10 +35,10 @@ class TorsionSensor(LinkSensor):
 
     @classmethod
     def of_joint(cls, joint: Joint) -> Self:
-        return cls(joint.gear_ratio)
+        return cls()
 
     def quantities(self) -> tuple[Quantity, ...]:
-        return ("link_angle", "motor_angle")
+        return ("torsion",)
 
     def weights(self, axis: Axis, values: Mapping[Key, float]) -> FloatArray:
-        return np.array([1.0, -self.gear_ratio])
+        return np.array([-1.0])

@@ -42,6 +42,12 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "gear_ratio"),
                 remedy="set link turns per motor turn",
             )
+        if joint.link_encoder_counts is not None and joint.motion == "prismatic":
+            raise InvalidInput(
+                "'link_encoder_counts' are counts per turn, but the joint is prismatic",
+                where=reader.place("joint", index, "link_encoder_counts"),
+                remedy=f"remove it; the channel theta_l{index + 1} in m has its resolution",
+            )
         if joint.imu is not None and joint.motion == "prismatic":
             raise InvalidInput(
                 "an IMU on a prismatic joint is not supported",

@@ -8,6 +8,7 @@ from functools import partial
 from typing import NamedTuple
 
 from strainwave.domain import ArmDescription, Joint
+from strainwave.domain.link_sensors import key_texts
 from strainwave.presentation.report.blocks import Block, Cell, Facts, Row, number, table
 
 _NOT_GIVEN = "not given"
@@ -59,9 +60,7 @@ def _joint_constants(arm: ArmDescription) -> Iterator[_JointConstant]:
         ("torque per volt e", "torque_per_volt", "N m/V"),
         ("current loop bandwidth", "current_loop_hz", "Hz"),
         ("motor encoder", "encoder_counts", "counts/turn"),
-        ("accelerometer distance from the joint axis", "accelerometer_distance", "m"),
-        ("accelerometer bandwidth", "accelerometer_hz", "Hz"),
-        ("gyro bandwidth", "gyro_hz", "Hz"),
+        *((title, key, unit) for key, (title, unit) in key_texts().items() if unit),
     ):
         yield _JointConstant(title, key, unit, partial(_format_constant, key))
     for title, key, unit in (("IMU position", "xyz", "m"), ("IMU orientation", "rpy", "rad")):

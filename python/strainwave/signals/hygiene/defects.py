@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from strainwave.domain import FloatArray, Log, channel_parts
-from strainwave.domain.link_sensors import all_types
+from strainwave.domain.link_sensors import all_types, sensor_of
 from strainwave.dynamics.arm import Arm
 
 Kind = Literal["spikes", "frozen", "encoder-steps", "flat-tops", "mains-hum"]
@@ -61,11 +61,14 @@ def of_kinds(log: Log, kinds: tuple[str, ...]) -> Mapping[str, FloatArray]:
 
 
 def count_of(channel: str, arm: Arm) -> float:
-    """One count of a motor encoder [rad]; zero if unknown or for another channel."""
+    """One count of an encoder [rad]; zero if unknown or for another channel."""
     kind, joint = channel_parts(channel)
-    if kind != "theta_m" or joint > arm.n_joints:
+    if not 0 < joint <= arm.n_joints:
         return 0.0
-    return arm.joints[joint - 1].encoder_resolution
+    if kind == "theta_m":
+        return arm.joints[joint - 1].encoder_resolution
+    sensor = sensor_of(arm.joints[joint - 1], kind)
+    return sensor.resolution if sensor else 0.0
 
 
 def usual_change(change: FloatArray) -> float:

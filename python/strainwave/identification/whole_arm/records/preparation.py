@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from strainwave.domain import BoolArray, Imu, Log, channel_parts
-from strainwave.domain.link_sensors import Axis, Group, compared_axes
+from strainwave.domain.link_sensors import Axis, compared_axes
 from strainwave.domain.link_sensors.imu import ImuSensor
 from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.dynamics.arm import Arm
@@ -69,10 +69,7 @@ def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = Fals
     channels = tuple(_channels(log, arm))
     raw = [log.channels[channel.channel] for channel in channels]
     rows = [kernels.rows(x, rate=c.rate) for x, c in zip(raw, channels, strict=True)]
-    counts = tuple(
-        arm.joints[c.joint - 1].encoder_resolution if c.sensor.group is Group.MOTOR else 0.0
-        for c in channels
-    )
+    counts = tuple(channel.sensor.resolution for channel in channels)
     half_length = 0.5 * (n_taps - 1) * T
     return Dataset(
         log=log,
@@ -170,8 +167,8 @@ def _unmasked_rows(log: Log, channels: Sequence[Axis], kernels: Kernels) -> Bool
 
 def _channels(log: Log, arm: Arm) -> Iterator[Axis]:
     """Compared channels of a log: motor angles, then the link sensors of each joint."""
-    for i in range(1, arm.n_joints + 1):
-        yield Axis(MotorEncoder(), i)
+    for i, joint in enumerate(arm.joints, start=1):
+        yield Axis(MotorEncoder.of_joint(joint), i)
     for i in range(1, arm.n_joints + 1):
         yield from compared_axes(arm, i, log.channels)
 
