@@ -103,13 +103,11 @@ def _tracks(
 ) -> tuple[list[Track], list[Diagnostic]]:
     """Return the required columns with their time stamps; the track of the motor angle is first."""
     angle = sources["theta_m1"].column
-    required_columns = {channel.column for channel in sources.values()} | set(
-        experiment.add.values()
-    )
+    required = sorted({channel.column for channel in sources.values()} | {*experiment.add.values()})
     if isinstance(table, Bag):
-        tracks, warnings = table.tracks(sorted(required_columns))
+        tracks, warnings = table.tracks(required)
         return sorted(tracks, key=lambda track: angle not in track.columns), warnings
-    columns = table.read(sorted(required_columns))
+    columns = table.read(required)
     channel = sources["t"]
     time = channel.scale * _with_added("t", channel, experiment, columns) + channel.offset
     return [Track("", time, columns, table.row_name)], []
@@ -117,12 +115,9 @@ def _tracks(
 
 def _command_columns(sources: dict[str, Channel], experiment: Experiment) -> set[str]:
     """Return the columns of commanded channels."""
-    command_columns = {
-        channel.column for name, channel in sources.items() if name.startswith(_COMMAND_PREFIXES)
-    }
-    return command_columns | {
-        column for name, column in experiment.add.items() if name.startswith(_COMMAND_PREFIXES)
-    }
+    columns = [(name, channel.column) for name, channel in sources.items()]
+    columns += experiment.add.items()
+    return {column for name, column in columns if name.startswith(_COMMAND_PREFIXES)}
 
 
 def _sources(
@@ -256,11 +251,7 @@ def _check_constants(
         )
     sensors = ("omega_m", *link_channel_kinds())  # a failed sensor is constant
     return [
-        Diagnostic(
-            "constant-channel",
-            Place(file=path.name),
-            channel=name,
-        )
+        Diagnostic("constant-channel", Place(file=path.name), channel=name)
         for name, values in channels.items()
         if channel_parts(name)[0] in sensors and np.ptp(values) == 0.0
     ]

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,9 +26,8 @@ if TYPE_CHECKING:
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 """Suffixes of bag files."""
-_MAX_INSPECTED_MESSAGES = (
-    20  # messages per topic that are inspected; several nodes may share a topic
-)
+# messages per topic that are inspected; several nodes may share a topic
+_MAX_INSPECTED_MESSAGES = 20
 _MAX_LISTED_NAMES = 24  # maximum number of names in an error message
 _SECONDS_PER_NS = 1e-9  # [s] per ns
 _MAX_CLOCK_DIFFERENCE = 1.0  # [s] between header and recorder stamps; network delay is shorter
@@ -77,8 +77,10 @@ class Bag:
                 names: dict[str, None] = {}
                 unreadable = None
                 try:
-                    for raw, kind in _first_messages(reader, info.connections):
-                        names |= dict.fromkeys(list_numbers(reader.deserialize(raw, kind)))
+                    first = islice(reader.messages(info.connections), _MAX_INSPECTED_MESSAGES)
+                    for connection, _, raw in first:
+                        message = reader.deserialize(raw, connection.msgtype)
+                        names |= dict.fromkeys(list_numbers(message))
                 # foreign definitions can be invalid in any way
                 except Exception as error:
                     unreadable = f"{type(error).__name__}: {error}".splitlines()[0][:100]
@@ -122,11 +124,8 @@ class Bag:
             rows = np.array(row_tuple)
             order, n_late, n_equal = _sort_stamps(stamps[rows])
             if n_late or n_equal:
-                place = Place(file=self.path.name)
-                reordered = Diagnostic(
-                    "reordered", place, n_late=n_late, topic=topic, n_equal=n_equal
-                )
-                warnings.append(reordered)
+                place, counts = Place(file=self.path.name), {"n_late": n_late, "n_equal": n_equal}
+                warnings.append(Diagnostic("reordered", place, topic=topic, **counts))
             time = stamps[rows][order] * _SECONDS_PER_NS
             values = {column: np.array(contents.values[column])[order] for column in columns}
             tracks.append(Track(topic, time, values, partial(_message_name, rows[order])))
@@ -229,13 +228,6 @@ def _opened(path: Path) -> Iterator[AnyReader]:
             where=str(path),
             remedy="if the recorder was killed, run `mcap recover` or `ros2 bag reindex`",
         ) from error
-
-
-def _first_messages(reader: AnyReader, connections: Any) -> Iterator[tuple[bytes, str]]:
-    for count, (connection, _, raw) in enumerate(reader.messages(connections)):
-        if count == _MAX_INSPECTED_MESSAGES:
-            return
-        yield raw, connection.msgtype
 
 
 def _read_messages(reader: AnyReader, topics: dict[str, list[str]]) -> dict[str, _TopicContent]:

@@ -31,9 +31,8 @@ MAX_PERIOD_ROUNDING = 1e-3
 MAX_NOMINAL_PERIOD_ERROR = 0.02
 """Largest relative distance of the median step from the nominal period; random walks: 1 %."""
 _MAX_PERIOD_STDS = 4.0  # standard deviations of a period estimated from stamps
-_MIN_LOG_NOISE_RATIO = float(
-    np.log(2.0)
-)  # log of a noise ratio; interpolation alone explains up to 0.3 of it
+# log of a noise ratio; interpolation alone explains up to 0.3 of it
+_MIN_LOG_NOISE_RATIO = float(np.log(2.0))
 MAX_STAMP_ERROR_PERIODS = 0.02
 """[periods] Largest distance of rounded stamps from a uniform grid."""
 
@@ -46,6 +45,10 @@ class Track:
     time: FloatArray  # (n_samples,) [s]
     columns: Mapping[str, FloatArray]  # name -> (n_samples,)
     row_name: Callable[[int], str]  # index of a sample, from 0 -> its location for messages
+
+    def has_only(self, names: Collection[str]) -> bool:
+        """Whether the track has no columns but these."""
+        return set(self.columns) <= set(names)
 
 
 def resample_tracks(
@@ -62,21 +65,21 @@ def resample_tracks(
         _check_time(track, path)
     windowed = [_window(track, command_columns, experiment, path) for track in tracks]
     for track in windowed:
-        if not set(track.columns) <= set(command_columns):
+        if not track.has_only(command_columns):
             _check_gaps(track, path)
     windowed = _overlap(windowed, command_columns, path)
     grid, ticks, warnings = _grid(windowed[0].time, Place(file=path.name))
     columns: dict[str, FloatArray] = {}
-    off_grid = []
+    others = []  # tracks off the grid that do not set it
     for track in windowed:
         rows = _rows_on(grid, track.time)
-        if rows is None:
-            off_grid.append(track)
-            track_ticks = ticks if track is windowed[0] else None
-            columns |= _resample(grid, track, command_columns, track_ticks)
-        else:
+        if rows is not None:
             columns |= _cut(track, rows).columns
-    others = [track for track in off_grid if track is not windowed[0]]
+        elif track is windowed[0]:
+            columns |= _resample(grid, track, command_columns, ticks)
+        else:
+            others.append(track)
+            columns |= _resample(grid, track, command_columns, None)
     if others:
         warnings.append(_resampling_warning(windowed[0], others, path))
         warnings += _silence_warnings(others, command_columns, grid, path)
@@ -127,7 +130,7 @@ def _window(
 ) -> Track:
     """Return the samples between start and stop; for a command, also the last before start."""
     of = f" of {track.name}" if track.name else ""
-    commanded = set(track.columns) <= set(command_columns)
+    commanded = track.has_only(command_columns)
     time = track.time
     if len(time) < MIN_SAMPLES and not commanded:
         raise _too_few(len(time), path, track.name or "the log")
@@ -175,7 +178,7 @@ def _overlap(tracks: list[Track], command_columns: Collection[str], path: Path) 
         return tracks
     tolerance = MAX_STAMP_ERROR_PERIODS * float(np.median(np.diff(clock.time)))
     start = max(track.time[0] for track in others) - tolerance
-    ends = [track.time[-1] for track in others if not set(track.columns) <= set(command_columns)]
+    ends = [track.time[-1] for track in others if not track.has_only(command_columns)]
     stop = min([clock.time[-1], *ends]) + tolerance
     inside = slice(*(int(k) for k in np.searchsorted(clock.time, [start, stop])))
     if inside.stop - inside.start < MIN_SAMPLES:
@@ -299,15 +302,10 @@ def _resample(
     measured = [
         n for n, r in rates.items() if n not in command_columns and np.ptp(r) > 1e-6 * abs(r.mean())
     ]
-    interpolated = {
-        name: _sample_at(grid, track, name, name in command_columns) for name in track.columns
-    }
+    interpolated = _sample_at(grid, track, command_columns)
     if ticks is None:
         return interpolated
-    on_time = replace(track, time=ticks)
-    on_ticks = {
-        name: _sample_at(grid, on_time, name, name in command_columns) for name in track.columns
-    }
+    on_ticks = _sample_at(grid, replace(track, time=ticks), command_columns)
     max_gain = 0.0
     for name in measured:
         noise = noise_std(interpolated[name]), noise_std(on_ticks[name])
@@ -318,18 +316,23 @@ def _resample(
     return interpolated | commands if max_gain < -_MIN_LOG_NOISE_RATIO else on_ticks
 
 
-def _sample_at(grid: FloatArray, track: Track, name: str, is_held: bool) -> FloatArray:
-    values = track.columns[name]
-    if is_held:
-        slack = 1e-6 * (grid[1] - grid[0])
-        rows = np.searchsorted(track.time, grid + slack, side="right") - 1
-        return np.asarray(values[np.maximum(rows, 0)])
+def _sample_at(
+    grid: FloatArray, track: Track, command_columns: Collection[str]
+) -> dict[str, FloatArray]:
+    """Columns of a track on a grid: commands held, measured values interpolated."""
     from scipy.interpolate import PchipInterpolator
 
+    period = grid[1] - grid[0]
+    rows = np.searchsorted(track.time, grid + 1e-6 * period, side="right") - 1
     # jitter or rounding of stamps can move the track's ends off the grid's
-    slack = MAX_END_OFFSET_PERIODS * (grid[1] - grid[0])
+    slack = MAX_END_OFFSET_PERIODS * period
     inside = np.clip(grid, track.time[0] - slack, track.time[-1] + slack)
-    return np.asarray(PchipInterpolator(track.time, values)(inside))
+    return {
+        name: values[np.maximum(rows, 0)]
+        if name in command_columns
+        else np.asarray(PchipInterpolator(track.time, values)(inside))
+        for name, values in track.columns.items()
+    }
 
 
 def _resampling_warning(clock: Track, others: list[Track], path: Path) -> Diagnostic:
@@ -350,7 +353,7 @@ def _silence_warnings(
     """Warn of commands that stop: the value may be held on purpose, or a node failed."""
     warnings = []
     for track in tracks:
-        if not set(track.columns) <= set(command_columns):
+        if not track.has_only(command_columns):
             continue
         ends = np.append(track.time, max(grid[-1], track.time[-1]))
         steps = np.diff(ends)

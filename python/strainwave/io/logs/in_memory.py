@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from strainwave.domain import FloatArray
 from strainwave.errors import InvalidInput
-from strainwave.io.logs.tables import Table
+from strainwave.io.logs.tables import Table, vectors
 
 Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
@@ -42,15 +40,7 @@ def open_memory_table(data: Any, where: str) -> Table:
             )
 
     def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
-        columns = {name: _vector(data[name], f"{where}, column {name!r}") for name in column_names}
-        lengths = sorted({len(column) for column in columns.values()})
-        if len(lengths) > 1:
-            raise InvalidInput(
-                f"the columns differ in length: {lengths}",
-                where=where,
-                remedy="pass one value of each channel per time stamp",
-            )
-        return columns
+        return vectors({name: data[name] for name in column_names}, where, "column")
 
     return Table(names, read)
 
@@ -63,17 +53,3 @@ def _names(data: Any) -> list[Any] | None:
         if names is not None and not callable(names):
             return list(names)
     return None
-
-
-def _vector(column: Any, where: str) -> FloatArray:
-    try:
-        values = np.asarray(column)
-    except (TypeError, ValueError):
-        values = np.empty(0, dtype=object)
-    if values.ndim != 1 or values.dtype.kind not in "fiu":
-        raise InvalidInput(
-            f"is not a vector of numbers, but {values.dtype} of shape {values.shape}",
-            where=where,
-            remedy="pass one number per sample",
-        )
-    return np.ascontiguousarray(values, dtype=np.float64)

@@ -13,6 +13,8 @@ import struct
 import sys
 import zlib
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ MAX_MAGNITUDE = 1e60
 _PROBE_BYTES = 1 << 16  # [bytes] that must contain the header and the first row
 
 
+@dataclass(frozen=True, slots=True)
 class Table:
     """Columns of a file by name, read on demand.
 
@@ -37,15 +40,9 @@ class Table:
     location for messages.
     """
 
-    def __init__(
-        self,
-        names: Sequence[str],
-        read: Callable[[Sequence[str]], dict[str, FloatArray]],
-        row_name: Callable[[int], str] = lambda row: f"row {row + 1}",
-    ) -> None:
-        self.names = tuple(names)
-        self.read = read
-        self.row_name = row_name
+    names: Sequence[str]
+    read: Callable[[Sequence[str]], dict[str, FloatArray]]
+    row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
 
 
 def open_table(path: Path) -> Table:
@@ -124,11 +121,8 @@ def _csv_table(data: bytes, path: Path) -> Table:
     delimiter = max(DELIMITERS, key=header.count)
     names = _split(header, delimiter)
     _check_header(names, path, skipped + 1)
-
-    def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
-        return _read_csv(data, path, names, column_names, delimiter, skipped)
-
-    return Table(names, read, lambda row: f"line {_line_of_row(data, row, skipped)}")
+    file = _Csv(data, path, names, delimiter, skipped)
+    return Table(names, file.read, lambda row: f"line {file.line_of(row)}")
 
 
 def _header_line(data: bytes, path: Path) -> tuple[int, str]:
@@ -173,89 +167,71 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _read_csv(
-    data: bytes,
-    path: Path,
-    names: Sequence[str],
-    column_names: Sequence[str],
-    delimiter: str,
-    skipped: int,
-) -> dict[str, FloatArray]:
-    import pyarrow as pa
-    import pyarrow.csv
+@dataclass(frozen=True, slots=True)
+class _Csv:
+    """Content of a CSV file."""
 
-    point = "," if delimiter != "," and _has_decimal_comma(data, delimiter, skipped) else "."
-    try:
-        table = pa.csv.read_csv(
-            _reader(data),
-            read_options=pa.csv.ReadOptions(
-                skip_rows=skipped + 1, column_names=list(names), use_threads=True
-            ),
-            parse_options=pa.csv.ParseOptions(delimiter=delimiter),
-            convert_options=pa.csv.ConvertOptions(
-                column_types={name: pa.float64() for name in column_names},
-                include_columns=list(column_names),
-                null_values=[],
-                decimal_point=point,
-            ),
-        )
-        return {name: _values(table[name]) for name in column_names}
-    except (pa.ArrowException, ValueError) as error:
-        _raise_first_fault(data, path, names, column_names, delimiter, skipped, point)
-        raise InvalidInput(
-            f"cannot be read as CSV ({error})", where=str(path), remedy="write it again"
-        ) from error
+    data: bytes
+    path: Path
+    names: Sequence[str]
+    delimiter: str
+    skipped: int  # lines before the header
 
+    def read(self, column_names: Sequence[str]) -> dict[str, FloatArray]:
+        import pyarrow as pa
+        import pyarrow.csv
 
-def _reader(data: bytes) -> Any:
-    """Copy bytes into memory of Arrow and return a reader of them.
-
-    Arrow's threads can release their input after the result is available. Releasing a Python object
-    requires the interpreter; if it has shut down by then, the process crashes.
-    """
-    import pyarrow as pa
-
-    sink = pa.BufferOutputStream()
-    sink.write(data)
-    return pa.BufferReader(sink.getvalue())
-
-
-def _has_decimal_comma(data: bytes, delimiter: str, skipped: int) -> bool:
-    numbers = b"".join(data[:_PROBE_BYTES].splitlines()[skipped + 1 :])
-    return b"," in numbers and b"." not in numbers
-
-
-def _raise_first_fault(
-    data: bytes,
-    path: Path,
-    names: Sequence[str],
-    column_names: Sequence[str],
-    delimiter: str,
-    skipped: int,
-    point: str,
-) -> None:
-    """Read line by line, and raise InvalidInput at the first invalid line."""
-    lines = data.decode("utf-8", errors="replace").splitlines()
-    columns = {name: names.index(name) for name in column_names}
-    last = len(lines)
-    while last and not lines[last - 1].strip():
-        last -= 1
-    for number in range(skipped + 2, last + 1):
-        line = lines[number - 1]
-        if not line:
-            continue
-        where = f"{path}, line {number}"
-        fields = _split(line, delimiter)
-        if len(fields) != len(names):
-            is_cut_off = number == last
-            raise InvalidInput(
-                f"{'the log is truncated: ' if is_cut_off else ''}{len(fields)} values where the "
-                f"header names {len(names)} columns",
-                where=where,
-                remedy="delete this line" if is_cut_off else "correct this line",
+        point = self._decimal_point()
+        try:
+            table = pa.csv.read_csv(
+                _reader(self.data),
+                read_options=pa.csv.ReadOptions(
+                    skip_rows=self.skipped + 1, column_names=list(self.names), use_threads=True
+                ),
+                parse_options=pa.csv.ParseOptions(delimiter=self.delimiter),
+                convert_options=pa.csv.ConvertOptions(
+                    column_types={name: pa.float64() for name in column_names},
+                    include_columns=list(column_names),
+                    null_values=[],
+                    decimal_point=point,
+                ),
             )
-        for name, index in columns.items():
-            _check_number(fields[index].replace(point, "."), f"{where}, column {name!r}")
+            return {name: _values(table[name]) for name in column_names}
+        except (pa.ArrowException, ValueError) as error:
+            self._raise_first_fault(column_names, point)
+            raise InvalidInput(
+                f"cannot be read as CSV ({error})", where=str(self.path), remedy="write it again"
+            ) from error
+
+    def _decimal_point(self) -> str:
+        numbers = b"".join(self.data[:_PROBE_BYTES].splitlines()[self.skipped + 1 :])
+        return "," if self.delimiter != "," and b"," in numbers and b"." not in numbers else "."
+
+    def _raise_first_fault(self, column_names: Sequence[str], point: str) -> None:
+        """Read line by line, and raise InvalidInput at the first invalid line."""
+        lines = self.data.decode("utf-8", errors="replace").rstrip().splitlines()
+        columns = {name: self.names.index(name) for name in column_names}
+        for number, line in enumerate(lines[self.skipped + 1 :], start=self.skipped + 2):
+            if not line:
+                continue
+            where = f"{self.path}, line {number}"
+            fields = _split(line, self.delimiter)
+            if len(fields) != len(self.names):
+                is_cut_off = number == len(lines)
+                raise InvalidInput(
+                    f"{'the log is truncated: ' if is_cut_off else ''}{len(fields)} values where "
+                    f"the header names {len(self.names)} columns",
+                    where=where,
+                    remedy="delete this line" if is_cut_off else "correct this line",
+                )
+            for name, index in columns.items():
+                _check_number(fields[index].replace(point, "."), f"{where}, column {name!r}")
+
+    def line_of(self, row: int) -> int:
+        """Return the line number of a sample; empty lines contain none."""
+        lines = self.data.splitlines()
+        numbers = [k + 1 for k in range(self.skipped + 1, len(lines)) if lines[k]]
+        return numbers[row] if row < len(numbers) else row + self.skipped + 2
 
 
 def _check_number(text: str, where: str) -> None:
@@ -271,15 +247,17 @@ def _check_number(text: str, where: str) -> None:
         )
 
 
-def _line_of_row(data: bytes, row: int, skipped: int) -> int:
-    """Return the line number of a sample; empty lines contain none."""
-    lines = data.splitlines()
-    count = -1
-    for number in range(skipped + 1, len(lines)):
-        count += bool(lines[number])
-        if count == row:
-            return number + 1
-    return row + skipped + 2
+def _reader(data: bytes) -> Any:
+    """Copy bytes into memory of Arrow and return a reader of them.
+
+    Arrow's threads can release their input after the result is available. Releasing a Python object
+    requires the interpreter; if it has shut down by then, the process crashes.
+    """
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    sink.write(data)
+    return pa.BufferReader(sink.getvalue())
 
 
 # --- Parquet ----------------------------------------------------------------------------------
@@ -294,25 +272,24 @@ def _open_parquet(path: Path) -> Table:
         file = pa.parquet.ParquetFile(_reader(data))
         names = list(file.schema_arrow.names)
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise _damaged_parquet(path, error) from error
+        raise _damaged("a Parquet file", error, path) from error
 
     def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
         try:
             table = file.read(columns=list(column_names))
         except (pa.ArrowException, OSError, ValueError) as error:
-            raise _damaged_parquet(path, error) from error
+            raise _damaged("a Parquet file", error, path) from error
         return {name: _numbers(table[name], f"{path}, column {name!r}") for name in column_names}
 
     _check_header(names, path, 1)
     return Table(names, read)
 
 
-def _damaged_parquet(path: Path, error: Exception) -> InvalidInput:
-    return InvalidInput(
-        f"is not a Parquet file, or is damaged ({str(error).splitlines()[0][:100]})",
-        where=str(path),
-        remedy="write it again",
-    )
+def _damaged(
+    kind: str, error: Exception, path: Path, remedy: str = "write it again"
+) -> InvalidInput:
+    cause = str(error).partition("\n")[0][:100]
+    return InvalidInput(f"is not {kind}, or is damaged ({cause})", where=str(path), remedy=remedy)
 
 
 def _numbers(column: Any, where: str) -> FloatArray:
@@ -345,30 +322,23 @@ def _open_mat(path: Path) -> Table:
     data = read_bytes(path, "the log")
     if data[:4] == b"\x89HDF" or b"MATLAB 7.3" in data[:64]:
         return _open_hdf5(path)
+    damaged = partial(_damaged, "a MAT file", path=path, remedy="save it again with -v7 or -v7.3")
     try:
         names = mat.variables(data)
     except (ValueError, zlib.error, struct.error) as error:
-        raise _damaged_mat(error, path) from error
+        raise damaged(error) from error
 
     def read(column_names: Sequence[str]) -> dict[str, FloatArray]:
         for name in column_names:
             if not names[name]:
-                raise _no_vector("not an array of real numbers", name, path)
+                raise _no_vector("not an array of real numbers", f"{path}, variable {name!r}")
         try:
             variables = mat.read(data, column_names)
         except Exception as error:  # SciPy's reader raises arbitrary exceptions on a damaged file
-            raise _damaged_mat(error, path) from error
-        return _vectors(variables, path)
+            raise damaged(error) from error
+        return vectors(variables, str(path), "variable")
 
     return Table(list(names), read, _element)
-
-
-def _damaged_mat(error: Exception, path: Path) -> InvalidInput:
-    return InvalidInput(
-        f"is not a MAT file, or is damaged ({str(error)[:100]})",
-        where=str(path),
-        remedy="save it again with -v7 or -v7.3",
-    )
 
 
 def _open_hdf5(path: Path) -> Table:
@@ -391,42 +361,47 @@ def _open_hdf5(path: Path) -> Table:
         with h5py.File(io.BytesIO(data), "r") as file:
             file.visititems(visit)
     except Exception as error:  # HDF5 raises arbitrary exceptions on a damaged file
-        raise InvalidInput(
-            f"is not an HDF5 file, or is damaged ({str(error)[:100]})",
-            where=str(path),
-            remedy="write it again",
-        ) from error
-    return Table(
-        list(datasets), lambda names: _vectors({n: datasets[n] for n in names}, path), _element
-    )
+        raise _damaged("an HDF5 file", error, path) from error
+
+    def read(names: Sequence[str]) -> dict[str, FloatArray]:
+        return vectors({name: datasets[name] for name in names}, str(path), "variable")
+
+    return Table(list(datasets), read, _element)
 
 
 def _element(row: int) -> str:
     return f"element {row + 1}"
 
 
-def _no_vector(what: str, name: str, path: Path) -> InvalidInput:
+def _no_vector(what: str, where: str) -> InvalidInput:
     return InvalidInput(
         f"is not a vector of numbers, but {what}",
-        where=f"{path}, variable {name!r}",
-        remedy="store one vector for each channel",
+        where=where,
+        remedy="store one number of each channel per sample",
     )
 
 
-def _vectors(variables: Mapping[str, Any], path: Path) -> dict[str, FloatArray]:
-    """Convert the variables of a MAT or HDF5 file to columns; each must be a numeric vector."""
+def vectors(values: Mapping[str, Any], where: str, noun: str) -> dict[str, FloatArray]:
+    """Convert values by name to columns; each must be a numeric vector, all of one length.
+
+    `where` and `noun` name the source and its columns in messages. Float64 vectors are not copied.
+    """
     columns = {}
-    for name, variable in variables.items():
-        value = np.asarray(variable)
-        if value.ndim != 1 or value.dtype.kind not in "fiu":
-            raise _no_vector(f"{value.dtype} of shape {value.shape}", name, path)
-        columns[name] = value.astype(float)
+    for name, value in values.items():
+        try:
+            array = np.asarray(value)
+        except (TypeError, ValueError):
+            array = np.empty(0, dtype=object)
+        if array.ndim != 1 or array.dtype.kind not in "fiu":
+            what = f"{array.dtype} of shape {array.shape}"
+            raise _no_vector(what, f"{where}, {noun} {name!r}")
+        columns[name] = np.ascontiguousarray(array, dtype=np.float64)
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1:
         raise InvalidInput(
-            f"the variables differ in length: {sorted(lengths)}",
-            where=str(path),
-            remedy="store one value of each channel per time stamp",
+            f"the {noun}s differ in length: {sorted(lengths)}",
+            where=where,
+            remedy="store one number of each channel per sample",
         )
     return columns
 
