@@ -37,17 +37,11 @@ def read_parameters(path: Path) -> Values:
             where=str(path),
             remedy="use a result.json or a parameter file",
         ) from error
-    if not isinstance(document, dict):
-        raise _unknown_layout(path)
-    if isinstance(document.get("parameters"), list):
+    if isinstance(document, dict) and isinstance(document.get("parameters"), list):
         return _from_list(document["parameters"], path)
-    if isinstance(document.get("joints"), list):
+    if isinstance(document, dict) and isinstance(document.get("joints"), list):
         return _from_table(document, path)
-    raise _unknown_layout(path)
-
-
-def _unknown_layout(path: Path) -> InvalidInput:
-    return InvalidInput(
+    raise InvalidInput(
         'contains neither a list "parameters" nor a list "joints"',
         where=str(path),
         remedy="use a result.json, or see docs/parameters.md for the layout",
@@ -84,8 +78,7 @@ def _from_table(document: Mapping[str, Any], path: Path) -> Values:
                 "is not a table", where=place, remedy="write {...} with the values of this joint"
             )
         for key, value in table.items():
-            names = _names(key, value, place)
-            for name, entry in names.items():
+            for name, entry in _names(key, value, place).items():
                 values[name, joint] = _number(entry, f"{place}: {name}")
     return values
 

@@ -54,22 +54,19 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                 where=reader.place("joint", index, "imu"),
                 remedy="map the axis along the joint to the channel a1 and remove the other axes",
             )
-        elastic_only = [
-            name for name in joint.named_effects if effect_named(name).needs_elastic_gear
-        ]
-        if elastic_only and not joint.elastic:
-            raise InvalidInput(
-                f"the effect '{elastic_only[0]}' needs an elastic gear",
-                where=reader.place("joint", index, "effects"),
-                remedy=f"remove '{elastic_only[0]}', or set an elastic spring",
-            )
-        first_only = [name for name in joint.named_effects if effect_named(name).first_joint_only]
-        if first_only and index > 0:
-            raise InvalidInput(
-                f"joint {index + 1} has the effect '{first_only[0]}', which only joint 1 can have",
-                where=reader.place("joint", index, "effects"),
-                remedy=f"move '{first_only[0]}' to the effects of joint 1",
-            )
+        for name in joint.named_effects:
+            if effect_named(name).needs_elastic_gear and not joint.elastic:
+                raise InvalidInput(
+                    f"the effect '{name}' needs an elastic gear",
+                    where=reader.place("joint", index, "effects"),
+                    remedy=f"remove '{name}', or set an elastic spring",
+                )
+            if effect_named(name).first_joint_only and index > 0:
+                raise InvalidInput(
+                    f"joint {index + 1} has the effect '{name}', which only joint 1 can have",
+                    where=reader.place("joint", index, "effects"),
+                    remedy=f"move '{name}' to the effects of joint 1",
+                )
     if arm.servo is not None:
         for key in ("kp", "ki", "position_gain"):
             gains = getattr(arm.servo, key)
@@ -80,10 +77,8 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
 def check_options(study: Study, reader: Reader) -> None:
     """Raise InvalidInput if a band or range is empty, or if the arm lacks a parameter."""
     options = study.options
-    for stage, band in (
-        ("statespace", options.statespace.band_hz),
-        ("physical", options.physical.band_hz),
-    ):
+    bands = {"statespace": options.statespace.band_hz, "physical": options.physical.band_hz}
+    for stage, band in bands.items():
         if band is not None and band[0] >= band[1]:
             raise InvalidInput(
                 f"the band from {band[0]:g} to {band[1]:g} Hz is empty",
@@ -96,17 +91,15 @@ def check_options(study: Study, reader: Reader) -> None:
     of_joints = [f"{name} {i}" for name in constants for i in numbers]
     # `ranges` are factors, which cannot bound a sensor constant whose nominal value is zero
     holdable_names = (*fitted, *constants, *of_joints)
-    for key, names, known in (
-        ("ranges", tuple(options.tuning.ranges), fitted),
-        ("hold", options.tuning.hold, holdable_names),
-    ):
-        for name in names:
-            if name not in known:
-                raise InvalidInput(
-                    f"'{name}' is not a parameter of the whole-arm fit",
-                    where=reader.place("options.tuning", None, key),
-                    remedy=f"use one of {', '.join(known)}{suggest_name(name, known)}",
-                )
+    named = [("ranges", name, fitted) for name in options.tuning.ranges]
+    named += [("hold", name, holdable_names) for name in options.tuning.hold]
+    for key, name, known in named:
+        if name not in known:
+            raise InvalidInput(
+                f"'{name}' is not a parameter of the whole-arm fit",
+                where=reader.place("options.tuning", None, key),
+                remedy=f"use one of {', '.join(known)}{suggest_name(name, known)}",
+            )
     for name, (low, high) in options.tuning.ranges.items():
         if not low <= 1.0 <= high or low == high:
             raise InvalidInput(
@@ -179,9 +172,8 @@ def _check_experiments(study: Study, reader: Reader) -> None:
                 remedy="choose different names",
             )
         names.add(experiment.name)
-        _check_count(
-            experiment.control, count, reader.place("experiment", index, "control"), "control"
-        )
+        place = reader.place("experiment", index, "control")
+        _check_count(experiment.control, count, place, "control")
         if experiment.joint is not None and experiment.joint > count:
             raise InvalidInput(
                 f"there is no joint {experiment.joint}: the arm has {count}",

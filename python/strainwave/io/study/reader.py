@@ -97,15 +97,9 @@ class Reader:
                     where=self.place("options", None, stage),
                     remedy=f"write a table of options: {stage} = {{ ... }}",
                 )
-            unchanged = {
-                f.name: getattr(stages[stage], f.name)
-                for f in dataclasses.fields(stages[stage])
-                if f.name not in changes
-            }
-            kind = type(stages[stage])
-            stages[stage] = dataclasses.replace(
-                self.record(kind, changes, f"options.{stage}"), **unchanged
-            )
+            checked = self.record(type(stages[stage]), changes, f"options.{stage}")
+            given = {key: getattr(checked, key) for key in changes}
+            stages[stage] = dataclasses.replace(stages[stage], **given)
         return Options(**stages)
 
     def record(
@@ -132,12 +126,15 @@ class Reader:
                 field.default is dataclasses.MISSING
                 and field.default_factory is dataclasses.MISSING
             ):
-                raise InvalidInput(
-                    f"the key '{key}' is missing",
-                    where=self.place(name, index),
-                    remedy=f"add it: {key} = ...",
-                )
+                raise self._missing(key, name, index)
         return kind(**values, **elsewhere)
+
+    def _missing(self, key: str, name: str, index: int | None = None) -> InvalidInput:
+        return InvalidInput(
+            f"the key '{key}' is missing",
+            where=self.place(name, index),
+            remedy=f"add it: {key} = ...",
+        )
 
     def _arm(
         self,
@@ -155,31 +152,22 @@ class Reader:
                 where=self.place(fault.table, fault.index, fault.key),
                 remedy=fault.remedy,
             )
-        return kind.construct(
-            table, described, None if servo is None else self.record(Servo, servo, "servo")
-        )
+        checked_servo = None if servo is None else self.record(Servo, servo, "servo")
+        return kind.construct(table, described, checked_servo)
 
     def _kind(self, arm: Mapping[str, Any]) -> Kind[Any]:
         """The kind of the arm. Raises InvalidInput if it is missing or unknown."""
         if "kind" not in arm:
-            raise InvalidInput(
-                "the key 'kind' is missing", where=self.place("arm"), remedy="add it: kind = ..."
-            )
-        kind = arm["kind"]
-        known = [kind.name for kind in all_kinds()]
-        if kind not in known:
-            raise InvalidInput(
-                f"'kind' is {_abbreviated(kind)}, but it should be {' or '.join(map(repr, known))}",
-                where=self.place("arm", None, "kind"),
-                remedy="correct the value",
-            )
+            raise self._missing("kind", "arm")
+        kind, known = arm["kind"], [kind.name for kind in all_kinds()]
+        self._check_registered([kind], known, kind, "arm", None, "kind")
         return kind_named(kind)
 
     def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
         """One `[[joint]]` whose spring and effects are registered."""
         spring, names = table.get("spring"), table.get("effects")
         if spring is not None:
-            self._check_registered([spring], gear_laws.names(), spring, index, "spring")
+            self._check_registered([spring], gear_laws.names(), spring, "joint", index, "spring")
         if isinstance(names, str) and names != "auto":
             raise InvalidInput(
                 f"'effects' is {_abbreviated(names)}, but it should be a list of effects or "
@@ -188,23 +176,22 @@ class Reader:
                 remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
         if isinstance(names, list):
-            self._check_registered(names, effects.names(), names, index, "effects")
+            self._check_registered(names, effects.names(), names, "joint", index, "effects")
         return self.record(Joint, table, "joint", index, **_PLACEMENT)
 
     def _check_registered(
-        self, names: Sequence[Any], known: Sequence[str], value: Any, index: int, key: str
+        self, names: Sequence[Any], known: Sequence[str], value: Any, *place: Any
     ) -> None:
-        """Raise InvalidInput if a joint's value contains a name that is not registered."""
-        if all(name in known for name in names):
-            return
-        unknown = next(name for name in names if name not in known)
-        near = suggest_name(unknown, known) if isinstance(unknown, str) else ""
+        """Raise InvalidInput if a value contains a name that is not registered."""
         *others, last = [repr(name) for name in known]
-        raise InvalidInput(
-            f"'{key}' is {_abbreviated(value)}, but it should be {', '.join(others)} or {last}",
-            where=self.place("joint", index, key),
-            remedy=f"correct the value{near}",
-        )
+        for unknown in (name for name in names if name not in known):
+            near = suggest_name(unknown, known) if isinstance(unknown, str) else ""
+            raise InvalidInput(
+                f"'{place[-1]}' is {_abbreviated(value)}, but it should be "
+                f"{', '.join(others)} or {last}",
+                where=self.place(*place),
+                remedy=f"correct the value{near}",
+            )
 
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
         from pydantic import ValidationError
@@ -213,31 +200,18 @@ class Reader:
         if inner and isinstance(value, dict):
             return self.record(inner[0], value, name, index)
         try:
-            checked = _adapter(hint).validate_python(_lists_to_tuples(value), strict=True)
-        except (ValidationError, RecursionError) as error:
-            reason = "it is nested too deeply"
+            checked = _adapter(hint).validate_python(_lists_to_tuples(value))
+            if isinstance(value, bool) and not isinstance(checked, bool):
+                raise TypeError("it should be a number")  # Python compares True equal to 1
+        except (ValidationError, RecursionError, TypeError) as error:
+            reason = "it is nested too deeply" if isinstance(error, RecursionError) else str(error)
             if isinstance(error, ValidationError):
-                reason = error.errors()[0]["msg"]
-            reason = reason.replace("Input should be ", "it should be ")
+                reason = error.errors()[0]["msg"].replace("Input should be ", "it should be ")
             raise InvalidInput(
                 f"'{key}' is {_abbreviated(value)}, but {reason[0].lower() + reason[1:]}",
                 where=self.place(name, index, key),
                 remedy="correct the value",
             ) from error
-        if isinstance(value, bool) and not isinstance(
-            checked, bool
-        ):  # Python compares True equal to 1
-            raise InvalidInput(
-                f"'{key}' is {_abbreviated(value)}, but it should be a number",
-                where=self.place(name, index, key),
-                remedy="correct the value",
-            )
-        if _not_finite(checked):
-            raise InvalidInput(
-                f"'{key}' is {_abbreviated(value)}",
-                where=self.place(name, index, key),
-                remedy="set a finite number",
-            )
         return checked
 
     def _channels(self, table: Mapping[str, Any]) -> dict[str, Channel]:
@@ -325,21 +299,15 @@ class Reader:
 
 @cache
 def _adapter(hint: Any) -> Any:
-    from pydantic import TypeAdapter
+    from pydantic import ConfigDict, TypeAdapter
 
-    return TypeAdapter(hint)
+    return TypeAdapter(hint, config=ConfigDict(strict=True, allow_inf_nan=False))
 
 
 def _lists_to_tuples(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _lists_to_tuples(entry) for name, entry in value.items()}
     return tuple(_lists_to_tuples(v) for v in value) if isinstance(value, list) else value
-
-
-def _not_finite(value: Any) -> bool:
-    if isinstance(value, tuple | dict):
-        return any(map(_not_finite, value.values() if isinstance(value, dict) else value))
-    return isinstance(value, float) and value - value != 0.0
 
 
 def _abbreviated(value: Any) -> str:
