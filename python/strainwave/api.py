@@ -7,6 +7,7 @@ import copy
 import queue
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -146,17 +147,12 @@ def compare(
     two results and `NotIdentifiable` if they have no parameter in common.
     """
     loaded = [result if isinstance(result, Result) else read_result(result) for result in results]
-    all_estimates = [
-        result_estimates.estimates_of(result.document, result.source) for result in loaded
-    ]
-    labels = [estimate.label for estimate in all_estimates]
-    unique = [
-        estimate
-        if labels.count(estimate.label) == 1
-        else replace(estimate, label=f"{estimate.label} ({k})")
-        for k, estimate in enumerate(all_estimates, start=1)
-    ]
-    return comparison.compare(unique, level)
+    estimates = [result_estimates.estimates_of(each.document, each.source) for each in loaded]
+    labels = [estimate.label for estimate in estimates]
+    for k, label in enumerate(labels):
+        if labels.count(label) > 1:
+            estimates[k] = replace(estimates[k], label=f"{label} ({k + 1})")
+    return comparison.compare(estimates, level)
 
 
 class Parameters(Sequence[Parameter]):
@@ -247,16 +243,12 @@ class Parameters(Sequence[Parameter]):
         import difflib
 
         name, joint = (key, None) if isinstance(key, str) else key
+        labels = [p.label for p in self._parameters]
+        matches = difflib.get_close_matches(label_of(name, joint), labels, _NEAR_KEYS)
         same = [p for p in self._parameters if p.name == name]
-        if same:
-            near = [p.label for p in same]
-        else:
-            labels = [p.label for p in self._parameters]
-            matches = difflib.get_close_matches(label_of(name, joint), labels, _NEAR_KEYS)
-            near = sorted(matches, key=labels.index)
-        keys = {p.label: k for p, k in zip(self._parameters, self.keys(), strict=True)}
-        hint = " or ".join(_shown(keys[label]) for label in near)
-        listed = ", ".join(_shown(k) for k in self.keys())
+        near = Parameters(same or [p for p in self._parameters if p.label in matches]).keys()
+        hint = " or ".join(map(_shown, near))
+        listed = ", ".join(map(_shown, self.keys()))
         return f"no parameter {_shown(key)}; " + (f"did you mean {hint}?" if hint else listed)
 
 
@@ -291,14 +283,8 @@ class JointResponse:
         from strainwave.presentation.figures import curves
         from strainwave.presentation.matplotlib_backend import draw
 
-        model = curves.Curve(
-            "identified model",
-            self.frequencies_hz,
-            self.response,
-            self.magnitude_std,
-            self.phase_std,
-        )
-        drawn = [model]
+        f, stds = self.frequencies_hz, (self.magnitude_std, self.phase_std)
+        drawn = [curves.Curve("identified model", f, self.response, *stds)]
         if self.measured is not None:
             G = self.measured.response[:, 0, 0]
             drawn.append(curves.Curve("measured", self.measured.frequencies_hz, G))
@@ -344,7 +330,8 @@ class Result:
         source: Path | None = None,
     ) -> None:
         self._document = dict(document)
-        self._parameters = Parameters(results.parameters_of(document))
+        self.parameters = Parameters(results.parameters_of(document))
+        """The final table of parameters."""
         self.run = run
         self.source = source or Path(str(document.get("study", {}).get("path", "")))
 
@@ -361,18 +348,13 @@ class Result:
     @property
     def reason(self) -> str | None:
         """Why the status is not "determined"."""
-        reason = self._document["reason"]
-        return None if reason is None else str(reason)
+        reason: str | None = self._document["reason"]
+        return reason
 
     @property
     def verdict(self) -> Verdict:
         """Identified, unidentified and rejected parameters, and suspected faults of the input."""
         return results.verdict_of(self._document)
-
-    @property
-    def parameters(self) -> Parameters:
-        """The final table of parameters."""
-        return self._parameters
 
     @property
     def covariance(self) -> JointCovariance | None:
@@ -399,25 +381,25 @@ class Result:
 
     def keys(self) -> list[Key]:
         """Keys of all parameters: "beta", ("gear_stiffness", 1)."""
-        return self._parameters.keys()
+        return self.parameters.keys()
 
     _ipython_key_completions_ = keys
 
     def __len__(self) -> int:
-        return len(self._parameters)
+        return len(self.parameters)
 
     def __bool__(self) -> bool:
         return True  # also without parameters
 
     def __iter__(self) -> Iterator[Parameter]:
-        return iter(self._parameters)
+        return iter(self.parameters)
 
     def __contains__(self, key: object) -> bool:
-        return key in self._parameters
+        return key in self.parameters
 
     def __getitem__(self, key: Key) -> Parameter:
         """A parameter by name, or by name and joint; KeyError names the nearest keys."""
-        return self._parameters[key]
+        return self.parameters[key]
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Result) and self._document == other._document
@@ -425,11 +407,11 @@ class Result:
     __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
-        known = sum(p.value is not None for p in self._parameters)
-        return f"<Result: {self.status}, {known} of {len(self._parameters)} parameters>"
+        known = sum(p.value is not None for p in self.parameters)
+        return f"<Result: {self.status}, {known} of {len(self.parameters)} parameters>"
 
     def __str__(self) -> str:
-        lines = [str(self._parameters)]
+        lines = [str(self.parameters)]
         for experiment, fits in self.checks.items():
             listed = ", ".join(
                 f"{channel} {percent(float('nan') if fit is None else fit)}"
@@ -444,7 +426,7 @@ class Result:
         from html import escape
 
         text = self.status if self.reason is None else f"{self.status}: {self.reason}"
-        return f"<p>{escape(text)}</p>{self._parameters._repr_html_()}"
+        return f"<p>{escape(text)}</p>{self.parameters._repr_html_()}"
 
     def state_space(self, joint: int) -> StateSpace:
         """Linear model of one joint alone as a python-control object.
@@ -475,14 +457,26 @@ class Result:
         resonance. Errors as for `state_space`, except that python-control is not needed.
         """
         from strainwave.export.state_space import joint_model, joint_model_covariance
+        from strainwave.identification.joint_model.agreement import (
+            motor_response,
+            response_jacobian,
+        )
 
         arm = self._arm()
         model = joint_model(arm, joint)
         f = _response_frequencies(model) if frequencies_hz is None else np.array(frequencies_hz)
-        measured = results.response_of(self._document, joint)
-        response = JointResponse(joint, f, _motor_response(model, f), None, None, measured)
+        G = motor_response(model.vector, model.gear_ratio, f)
         covariance = joint_model_covariance(arm, joint, self.covariance)
-        return response if covariance is None else _with_stds(response, model, covariance)
+        magnitude_std, phase_std = None, None
+        if covariance is not None:  # delta method
+            relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
+            size, phase_std = (
+                np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
+                for part in (relative.real, relative.imag)
+            )
+            magnitude_std = np.abs(G) * size
+        measured = results.response_of(self._document, joint)
+        return JointResponse(joint, f, G, magnitude_std, phase_std, measured)
 
     def residuals(self, experiment: str) -> Residuals:
         """Measured minus predicted channels of a record, over the samples that are predicted.
@@ -551,7 +545,7 @@ class Result:
                 remedy=f"choose from: {', '.join(FIGURE_KINDS)}{suggest_name(kind, FIGURE_KINDS)}",
             )
         if kind == "parameters":
-            return draw(certainty(self._parameters))
+            return draw(certainty(self.parameters))
         if kind == "bode" and joint is not None and self.run is None:
             return self.frequency_response(joint).plot()
         run = self._needs_run('figures other than plot("bode", joint=1)')
@@ -594,25 +588,6 @@ def _response_frequencies(model: Any) -> FloatArray:
     return np.geomspace(low, resonance(model).frequency_hz * factor, _N_FREQUENCIES)
 
 
-def _motor_response(model: Any, f: FloatArray) -> ComplexArray:
-    from strainwave.identification.joint_model.agreement import motor_response
-
-    return motor_response(model.vector, model.gear_ratio, f)
-
-
-def _with_stds(response: JointResponse, model: Any, covariance: FloatArray) -> JointResponse:
-    """Add standard deviations of magnitude and phase by the delta method."""
-    from strainwave.identification.joint_model.agreement import response_jacobian
-
-    G, f = response.response, response.frequencies_hz
-    relative = response_jacobian(model.vector, model.gear_ratio, f) / G[:, None]
-    size, phase = (
-        np.sqrt(np.clip(np.einsum("fi,ij,fj->f", part, covariance, part), 0.0, None))
-        for part in (relative.real, relative.imag)
-    )
-    return replace(response, magnitude_std=np.abs(G) * size, phase_std=phase)
-
-
 def _study_of(study: Study | Path | str, data: Data) -> Study:
     """The checked study; experiments without data need their files."""
     if isinstance(study, Study):
@@ -632,17 +607,16 @@ def _run_in_thread(
     Compiled code and SciPy cannot be interrupted. Abandoned work ends when it next checks.
     """
     is_abandoned = threading.Event()
-    finished: list[Identification] = []
-    errors: list[BaseException] = []
+    outcome: Future[Identification] = Future()
 
     def job() -> None:
         try:
             with limited(cancelled=is_abandoned.is_set):
-                finished.append(work())
+                outcome.set_result(work())
         except Stopped:
-            errors.append(Cancelled())
+            outcome.set_exception(Cancelled())
         except BaseException as error:  # raised again in the thread of the caller
-            errors.append(error)
+            outcome.set_exception(error)
 
     context = contextvars.copy_context()  # for example the error state of NumPy
     thread = threading.Thread(target=context.run, args=(job,), name="strainwave", daemon=True)
@@ -656,6 +630,4 @@ def _run_in_thread(
         report_progress()  # events after the last check
     finally:
         is_abandoned.set()
-    if errors:
-        raise errors[0]
-    return finished[0]
+    return outcome.result()
