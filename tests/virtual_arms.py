@@ -168,6 +168,5 @@ def exact_signals(
         bandwidth_hz=100.0,
         angle_noise=np.zeros(n_joints),
         valid=np.ones(angle.shape, dtype=bool),
-        unfiltered_torque=torque,
         torque_channel=tuple(f"torque{i + 1}" for i in range(n_joints)),
     )

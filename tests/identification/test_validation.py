@@ -44,7 +44,6 @@ def test_an_exact_model_predicts_another_record_exactly() -> None:
     prediction = validation.predict_rigid(model, exact, Arm.of(study.arm))
     assert prediction.channels == ("torque1",)
     assert prediction.fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
-    assert prediction.unfiltered_fit_percent["torque1"] == pytest.approx(100.0, abs=1e-6)
     assert prediction.measured.shape == prediction.predicted.shape == (len(prediction.time), 1)
 
 

@@ -159,9 +159,6 @@ class Prediction(Displayed):
     measured: FloatArray  # (n_samples, n_channels)
     predicted: FloatArray  # (n_samples, n_channels)
     fit_percent: Mapping[str, float]  # channel -> 100 (1 - |y - yhat| / |y - mean y|)
-    unfiltered_fit_percent: Mapping[str, float] = field(
-        default_factory=dict
-    )  # fit to the unfiltered channels
     stiffness_effect: Mapping[int, float] = field(default_factory=dict)
     """Joint -> largest change of a channel if the gear stiffness rises by 20 %.
 

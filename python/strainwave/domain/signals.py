@@ -54,7 +54,6 @@ class Signals:
     bandwidth_hz: float | None  # of the zero-phase filter; None: not filtered
     angle_noise: FloatArray  # (n_joints,) [rad] standard deviation of the white noise
     valid: BoolArray  # (n_samples, n_joints): False at edges, drive saturation and defects
-    unfiltered_torque: FloatArray  # (n_samples, n_joints) [N m] motor side, at the stamps
     torque_channel: tuple[str, ...]  # log channel of each torque
     warnings: tuple[Diagnostic, ...] = ()
 

@@ -49,7 +49,7 @@ def band_fit(
 ) -> FloatArray:
     """Fit [%] of a model to a record's torques within its bandwidth: (n_joints,).
 
-    Equal to the fit of the first band of `band_predictions`, with less memory.
+    Equal to the fit of `band_prediction`, with less memory.
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
@@ -64,43 +64,32 @@ def band_fit(
     return np.concatenate(fits)
 
 
-def band_predictions(
+def band_prediction(
     arm: Arm,
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
     load_friction: Sequence[Parameter] = (),
-) -> tuple[FilteredTorques, FilteredTorques]:
-    """Predict a record's torques from its motion, within a model's bandwidth and as logged.
+) -> FilteredTorques:
+    """Predict a record's torques from its motion, within a model's bandwidth.
 
     `solution` (n_parameters,) has the order of `Arm.rigid_columns`. `model_hz` is the bandwidth in
     which the model was estimated. `load_friction` holds the joints whose friction grows with the
-    load. The first band compares both torques after the filter of that bandwidth, the second the
-    logged torque with the prediction in the bandwidth of the signals.
+    load.
     """
     torque = predict_torque(
         arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
     )
     T = signals.sample_time
-    filtered = low_pass(signals.motor_torque, model_hz, T), low_pass(torque, model_hz, T)
-    logged = signals.unfiltered_torque, torque
-    first, second = (_comparison(*pair, signals, model_hz) for pair in (filtered, logged))
-    return first, second
+    measured, predicted = (low_pass(x, model_hz, T) for x in (signals.motor_torque, torque))
+    inside = _inside(measured, model_hz, T)
+    fit = _fit(measured, predicted, signals.direction, model_hz, T)
+    return FilteredTorques(signals.time[inside], measured[inside], predicted[inside], fit)
 
 
 def _bridge(model_hz: float, T: float) -> int:
     """Samples in half a period of the band: the longest uncertain direction in a reversal."""
     return int(0.5 / (model_hz * T))
-
-
-def _comparison(
-    measured: FloatArray, torque: FloatArray, signals: Signals, model_hz: float
-) -> FilteredTorques:
-    """Measured and predicted torque without the filter's transients, and their fit."""
-    T = signals.sample_time
-    inside = _inside(measured, model_hz, T)
-    fit = _fit(measured, torque, signals.direction, model_hz, T)
-    return FilteredTorques(signals.time[inside], measured[inside], torque[inside], fit)
 
 
 def _fit(

@@ -22,7 +22,7 @@ from strainwave.domain import (
 from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import COULOMB, family_of
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.rigid_prediction import band_predictions
+from strainwave.dynamics.rigid_prediction import band_prediction
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
 from strainwave.identification.closed_loop import Observation, build_prediction, observe
 from strainwave.signals.recorded_input import driven_by_voltage
@@ -98,9 +98,8 @@ def predict_rigid(
     """Predict the drive signals of a record from its measured motion with the rigid model.
 
     Channels are as logged, torques or voltages. `fit_percent` is the fit within the model's
-    bandwidth, where a rigid model is valid. `unfiltered_fit_percent` compares with the logged
-    signals, including noise and vibration. Both are NaN for a motor that does not move in most of
-    the record. During stiction the model predicts an interval of torques, and the value nearest to
+    bandwidth, where a rigid model is valid, and NaN for a motor that does not move in most of the
+    record. During stiction the model predicts an interval of torques, and the value nearest to
     the measured torque is returned.
 
     `signals` is from `signals.prepare_motor_signals`. With predictions of the fitted records in
@@ -141,7 +140,7 @@ def _predict_torques(
     model: RigidModel, solution: FloatArray, signals: Signals, arm: Arm
 ) -> Prediction:
     """Prediction of the drive signals with other values (n_parameters,) of a model."""
-    band, full = band_predictions(arm, solution, signals, model.bandwidth_hz, model.load_friction)
+    band = band_prediction(arm, solution, signals, model.bandwidth_hz, model.load_friction)
     names = signals.torque_channel
     is_voltage = [channel_parts(name)[0] == "u" for name in names]
     per_channel = np.where(is_voltage, arm.torque_per_volt, 1.0)
@@ -152,7 +151,6 @@ def _predict_torques(
         measured=band.measured / per_channel,
         predicted=band.predicted / per_channel,
         fit_percent=dict(zip(names, band.fit_percent.tolist(), strict=True)),
-        unfiltered_fit_percent=dict(zip(names, full.fit_percent.tolist(), strict=True)),
         warnings=tuple(
             Diagnostic(
                 "nothing-to-predict",

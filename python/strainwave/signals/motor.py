@@ -58,7 +58,6 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
         bandwidth_hz=bandwidth,
         angle_noise=record.angle_noise,
         valid=valid,
-        unfiltered_torque=record.torque,
         torque_channel=record.channels,
         warnings=record.saturation.warnings,
     )
