@@ -109,15 +109,11 @@ def _check_known(kinds: Iterable[Any], known: tuple[Any, ...], key: str, reader:
             )
 
 
-def fields_of(family: Family) -> dict[str, Any]:
-    """Table of a family in plain JSON values."""
-    return _table(family)
-
-
-def _table(record: Any) -> dict[str, Any]:
+def fields_of(record: Family | Friction | Sensors) -> dict[str, Any]:
+    """Table of a family, or of a part of it, in plain JSON values."""
     values = {f.name: getattr(record, f.name) for f in fields(record)}
     return {
-        key: _table(value)
+        key: fields_of(value)
         if isinstance(value, Friction | Sensors)
         else list(value)
         if isinstance(value, tuple)

@@ -133,7 +133,8 @@ def record(arm: VirtualArm) -> Recorded:
     if fault is None:
         return Recorded(study, data, classes)
     classes |= {"fault": fault.kind, "fault_size": fault.size, "fault_codes": list(fault.codes)}
-    return Recorded(fault.study, _as_data(fault.logs), classes)
+    data = {log.name: {"t": log.time, **log.channels} for log in fault.logs}
+    return Recorded(fault.study, data, classes)
 
 
 def _rng(seed: tuple[int, ...], stream: str) -> np.random.Generator:
@@ -216,7 +217,3 @@ def _inject(
             text = f"{size:g} {unit}, {injection.channel} of {injection.record}"
             return Fault(kind, text, (kind,), injection.logs, study)
     return None
-
-
-def _as_data(logs: tuple[Log, ...]) -> dict[str, dict[str, FloatArray]]:
-    return {log.name: {"t": log.time, **log.channels} for log in logs}

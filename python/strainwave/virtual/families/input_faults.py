@@ -67,27 +67,6 @@ def _angle_unit(logs: Logs, study: Study, joint: int, rng: np.random.Generator) 
     return Fault("angle-unit", unit, ("wrong-unit",), changed, study)
 
 
-def _angle_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _scale_channel(logs, f"theta_m{joint}", -1.0)
-    return Fault("angle-sign", "-1", ("wrong-sign",), changed, study)
-
-
-def _accelerometer_unit(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _scale_channel(logs, f"a{joint}", 1.0 / 9.80665)
-    return Fault("accelerometer-unit", "g", ("wrong-unit",), changed, study)
-
-
-def _accelerometer_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    changed = _scale_channel(logs, f"a{joint}", -1.0)
-    return Fault("accelerometer-sign", "-1", ("wrong-sign",), changed, study)
-
-
-def _voltage_sign(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
-    return Fault(
-        "voltage-sign", "-1", ("wrong-sign",), _scale_channel(logs, f"u{joint}", -1.0), study
-    )
-
-
 def _swapped(logs: Logs, study: Study, _: int, rng: np.random.Generator) -> Fault:
     present = [name for name in ("a", "u", "theta_m") if f"{name}1" in logs[0].channels]
     kind = str(rng.choice(present))
@@ -166,14 +145,25 @@ def _clipped(logs: Logs, study: Study, joint: int, rng: np.random.Generator) -> 
 
 FaultInjector = Callable[[Logs, Study, int, np.random.Generator], Fault]
 
+
+def _scaled(kind: str, size: str, code: str, channel: str, factor: float) -> FaultInjector:
+    """Injector that multiplies a channel of the joint by a factor."""
+
+    def inject(logs: Logs, study: Study, joint: int, _: np.random.Generator) -> Fault:
+        changed = _scale_channel(logs, f"{channel}{joint}", factor)
+        return Fault(kind, size, (code,), changed, study)
+
+    return inject
+
+
 INPUT_FAULTS: Mapping[str, FaultInjector] = {
     "time-unit": _time_unit,
     "time-scale": _time_scale,
     "angle-unit": _angle_unit,
-    "angle-sign": _angle_sign,
-    "accelerometer-unit": _accelerometer_unit,
-    "accelerometer-sign": _accelerometer_sign,
-    "voltage-sign": _voltage_sign,
+    "angle-sign": _scaled("angle-sign", "-1", "wrong-sign", "theta_m", -1.0),
+    "accelerometer-unit": _scaled("accelerometer-unit", "g", "wrong-unit", "a", 1.0 / 9.80665),
+    "accelerometer-sign": _scaled("accelerometer-sign", "-1", "wrong-sign", "a", -1.0),
+    "voltage-sign": _scaled("voltage-sign", "-1", "wrong-sign", "u", -1.0),
     "swapped-joints": _swapped,
     "gear-ratio": _gear_ratio,
     "geometry": _distance,
