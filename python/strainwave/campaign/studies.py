@@ -54,13 +54,11 @@ def find(arguments: Sequence[str]) -> Selection:
 
 def _collect_studies(arguments: Sequence[str]) -> list[Case]:
     cases = [
-        StudyFile(name, _absolute(name)) for item in arguments for name in _expand_argument(item)
+        StudyFile(name, name if is_url(name) else str(Path(name).absolute()))
+        for item in arguments
+        for name in _expand_argument(item)
     ]
     return list({case.location: case for case in cases}.values())
-
-
-def _absolute(name: str) -> str:
-    return name if is_url(name) else str(Path(name).absolute())
 
 
 def _expand_argument(argument: str) -> list[str]:

@@ -97,7 +97,8 @@ def to_document(identification: Identification) -> dict[str, Any]:
 def to_json(document: Mapping[str, Any]) -> bytes:
     """A result document as UTF-8 text; lists of numbers take one line each."""
     text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
-    return (_NUMBERS.sub(_on_one_line, text) + "\n").encode()
+    text = _NUMBERS.sub(lambda numbers: f"[{' '.join(numbers[1].split())}]", text)
+    return f"{text}\n".encode()
 
 
 def read_document(path: Path) -> dict[str, Any]:
@@ -229,10 +230,6 @@ def _study(study: Study) -> dict[str, Any]:
     tables = document_of(study)
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
     return {"path": str(study.path), "sha256": study.sha256, **rig}
-
-
-def _on_one_line(numbers: re.Match[str]) -> str:
-    return f"[{' '.join(numbers[1].split())}]"
 
 
 def _responses(identification: Identification) -> list[dict[str, Any]]:

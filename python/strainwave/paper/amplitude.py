@@ -204,7 +204,7 @@ def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
     number = runs[0].decoupled.joint
     k1, _, k3 = slopes(runs[0].values, number)
     truth = runs[0].truth
-    low, high = (_square(_with_stiffness(truth, k)) for k in (k1, k3))
+    low, high = (_square(replace(truth, gear_stiffness=k)) for k in (k1, k3))
     return Level(
         amplitude=amplitude,
         state_space=state_space,
@@ -229,10 +229,6 @@ def _square_std(model: JointModel, joint: TwoInertia) -> float:
     count = len(NAMES)
     J = jacobian(square, joint.vector)
     return float(np.sqrt((J @ model.covariance[:count, :count] @ J.T)[0, 0]))
-
-
-def _with_stiffness(joint: TwoInertia, k: float) -> TwoInertia:
-    return replace(joint, gear_stiffness=k)
 
 
 def _squared(hz: float) -> float:

@@ -100,11 +100,6 @@ def evidence_of(model: JointModel | ArmModel, name: str) -> Evidence:
     return Evidence(name, method, model.status, warnings=model.warnings)
 
 
-def response_evidence(model: JointModel, joint: TwoInertia, name: str) -> Evidence:
-    """Evidence of a physical model that is judged by its response, not by single parameters."""
-    return replace(evidence_of(model, name), growth=growth_of(joint))
-
-
 def growth_of(joint: TwoInertia) -> float:
     """Largest modulus of a joint's discrete-time poles at 1 ms."""
     slowest = float(np.linalg.eigvals(state_space(joint).A).real.max())

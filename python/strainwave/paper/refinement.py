@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from strainwave.paper.joint_estimates import (
     JointEstimate,
     curve,
     distance_db,
-    response_evidence,
+    evidence_of,
+    growth_of,
     response_of,
 )
 from strainwave.paper.rig import Rig, WholeArmEstimate
@@ -46,7 +47,8 @@ def stages(rig: Rig, joint: int) -> Stages:
     run = rig.prbs(joint)
     model = rig.transfer(joint)
     modified = _joint(model, run.decoupled.gear_ratio)
-    evidence = response_evidence(model, modified, f"joint {joint} by (18)")
+    # the model is judged by its response, not by single parameters
+    evidence = replace(evidence_of(model, f"joint {joint} by (18)"), growth=growth_of(modified))
     return Stages(rig.estimate(run), modified, evidence)
 
 

@@ -55,7 +55,7 @@ def start_study(logs: Sequence[Path], out: Path) -> StudyDraft:
         )
     records = [read_record(path) for path in logs]
     fullest = find_fullest_record(records)
-    mapping = map_channels(fullest)
+    mapping = map_channels(fullest, fullest)
     _check_alike(records, fullest, mapping)
     for record in records:
         add_channels(mapping, record, fullest)

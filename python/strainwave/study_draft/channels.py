@@ -16,12 +16,8 @@ from strainwave.study_draft.signal_features import proportion, relation
 _IMU_AXIS = re.compile(r"[ag][xyz][1-9]")  # channel name of an IMU axis
 
 
-def map_channels(record: Record) -> Mapping:
-    """Guess the channels of the arm from the record with the most columns."""
-    return _map_columns(record, record)
-
-
-def _map_columns(record: Record, fullest: Record) -> Mapping:
+def map_channels(record: Record, fullest: Record) -> Mapping:
+    """Guess the channels of a record; `fullest` is the record with the most columns."""
     parsed_names, limit, notes = assign_columns(record, fullest)
     n_joints = max((each.number or 1 for each in parsed_names.values()), default=1)
     mapping = Mapping(limit=limit, notes=notes)
@@ -57,7 +53,7 @@ def add_channels(mapping: Mapping, record: Record, fullest: Record) -> None:
     known = {*fullest.columns, *mapping.unused, *(g.column for g in mapping.guesses.values())}
     if known.issuperset(record.columns):
         return
-    extra = _map_columns(record, fullest)
+    extra = map_channels(record, fullest)
     for channel, guess in extra.guesses.items():
         if channel not in mapping.guesses and guess.column not in known:
             mapping.guesses[channel] = guess

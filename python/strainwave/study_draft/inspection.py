@@ -141,7 +141,7 @@ def _read_bag(path: Path) -> Record:
         faults += value_faults
         if columns and len(track.time) >= MIN_SAMPLES:
             usable.append(Track(track.name, track.time, columns, track.row_name))
-    usable.sort(key=_without_angle)
+    usable.sort(key=lambda track: all(parse(n).quantity != "angle" for n in track.columns))
     commanded = {n for t in usable for n in t.columns if parse(n).quantity in ("voltage", "torque")}
     if not usable:
         raise InvalidInput(
@@ -151,10 +151,6 @@ def _read_bag(path: Path) -> Record:
     time, columns, clock_warnings = resample_tracks(usable, commanded, whole_record, path)
     notes += [warning.message for warning in clock_warnings]
     return Record(path, time, None, 1.0, "s", columns, tuple(notes), tuple(faults))
-
-
-def _without_angle(track: Track) -> bool:
-    return not any(parse(name).quantity == "angle" for name in track.columns)
 
 
 def _valid_columns(columns: Mapping[str, FloatArray]) -> tuple[dict[str, FloatArray], list[str]]:

@@ -45,7 +45,7 @@ _SIDES: dict[str, Side] = {
     **dict.fromkeys(["l", "link", "arm", "load", "output", "out", "secondary", "ls"], "link"),
 }
 # words of a commanded angle or velocity, which is a reference
-_COMMAND_WORDS = ("cmd", "command", "commanded")
+_COMMAND_WORDS = {"cmd", "command", "commanded"}
 # words that have other meanings too
 _AMBIGUOUS_WORDS = (
     "v",
@@ -114,7 +114,6 @@ class ParsedName:
     unrecognised_word: str = ""  # unrecognised word; in a table it may be the name of the joint
     unit: str | None = None
     side: Side | None = None
-    commanded: bool = False  # whether the name has a word of a command
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
     placed: bool = True  # False: the joint is a guess
@@ -141,8 +140,7 @@ def parse(name: str) -> ParsedName:
         number = numbers[-1]
     lowercase = [token.lower() for token in words]
     sides = [_SIDES[token] for token in lowercase if token in _SIDES]
-    commanded = any(token in _COMMAND_WORDS for token in lowercase)
-    if commanded and quantity in ("angle", "velocity"):
+    if quantity in ("angle", "velocity") and not _COMMAND_WORDS.isdisjoint(lowercase):
         quantity = "reference"
     side = sides[-1] if sides else None
     known_words = {
@@ -157,7 +155,7 @@ def parse(name: str) -> ParsedName:
     )
     is_channel = re.fullmatch(rf"({'|'.join(channel_kinds())})\d", name) is not None
     sure = is_channel or (bool(word) and word not in _AMBIGUOUS_WORDS)
-    return ParsedName(quantity, number, label, unknown_word, unit, side, commanded, word, sure)
+    return ParsedName(quantity, number, label, unknown_word, unit, side, word, sure)
 
 
 def _tokens(text: str) -> list[str]:

@@ -24,7 +24,7 @@ from strainwave.domain.link_sensors import link_channel_kinds
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import Track, resample_tracks
-from strainwave.io.logs.in_memory import Data, is_path, open_memory_table
+from strainwave.io.logs.in_memory import Data, open_memory_table
 from strainwave.io.logs.tables import Table, open_table, release_reader_memory, write_table
 from strainwave.numerics.parallel import run_parallel
 
@@ -91,7 +91,7 @@ def read_log(study: Study, experiment: Experiment, data: Any = None) -> Log:
 
 def _open(study: Study, experiment: Experiment, data: Any) -> tuple[Table | Bag, Path]:
     """Return an experiment's table, and the path or name for messages."""
-    if data is not None and not is_path(data):
+    if data is not None and not isinstance(data, str | Path):
         name = f"data[{experiment.name!r}]"
         return open_memory_table(data, name), Path(name)
     path = study.log_path(experiment) if data is None else Path(data)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from strainwave.domain import FloatArray
@@ -12,11 +11,6 @@ from strainwave.io.logs.tables import Table, vectors
 
 Data = Mapping[str, Any]
 """Name of an experiment -> its log: a table in memory, or the path of a file."""
-
-
-def is_path(data: object) -> bool:
-    """Whether data are a path instead of a table."""
-    return isinstance(data, str | Path)
 
 
 def open_memory_table(data: Any, where: str) -> Table:
