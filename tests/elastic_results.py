@@ -143,7 +143,6 @@ def decoupled(name: str, size: float, *, use: str = "frequency", joint: int = 1)
         shared=(),
         fusion=None,
         richness_hz=np.linspace(1.0, 40.0, 40),
-        richness=np.ones(40),
         checks=(),
     )
 

@@ -48,7 +48,6 @@ def record(
         bandwidth_hz=None,
         fusion=None,
         richness_hz=EMPTY[:, 0],
-        richness=EMPTY[:, 0],
         checks=(),
     )
     w = 2.0 * np.pi * hz

@@ -59,8 +59,7 @@ class Decoupled(Displayed):
     bandwidth_hz: float | None  # of a zero-phase filter of all signals; None: no filter
     shared: tuple[Lag, ...]  # low-passes applied to every signal
     fusion: Fusion | None  # of the link velocity; part of the output equation
-    richness_hz: FloatArray  # (n_frequencies,) [Hz]
-    richness: FloatArray  # (n_frequencies,) smallest over largest eigenvalue of the input spectrum
+    richness_hz: FloatArray  # (n_frequencies,) [Hz] at which the inputs are tested
     checks: tuple[Check, ...]
     warnings: tuple[Diagnostic, ...] = ()
     posture: tuple[float, ...] = ()  # link angles [rad] of m_L; empty: all are zero

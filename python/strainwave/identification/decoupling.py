@@ -82,14 +82,13 @@ def decouple(
         band = options.band_hz or _motion_band(signals, i)
         frequency, density = _spectra(inputs, signals.sample_time)
         inside = (frequency >= band[0]) & (frequency <= band[1])
-        richness = _richness(density[inside])
         checks = [_check_sliding(signals, i)]
         if tau is not None:
             checks += [
                 _check_inertia(signals, arm, base, i),
                 _check_amplitude(inputs, arm.joints[i].gear_ratio),
                 _check_spectrum(frequency, density[:, 1, 1].real, inside),
-                _check_richness(richness, band),
+                _check_richness(_richness(density[inside]), band),
             ]
         records.append(
             Decoupled(
@@ -105,14 +104,13 @@ def decouple(
                 held=signals.held[i],
                 gear_ratio=arm.joints[i].gear_ratio,
                 total_inertia=float(total_inertias(model, arm, postures)[i]) if model else None,
-                total_viscous_friction=_total_viscous_friction(model, arm, i + 1)
-                if model
-                else None,
+                total_viscous_friction=(
+                    model.value(viscous_friction(arm), i + 1) if model else None
+                ),
                 bandwidth_hz=signals.bandwidth_hz,
                 shared=signals.shared,
                 fusion=signals.fusion[i],
                 richness_hz=frequency[inside],
-                richness=richness,
                 checks=tuple(checks),
                 warnings=tuple(_warnings(signals, arm, i, checks)),
                 posture=tuple(postures[i].tolist()),
@@ -134,10 +132,6 @@ def _interaction(
     base = base_parameters(model, arm)
     motion = (signals.link_angle, signals.link_velocity, signals.link_acceleration)
     return base, interaction_torques(arm, base, *motion, postures)
-
-
-def _total_viscous_friction(model: RigidModel, arm: Arm, joint: int) -> float | None:
-    return model.value(viscous_friction(arm), joint)
 
 
 def subtract_friction(signals: LinkSignals, part: Decoupled, joint: JointModel) -> Decoupled:

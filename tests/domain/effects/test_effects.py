@@ -32,7 +32,7 @@ from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.errors import InvalidInput
 from strainwave.identification.whole_arm.selection.causes import warn_likely_cause
 from strainwave.io.study import read_study
-from strainwave.presentation.report.remedies import remedies
+from strainwave.presentation.report.remedies import advice
 from virtual_arms import ELASTIC_JOINT
 
 EFFECTS = effects.all_effects()
@@ -186,7 +186,7 @@ def test_the_warning_contains_experiment_and_remedy(effect: Effect) -> None:
     (warning,) = warn_likely_cause([likeliest, other])
     assert warning.code == effect.warning_code
     assert effect.experiment in warning.message
-    assert remedies()[warning.code] == effect.remedy
+    assert advice()[warning.code].remedy == effect.remedy
     assert "would explain 40 % of the residuals" in warning.message
     assert "motor_inertia of joint 1 by -5 %" in warning.message
     assert "less likely causes are stribeck of joint 2" in warning.message
@@ -288,7 +288,7 @@ def test_a_registered_effect_is_simulated(registered: Effect, tmp_path: Path) ->
     registered_arm = Arm.of(read_study(study(tmp_path, '["breakaway"]'), logs_exist=False).arm)
     assert registered_arm.joints[0].effects == ("breakaway",)
     assert ("stribeck_friction", 1) in registered_arm.parameter_names
-    assert remedies()["breakaway-likely"].startswith('Set effects = ["breakaway"]')
+    assert advice()["breakaway-likely"].remedy.startswith('Set effects = ["breakaway"]')
     own = registered.starts(KNOWN)
     np.testing.assert_array_equal(motion(("breakaway",), own), motion(("stribeck",), own))
     both = motion(("stribeck", "breakaway"), own)  # one effect of the core by two names
@@ -314,7 +314,7 @@ def test_an_unregistered_effect_is_rejected(registered: Effect, tmp_path: Path) 
         read_study(study(tmp_path, '["breakaway"]'), logs_exist=False)
     with pytest.raises(InvalidInput, match="no effect 'breakaway'"):
         effect_named("breakaway")
-    assert "breakaway-likely" not in remedies()
+    assert "breakaway-likely" not in advice()
     effects.register(registered)
 
 

@@ -281,7 +281,7 @@ def test_warning_codes_name_their_section_of_the_documentation() -> None:
     assert "<code>saturated</code>" in page
     assert f"<code>{remedies.TROUBLESHOOTING_PAGE}</code>" in page
     sections = (ROOT / remedies.TROUBLESHOOTING_PAGE).read_text(encoding="utf-8")
-    assert [code for code in remedies.remedies() if f"\n### `{code}`\n" not in sections] == []
+    assert [code for code in remedies.advice() if f"\n### `{code}`\n" not in sections] == []
 
 
 def test_sections_are_open_and_fitted_records_are_folded() -> None:

@@ -34,9 +34,9 @@ __all__ = [
     "Fit",
     "WholeArmOptions",
     "fit_records",
+    "fit_whole_arm",
     "has_likelier_effect",
     "predicted_parameters",
-    "tune",
 ]
 
 

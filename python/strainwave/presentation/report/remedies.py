@@ -311,11 +311,6 @@ def advice() -> Mapping[str, Advice]:
     return _RESULT | effects | _DATA | _SCOPE
 
 
-def remedies() -> Mapping[str, str]:
-    """Remedy by code, the most serious first."""
-    return {code: entry.remedy for code, entry in advice().items()}
-
-
 def most_serious(warnings: Iterable[Diagnostic]) -> Diagnostic:
     """The first of the most serious warnings; there must be at least one."""
     return min(warnings, key=_severity_rank)

@@ -200,7 +200,8 @@ def _describe_unpredicted(names: Sequence[str], reason: str) -> str:
 
 def _fit_row(model: str, fits: Sequence[Fit]) -> Row:
     lowest, channel, record = min(fits)
-    numbers = (str(len(fits)), f"{_median(fits):.1f} %", f"{lowest:.1f} %")
+    median = np.median([fit for fit, _, _ in fits])
+    numbers = (str(len(fits)), f"{median:.1f} %", f"{lowest:.1f} %")
     return (model, *map(number, numbers), f"{channel} in {record}")
 
 
@@ -214,10 +215,6 @@ def check_fits(identification: Identification) -> dict[str, list[Fit]]:
             if math.isfinite(fit)
         ]
     return fits
-
-
-def _median(fits: Sequence[Fit]) -> float:
-    return float(np.median([fit for fit, _, _ in fits]))
 
 
 def _warning_blocks(identification: Identification) -> Iterator[Paragraph]:

@@ -77,11 +77,6 @@ class Family:
         """Number of joints."""
         return len(self.ratio)
 
-    @property
-    def n_coordinates(self) -> int:
-        """Number of coordinates of an arm."""
-        return self.n_joints * (COORDINATES_PER_JOINT + (2 if self.total_inertia is None else 0))
-
     def point(
         self, ring: FloatArray, share: FloatArray, damping: float, total: FloatArray | None = None
     ) -> FloatArray:

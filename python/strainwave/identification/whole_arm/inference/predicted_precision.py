@@ -67,7 +67,11 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     sampling_limit = MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in used)
     fastest = arm.fastest_resonance(known)
     cutoff = min([signal_hz, sampling_limit] + ([CUTOFF_TO_RESONANCE * fastest] if fastest else []))
-    keys: list[Key] = [k for k in arm.core.parameter_names if _is_unknown(k, known)]
+    keys: list[Key] = [  # all but settling times, as in a fit
+        key
+        for key in arm.core.parameter_names
+        if key[0] != SETTLING and (key in known or key[0] == OFFSET)
+    ]
     values = dict.fromkeys(keys, 0.0) | known
     sizes = reference_sizes(values)
     scale = np.array([sizes[key] or 1.0 for key in keys])
@@ -82,11 +86,6 @@ def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter,
     gradient_covariance = sum((own for _, own in evidence), from_prior)
     covariance = inverse @ gradient_covariance @ inverse + MIN_VARIANCE_SHARE * inverse
     return tuple(_parameters(arm, keys, values, covariance * np.outer(scale, scale)))
-
-
-def _is_unknown(key: Key, known: Values) -> bool:
-    """Whether a fit would estimate the parameter: all but settling times."""
-    return key[0] != SETTLING and (key in known or key[0] == OFFSET)
 
 
 def _information_of(

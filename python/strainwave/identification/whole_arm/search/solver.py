@@ -106,13 +106,9 @@ def fine_search(start: Fit, options: WholeArmOptions) -> Fit:
             break
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-        fit = refine(_update_corrections(fit), options, tolerance)
+        corrected = fit.objective.correct_step_error(fit.z).update_weights(fit.z)
+        fit = refine(replace(fit, objective=corrected), options, tolerance)
     return fit
-
-
-def _update_corrections(fit: Fit) -> Fit:
-    """Update the step error correction and the weights at the current iterate."""
-    return replace(fit, objective=fit.objective.correct_step_error(fit.z).update_weights(fit.z))
 
 
 def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERANCE) -> Fit:
