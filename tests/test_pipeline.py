@@ -14,6 +14,10 @@ import pytest
 from strainwave import pipeline
 from strainwave.domain import Identification, JointModel, Prbs
 from strainwave.domain.progress import ProgressEvent
+from strainwave.dynamics.arm import Arm
+from strainwave.pipeline.elastic_joints import fit_elastic_joints, typical_joints
+from strainwave.pipeline.inputs import Inputs
+from strainwave.pipeline.reporter import Reporter
 from strainwave.virtual import experiments as virtual
 from strainwave.virtual import scara
 
@@ -135,3 +139,13 @@ def test_a_tuned_linear_arm_predicts_steps(
     }
     for joint in (1, 2):
         assert fits[f"step-check-j{joint}", f"omega_m{joint}"] > 97.0
+
+
+def test_coupled_joints_have_no_models_of_their_own() -> None:
+    study = scara.study(Path("nowhere"))
+    arm = Arm.of(replace(study.arm, kind="serial", coupling=((1.0, 0.0), (-0.8, 1.0))))
+    inputs = Inputs(study, arm, (), ("decoupled",))
+    stage = fit_elastic_joints(inputs, None, Reporter(inputs.stages, lambda _: None))
+    assert not stage.joints
+    assert "the transmission couples joints" in stage.warnings[0].message
+    assert not typical_joints(inputs, None).warnings  # without step records

@@ -151,6 +151,12 @@ class ArmDescription:
         return math.hypot(*self.gravity) if self.gravity else 0.0
 
     @property
+    def is_coupled(self) -> bool:
+        """Whether a motor moves several joints."""
+        rows = enumerate(self.coupling or ())
+        return any(value != 0.0 and i != j for i, row in rows for j, value in enumerate(row))
+
+    @property
     def has_planar_program(self) -> bool:
         """Whether the core has a compiled program of this kind, for motion in the xy plane."""
         return self.kind in _PLANAR_PROGRAMS

@@ -71,8 +71,8 @@ class Arm(ArmDescription):
 
     @cached_property
     def gear_ratios(self) -> FloatArray:
-        """n, link turns per motor turn: (n_joints,)."""
-        return _constant([joint.gear_ratio for joint in self.joints])
+        """Turns of each link per turn of its own motor, the diagonal of C N: (n_joints,)."""
+        return _constant(np.diagonal(self.transmission).tolist())
 
     @cached_property
     def transmission(self) -> FloatArray:
@@ -225,6 +225,14 @@ class Arm(ArmDescription):
             return np.asarray(links / self.gear_ratios)
         return np.asarray(links @ np.linalg.inv(self.transmission).T)
 
+    def link_velocity_limits(self, motors: FloatArray) -> FloatArray:
+        """Link speeds [rad/s] up to which no motor exceeds its limit in `motors` (n_joints,)."""
+        links = motors * np.abs(self.gear_ratios)
+        if not self.is_coupled:
+            return np.asarray(links)
+        fastest = np.abs(np.linalg.inv(self.transmission)) @ links
+        return np.asarray(links * np.min(motors / fastest))
+
     def links_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
         """Link parameters that have given base parameters: (n_links, n_body).
 
@@ -309,8 +317,8 @@ class Arm(ArmDescription):
 
             det(K - w^2 M) = 0
 
-        M contains the links, folded or stretched, and the motors, J/n^2. Zero if the values do not
-        determine the frequency.
+        M contains the links, folded or stretched, and the motors, seen from the links. Zero if the
+        values do not determine the frequency.
         """
         known, n = complete_values(values, self), self.n_joints
         numbers = range(1, n + 1)
@@ -320,7 +328,8 @@ class Arm(ArmDescription):
             laws = [joint.law.of_joint(known, i) for i, joint in enumerate(self.joints, start=1)]
             pairs = zip(self.joints, laws, strict=True)
             k = np.diag([joint.law.stiffness_range(values)[1] for joint, values in pairs])
-            motor = np.diag([known["motor_inertia", i] for i in numbers] / self.gear_ratios**2)
+            by_links = self.motor_accelerations(np.eye(n))
+            motor = by_links @ np.diag([known["motor_inertia", i] for i in numbers]) @ by_links.T
             base = [
                 known.get(key, 0.0) if _is_zero_by_default(key) else known[key]
                 for key in self.base_names

@@ -124,7 +124,8 @@ def _drive(search: Search, values: Values, series: Fourier, periods: int) -> _Pl
         if search.within(lead_in) and search.within(lead_out):
             break
     steady = series.at(_ticks(periods * series.period, tick))
-    angle = np.concatenate([lead_in[0], steady[0], lead_out[0]]) / arm.gear_ratios
+    links = np.concatenate([lead_in[0], steady[0], lead_out[0]])
+    angle = arm.motor_accelerations(links)
     # the servo differentiates the encoder reading, so its reference is the difference of the angle
     reference = np.diff(angle, axis=0, append=angle[-1:]) / tick
     return _PlannedDrive(servo_drive(arm, values, reference), angle, float(lead))
@@ -173,12 +174,12 @@ def _periods(search: Search, values: Values, series: Fourier) -> tuple[int, str]
 
 
 def _inertia_at_motor(search: Search) -> FloatArray:
-    """Inertia of each joint, motor side, with the arm stretched: (n_joints,)."""
+    """Inertia at each motor with the arm stretched: (n_joints,)."""
     n = search.arm.n_joints
-    rest = np.zeros((n, n))
-    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, np.eye(n))
+    rest, of_motors = np.zeros((n, n)), search.arm.links_of(np.eye(n))
+    accelerated = search.arm.inverse_dynamics(search.vector, rest, rest, of_motors)
     static = search.arm.inverse_dynamics(search.vector, rest, rest, rest)
-    return np.asarray(np.diag(accelerated - static) * search.arm.gear_ratios)
+    return np.diagonal(accelerated - static)
 
 
 def _sizes(arm: Arm, values: Values) -> dict[int, float]:

@@ -80,7 +80,7 @@ def full_regressor(arm: Arm, motion: Motion) -> FloatArray:
     Columns are those of `Arm.rigid_columns`. The sign of the velocity changes smoothly over 1 % of
     the largest velocity, so that the condition number is differentiable.
     """
-    velocity = motion[1] / arm.gear_ratios
+    velocity = arm.motor_accelerations(motion[1])
     n = arm.n_joints
     bodies = arm.rigid_regressor(*(x.reshape(-1, n) for x in motion))
     parts = [bodies.reshape(*velocity.shape, bodies.shape[-1])]
@@ -185,7 +185,7 @@ class Search:
         angle, velocity, acceleration = Fourier(
             self.period, np.zeros_like(offset), sine, cosine
         ).of(self.waves)
-        fastest = _VELOCITY_SHARE * np.array(self.limits.velocity) * self.arm.gear_ratios
+        fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
         highest, lowest = (f(angle, axis=-2, keepdims=True) for f in (np.max, np.min))
         room = np.minimum((limit - offset) / highest, (limit + offset) / -lowest)
         scale = np.minimum(room, fastest / np.abs(velocity).max(axis=-2, keepdims=True))
@@ -231,7 +231,7 @@ class Search:
 
     def within(self, motion: Motion) -> bool:
         """Whether a motion satisfies all limits with a margin."""
-        fastest = _VELOCITY_SHARE * np.array(self.limits.velocity) * self.arm.gear_ratios
+        fastest = self.arm.link_velocity_limits(_VELOCITY_SHARE * np.array(self.limits.velocity))
         is_near = np.abs(motion[0]).max(0) <= _ANGLE_SHARE * np.array(self.limits.angle) + 1e-12
         is_slow = np.abs(motion[1]).max(0) <= fastest + 1e-12
         if not (is_near.all() and is_slow.all()):

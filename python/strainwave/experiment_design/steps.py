@@ -46,9 +46,11 @@ def step_records(
 def _largest(arm: Arm, servo: Servo, limits: Limits, joint: int, hold: float) -> float:
     """Largest step [rad/s, motor side] that no single limit excludes."""
     i = joint - 1
-    ratio = abs(arm.joints[i].gear_ratio)
     by_voltage = limits.voltage[i] / servo.kp[i] if servo.kp[i] > 0.0 else np.inf
-    return _STEP_LIMIT_SHARE * min(limits.velocity[i], by_voltage, limits.angle[i] / (ratio * hold))
+    turns = np.abs(arm.transmission[:, i])  # of the links per turn of the motor
+    moves = turns > 0.0
+    by_angle = float(np.min(np.array(limits.angle)[moves] / (turns[moves] * hold)))
+    return _STEP_LIMIT_SHARE * min(limits.velocity[i], by_voltage, by_angle)
 
 
 def _record(

@@ -86,7 +86,7 @@ def decouple(
         if tau is not None:
             checks += [
                 _check_inertia(signals, arm, base, i),
-                _check_amplitude(inputs, arm.joints[i].gear_ratio),
+                _check_amplitude(inputs, arm.gear_ratios[i]),
                 _check_spectrum(frequency, density[:, 1, 1].real, inside),
                 _check_richness(_richness(density[inside]), band),
             ]
@@ -102,7 +102,7 @@ def decouple(
                 ),
                 valid=np.asarray(signals.valid.all(axis=1)),
                 held=signals.held[i],
-                gear_ratio=arm.joints[i].gear_ratio,
+                gear_ratio=float(arm.gear_ratios[i]),
                 total_inertia=float(total_inertias(model, arm, postures)[i]) if model else None,
                 total_viscous_friction=(
                     model.value(viscous_friction(arm), i + 1) if model else None

@@ -63,6 +63,8 @@ def fit_elastic_joints(
     Without excited records, there are no models.
     """
     excited = inputs.logs_of("frequency", "sweep")
+    if inputs.arm.is_coupled:
+        return _refuse_coupling(inputs)
     if not excited:
         return JointStage(warnings=(Diagnostic("no-frequency-record", inputs.place),))
     if rigid_model is None and not is_uncoupled(inputs.arm):
@@ -106,7 +108,17 @@ def typical_joints(inputs: Inputs, rigid_model: RigidModel | None) -> JointStage
     """Typical gears to start from if only step records excite them."""
     if not inputs.logs_of("tuning"):
         return JointStage()
+    if inputs.arm.is_coupled:
+        return _refuse_coupling(inputs)
     return _fit_alternatives(inputs, physical.models_from_catalogue, rigid_model)
+
+
+def _refuse_coupling(inputs: Inputs) -> JointStage:
+    """No models: motors that move several joints have no model of one joint."""
+    reason = "the transmission couples joints, so that no joint has a model of its own"
+    return JointStage(
+        warnings=(Diagnostic("not-identifiable", inputs.place, "reason", reason=reason),)
+    )
 
 
 def _fit_alternatives(
@@ -171,7 +183,7 @@ def _fit_joints(
         ]
         response = _response(records, options.responses)
         responses |= {} if response is None else {joint.joint: response}
-    ratios = [each.gear_ratio for each in arm.joints]
+    ratios = arm.gear_ratios.tolist()
     joints = [
         physical.compare_response(j, ratios[j.joint - 1], responses.get(j.joint)) for j in joints
     ]

@@ -159,7 +159,7 @@ class WeightedEquations:
 
 def _piece(signals: LinkSignals, decoupled: Decoupled, arm: Arm, band: Band) -> Piece:
     i, T = decoupled.joint - 1, signals.sample_time
-    n = arm.joints[i].gear_ratio
+    n = float(arm.gear_ratios[i])
     low, high = band
     edge = int(1.5 / (low * T))
     edge = min(edge, len(signals.time) // 4)

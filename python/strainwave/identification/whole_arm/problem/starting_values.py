@@ -70,7 +70,7 @@ def starting_values_of(
         damping = min(
             max(damping, _DAMPING_RATIO_RANGE[0] * critical), _DAMPING_RATIO_RANGE[1] * critical
         )
-        friction = _friction(rigid, models[number], arm.joints[number - 1].gear_ratio)
+        friction = _friction(rigid, models[number], float(arm.gear_ratios[number - 1]))
         start |= {(name, number): value for name, value in friction.items()}
         start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping
     return StartingValues(start, rejected)
