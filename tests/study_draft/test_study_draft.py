@@ -16,6 +16,8 @@ import virtual_arms
 from command_line import Finished, run_here
 from strainwave import pipeline
 from strainwave.domain import FloatArray, Log, Prbs
+from strainwave.domain.kinds import register, unregister
+from strainwave.domain.kinds.serial import SerialChain
 from strainwave.dynamics import excitation
 from strainwave.errors import InvalidInput
 from strainwave.io.logs import read_log, read_logs, write_log
@@ -310,24 +312,43 @@ def test_a_column_with_one_nan_is_mapped_and_reported(tmp_path: Path) -> None:
         read_logs(study)
 
 
-def test_more_than_two_joints_give_the_first_warning(tmp_path: Path) -> None:
+def six_joints() -> dict[str, FloatArray]:
+    """Return columns of six joints."""
     truth = motion()
     columns = {"t": truth["t"]}
     for number in range(1, 7):
         columns[f"q{number}"] = truth[f"theta_m{1 + number % 2}"]
         columns[f"tau{number}"] = truth[f"u{1 + number % 2}"]
+    return columns
+
+
+def test_too_many_joints_give_the_first_warning(tmp_path: Path) -> None:
+    columns = six_joints()
     write_log(tmp_path / "six.csv", columns)
     output = run_init(tmp_path / "six.csv", "--out", tmp_path / "study.toml").stdout
     assert output.startswith(
-        "limit: these logs have angles of 6 joints, but only arms of one joint, or of two"
+        "limit: these logs have angles of 6 joints, of which 1, 2 are used as joints 1 to"
+        " 2: those that move, at most 2"
     )
-    assert "Assigned to joint 1 and 2: 1, 2 of the logs" in output
     del columns["t"]
     write_log(tmp_path / "timeless.csv", columns)
-    with pytest.raises(
-        InvalidInput, match="columns are of 6 joints, but only arms of one joint, or of two"
-    ):
+    with pytest.raises(InvalidInput, match="columns are of 6 joints, but an arm has at most 2"):
         start_study([tmp_path / "timeless.csv"], tmp_path / "other.toml")
+
+
+def test_the_draft_of_a_chain_places_its_joints(tmp_path: Path) -> None:
+    write_log(tmp_path / "six.csv", six_joints())
+    register(SerialChain())
+    try:
+        draft = start_study([tmp_path / "six.csv"], tmp_path / "study.toml")
+    finally:
+        unregister("serial")
+    assert not draft.limit
+    text = (tmp_path / "study.toml").read_text()
+    assert 'kind = "serial"' in text
+    assert text.count("origin = { xyz = [TODO, TODO, TODO], rpy = [TODO, TODO, TODO] }") == 6
+    assert text.count("axis = [TODO, TODO, TODO]") == 6
+    assert 'theta_m6 = "q6"' in text
 
 
 def steps(joint: int, level: float, seconds: float = 3.0) -> dict[str, FloatArray]:

@@ -14,7 +14,7 @@ from strainwave.errors import InvalidInput
 from strainwave.io.logs.bags import Bag, is_bag
 from strainwave.io.logs.clocks import MIN_SAMPLES, Track, resample_tracks
 from strainwave.io.logs.tables import MAX_MAGNITUDE, find_invalid_value, open_table
-from strainwave.study_draft.names import MAX_JOINTS, UNITS, parse
+from strainwave.study_draft.names import UNITS, max_joints, parse
 from strainwave.study_draft.signal_features import is_clock, time_unit
 
 _MAX_INVALID_SHARE = (
@@ -115,11 +115,11 @@ def _time_column(columns: dict[str, FloatArray], path: Path) -> _TimeColumn:
 def _joint_limit_remark(columns: Collection[str]) -> str:
     """Return a remark if the columns have more joints than a supported arm, else an empty text."""
     numbers = {number for name in columns if (number := parse(name).number) is not None}
-    if len(numbers) <= MAX_JOINTS:
+    if len(numbers) <= max_joints():
         return ""
     return (
-        f". The columns are of {len(numbers)} joints, but only arms of one joint, or of two links "
-        "in one plane, are supported"
+        f". The columns are of {len(numbers)} joints, but an arm has at most {max_joints()}; leave"
+        " out those of joints at standstill"
     )
 
 

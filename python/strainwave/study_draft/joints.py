@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from strainwave.domain import FloatArray
 from strainwave.study_draft.inspection import Record
-from strainwave.study_draft.names import MAX_JOINTS, ParsedName, parse
+from strainwave.study_draft.names import ParsedName, max_joints, parse
 from strainwave.study_draft.signal_features import levels, relation
 
 _MIN_DERIVATIVE_CORRELATION = (
@@ -28,7 +28,7 @@ def assign_columns(record: Record, fullest: Record | None = None) -> ColumnAssig
     """Assign each column a quantity and a joint number.
 
     Joints count from 1. `fullest` is the record of the same arm that determines the moving joints;
-    by default `record`. Columns of joints beyond MAX_JOINTS are omitted.
+    by default `record`. Columns of joints beyond `max_joints` are omitted.
     """
     parsed_names = {name: parse(name) for name in record.columns}
     notes: list[str] = []
@@ -38,14 +38,13 @@ def assign_columns(record: Record, fullest: Record | None = None) -> ColumnAssig
     numbered = _number_joints(parsed_names)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
     moving = [j for j in joints if _is_moving(fullest or record, numbered, j)] or joints
-    chosen = sorted(moving[:MAX_JOINTS])
+    chosen = sorted(moving[: max_joints()])
     limit = ""
     if len(joints) > len(chosen):
         limit = (
-            f"these logs have angles of {len(joints)} joints, but only arms of one joint, or of "
-            "two links in one plane, are supported. Assigned to joint "
-            f"{' and '.join(str(k) for k in range(1, len(chosen) + 1))}: "
-            f"{', '.join(_joint_label(numbered, j) for j in chosen)} of the logs. The result holds"
+            f"these logs have angles of {len(joints)} joints, of which"
+            f" {', '.join(_joint_label(numbered, j) for j in chosen)} are used as joints 1 to"
+            f" {len(chosen)}: those that move, at most {max_joints()}. The result holds"
             " only if the other joints are at standstill in every record"
         )
     order = {joint: k for k, joint in enumerate(chosen, start=1)}

@@ -8,6 +8,7 @@ from math import pi
 from typing import Literal
 
 from strainwave.domain import channel_kinds
+from strainwave.domain.kinds import all_kinds
 
 Quantity = Literal[
     "time",
@@ -22,9 +23,6 @@ Quantity = Literal[
     "reference",
 ]
 Side = Literal["motor", "link"]
-
-MAX_JOINTS = 2
-"""Maximum number of joints of a supported arm."""
 
 _WORDS: tuple[tuple[Quantity, str], ...] = (  # the first match applies
     ("deflection", "defl deflection twist torsion"),
@@ -117,6 +115,11 @@ class ParsedName:
     word: str = ""  # word that determined the quantity
     sure: bool = False  # whether the word is unambiguous
     placed: bool = True  # False: the joint is a guess
+
+
+def max_joints() -> int:
+    """Most joints of an arm that study files can describe."""
+    return max(kind.max_joints for kind in all_kinds())
 
 
 def parse(name: str) -> ParsedName:

@@ -40,6 +40,7 @@ def study_text(
     body = fill_text(
         Path(__file__).with_name("study.toml.j2"),
         mapping=mapping,
+        kind=_kind(mapping),
         experiments=experiments,
         record=records[0],
         elastic=elastic,
@@ -66,6 +67,13 @@ def study_text(
         " likely or unsure. docs/study.md describes every key. When the file is complete, run"
     )
     return f"{head}\n#     strainwave identify {out.name} --out results\n\n{body}"
+
+
+def _kind(mapping: Mapping) -> str:
+    """The simplest kind of arm for the joints; two axes are likely parallel."""
+    n_joints = len(mapping.joints)
+    is_chain = n_joints > 2 or (n_joints == 2 and any(facts.prismatic for facts in mapping.joints))
+    return "serial" if is_chain else "planar-two-link" if n_joints == 2 else "single-joint"
 
 
 def count_todos(text: str) -> int:

@@ -84,6 +84,9 @@ def in_plane_gravity(gravity: float | None) -> Vector | None:
 
 Table = TypeVar("Table")
 
+MAX_JOINTS = 7
+"""Most joints of a chain in the compiled core."""
+
 
 class Kind(ABC, Generic[Table]):
     """An arm kind: a constructor of chains from an `[arm]` table.
@@ -95,6 +98,9 @@ class Kind(ABC, Generic[Table]):
 
     name: str
     """Value of `kind` in a study file."""
+
+    max_joints: int = MAX_JOINTS
+    """Most joints of an arm of this kind."""
 
     table: type[Table]
     """Keys of `[arm]`, without `kind`."""

@@ -62,6 +62,7 @@ class PlanarTwoLink(Kind[PlanarTable]):
     """Joint 2 sits at the end of link 1 with its axis parallel to that of joint 1."""
 
     name = "planar-two-link"
+    max_joints = 2
     table = PlanarTable
     gravity_note = "gravity_torque_2 link_length/gamma"
 

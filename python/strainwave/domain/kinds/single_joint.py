@@ -45,6 +45,7 @@ class SingleJoint(Kind[SingleJointTable]):
     """One motor, one gear and one link."""
 
     name = "single-joint"
+    max_joints = 1
     table = SingleJointTable
 
     def standard_rows(self, arm: ArmDescription) -> Mapping[Key, Row]:
