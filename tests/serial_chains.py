@@ -72,4 +72,4 @@ def chain(joints: list[Joint], **constants: Any) -> _core.Arm:
     n = len(joints)
     springs, ratios = ["linear"] * n, [0.01] * n
     given: dict[str, Any] = {"springs": springs, "gear_ratio": ratios, "gravity": GRAVITY}
-    return _core.Arm.serial_chain(joints, **(given | constants))
+    return _core.Arm(joints, **(given | constants))

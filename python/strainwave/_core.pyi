@@ -28,33 +28,14 @@ class Arm:
 
     def __new__(
         cls,
-        kind: str,
-        springs: Sequence[str],
-        gear_ratio: Sequence[float],
-        *,
-        motion: str = "revolute",
-        torque_per_volt: Sequence[float] | None = None,
-        link_length: float = 0.0,
-        gravity: float = 0.0,
-        current_loop_hz: Sequence[float | None] | None = None,
-        encoder_counts: Sequence[float | None] | None = None,
-        accelerometer_distance: Sequence[float] | None = None,
-        accelerometer_hz: Sequence[float | None] | None = None,
-        gyro_hz: Sequence[float | None] | None = None,
-        imu_accelerometer_hz: Sequence[float | None] | None = None,
-        imu_gyro_hz: Sequence[float | None] | None = None,
-        effects: Sequence[Sequence[str]] | None = None,
-        gear_corner: float = ...,
-    ) -> Arm: ...
-    @staticmethod
-    def serial_chain(
         joints: Sequence[tuple[str, Sequence[float], Sequence[float], Sequence[float]]],
         springs: Sequence[str],
         gear_ratio: Sequence[float],
         *,
-        torque_per_volt: Sequence[float] | None = None,
+        program: str = "serial",
         gravity: Sequence[float] = ...,
         transmission: Sequence[Sequence[float]] | None = None,
+        torque_per_volt: Sequence[float] | None = None,
         current_loop_hz: Sequence[float | None] | None = None,
         encoder_counts: Sequence[float | None] | None = None,
         accelerometer_distance: Sequence[float] | None = None,
@@ -78,6 +59,11 @@ class Arm:
         rows of a `transmission` C, torsions are C n theta_M - q, and the motors carry n C' T;
         without it each motor moves its own joint. Raises ValueError for other numbers of joints,
         axes without a direction, a singular C, and a C that couples rigid and elastic gears.
+
+        `program` names compiled programs: "serial" for these chains; "planar-two-link" and
+        "single-joint" for planar arms, whose joints are given in the same way, and whose parameters
+        are those of their closed forms. Raises ValueError for other programs, and for a
+        `transmission` of a planar arm.
         """
     @property
     def n_joints(self) -> int: ...
@@ -163,7 +149,7 @@ class Arm:
         """Motion of each link in its own frame: (n_samples, n_joints, 9).
 
         Angular velocity [rad/s], angular acceleration [rad/s^2], and specific force a - g [m/s^2]
-        of the frame's origin. Frames as in `serial_chain`; a planar arm moves in the x-y plane,
+        of the frame's origin. Frames as in `Arm`; a planar arm moves in the x-y plane,
         along x if it is prismatic, and gravity acts against y.
         """
     def link_motion_derivatives(

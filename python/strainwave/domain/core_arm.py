@@ -17,20 +17,13 @@ def core_arm(arm: ArmDescription, springs: Sequence[str], **constants: Any) -> C
 
     Planar arms have compiled programs of their own, which are faster than those of a chain.
     """
-    ratios = [joint.gear_ratio for joint in arm.joints]
-    if not arm.has_planar_program:
-        placed = [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints]
-        gravity = arm.gravity or (0.0, 0.0, 0.0)
-        return CoreArm.serial_chain(
-            placed, springs, ratios, gravity=gravity, transmission=arm.coupling, **constants
-        )
     return CoreArm(
-        arm.kind,
+        [(j.motion, j.origin.xyz, j.origin.rpy, j.axis) for j in arm.joints],
         springs,
-        ratios,
-        motion=arm.joints[0].motion,
-        link_length=arm.joints[-1].origin.xyz[0],
-        gravity=arm.gravity_size,
+        [joint.gear_ratio for joint in arm.joints],
+        program=arm.kind if arm.has_planar_program else "serial",
+        gravity=arm.gravity or (0.0, 0.0, 0.0),
+        transmission=arm.coupling,
         **constants,
     )
 

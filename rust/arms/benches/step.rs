@@ -4,8 +4,6 @@
 //! joint 1. Each figure is the minimum of many runs, because other processes slow some of them
 //! down.
 
-use std::time::Instant;
-
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use strainwave_arms::WithPrograms;
@@ -19,8 +17,8 @@ use strainwave_core::sensors::decimation::Decimation;
 
 /// Half a second of motion: short, so that some of many runs are undisturbed.
 const STEPS: usize = 4000;
-/// Runs per figure, of which the fastest counts.
-const RUNS: usize = 400;
+/// Processor time for the runs of a figure [s], of which the fastest counts.
+const TIME_PER_FIGURE: f64 = 0.5;
 /// Steps of 0.125 ms per tick, servo reading and row.
 const STEPS_PER_TICK: usize = 8;
 
@@ -31,11 +29,6 @@ const TAPS_PER_ROW: usize = 14;
 /// size of the largest block freed so far, as in `identify`. Otherwise every run would include
 /// clearing the pages of its results.
 const KEPT_MEMORY: usize = 31 << 20;
-
-/// Fewer runs for chains, because their steps take fifty times as long.
-const CHAIN_RUNS: usize = 20;
-/// Joints of the chain.
-const CHAIN: usize = 6;
 
 /// Parameters of motors and gears, in the order of their names.
 const DRIVES: [[f64; 12]; 2] = [
@@ -62,7 +55,9 @@ fn main() {
             let links = [&[1.6097, 0.64425, 0.7875][..], &gravity_torques].concat();
             bench_two_link(name, arm, &links, width);
         }
-        bench_chain(width);
+        bench_chain::<3>(width);
+        bench_chain::<6>(width);
+        bench_chain::<7>(width);
     }
 }
 
@@ -100,7 +95,11 @@ fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
     );
 }
 
-fn bench_chain(width: Width) {
+/// A plain run of a chain, and one with derivatives by all parameters that change the motion.
+fn bench_chain<const N: usize>(width: Width)
+where
+    SerialChain<N>: WithPrograms<N>,
+{
     let joint = |i: usize| ChainJoint {
         joint_type: JointType::Revolute,
         position: [0.0, 0.0, 0.2],
@@ -108,10 +107,9 @@ fn bench_chain(width: Width) {
         axis: [0.0, 0.0, 1.0],
         accelerometer_distance: 0.1,
     };
-    let joints: [ChainJoint; CHAIN] = std::array::from_fn(joint);
+    let joints: [ChainJoint; N] = std::array::from_fn(joint);
     let arm = SerialChain::new(&joints, [0.0, 0.0, -9.81]).expect("axes with a direction");
-    let sensors = [Quantity::MotorVelocity, Quantity::Accelerometer];
-    let mut chain = Bench::new(arm, &[], STEPS_PER_TICK, &sensors);
+    let mut chain = Bench::new(arm, &[], STEPS_PER_TICK, &[Quantity::MotorVelocity]);
     let value = |name: &str| match name {
         "link_mass" => 2.0,
         "link_inertia_xx" | "link_inertia_yy" | "link_inertia_zz" => 0.05,
@@ -121,13 +119,16 @@ fn bench_chain(width: Width) {
     let links = names.iter().filter(|name| name.0.starts_with("link_"));
     let links = links.filter(|name| name.0 != "link_viscous_friction");
     chain.parameters = links.map(|name| value(name.0)).collect();
-    chain.parameters.extend([DRIVES[0]; CHAIN].as_flattened());
-    chain.runs = CHAIN_RUNS;
-    let varied = chain.directions(&[]);
-    println!(
-        "chain of {CHAIN}, simulation: {:.0}, with 25 derivatives {:.0}",
+    chain.parameters.extend([DRIVES[0]; N].as_flattened());
+    let all = chain.directions(&[]);
+    let (plain, varied) = (
         chain.simulation(width),
-        chain.derivatives(&varied[..25], None, width),
+        chain.derivatives(&all, None, width),
+    );
+    println!(
+        "chain of {N}, simulation: {plain:.0}, with {} derivatives {varied:.0}: {:.1} plain runs",
+        all.len(),
+        varied / plain
     );
 }
 
@@ -136,7 +137,6 @@ struct Bench<A, const N: usize> {
     task: Task<A, N>,
     parameters: Vec<f64>,
     voltage: Vec<[f64; N]>,
-    runs: usize,
 }
 
 impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
@@ -179,7 +179,6 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
             },
             parameters: parameters.to_vec(),
             voltage: (0..=STEPS / STEPS_PER_TICK).map(|_| tick()).collect(),
-            runs: RUNS,
         }
     }
 
@@ -233,12 +232,24 @@ impl<A: WithPrograms<N>, const N: usize> Bench<A, N> {
 
     /// Minimum time of a step [ns].
     fn shortest_time(&self, run: impl Fn()) -> f64 {
-        let time = |_| {
-            let begin = Instant::now();
+        let (begin, mut shortest) = (processor_time(), f64::INFINITY);
+        while processor_time() - begin < TIME_PER_FIGURE {
+            let begin = processor_time();
             run();
-            begin.elapsed().as_secs_f64()
-        };
-        let shortest = (0..self.runs).map(time).fold(f64::INFINITY, f64::min);
+            shortest = shortest.min(processor_time() - begin);
+        }
         1e9 * shortest / STEPS as f64
     }
+}
+
+/// Processor time of this thread [s]; other processes do not add to it.
+fn processor_time() -> f64 {
+    let mut time = libc::timespec {
+        tv_sec: 0,
+        tv_nsec: 0,
+    };
+    // SAFETY: the pointer is valid, and every Unix has the clock.
+    let status = unsafe { libc::clock_gettime(libc::CLOCK_THREAD_CPUTIME_ID, &raw mut time) };
+    assert_eq!(status, 0);
+    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
 }

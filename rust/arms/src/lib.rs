@@ -18,9 +18,24 @@ pub struct Drives<'a> {
     pub corner: f64,
 }
 
+/// Links of an arm, and the transmission between motors and joints.
+#[derive(Clone, Copy, Debug)]
+pub struct Links<'a> {
+    /// Joints from the base.
+    pub joints: &'a [ChainJoint],
+    /// Acceleration of gravity [m/s^2] in the base frame.
+    pub gravity: [f64; 3],
+    /// Rows of C; empty: the identity.
+    pub transmission: &'a [Vec<f64>],
+}
+
 /// Error in the description of an arm.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ArmError {
+    /// No arm has programs of this name.
+    Program(String),
+    /// The programs of planar arms have no transmission.
+    PlanarTransmission,
     /// The number of joints does not match the arm.
     Joints {
         /// Number of joints of the arm.
@@ -48,6 +63,8 @@ pub const MAX_CHAIN_JOINTS: usize = 7;
 impl std::fmt::Display for ArmError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
+            Self::Program(name) => write!(f, "unknown arm kind {name:?}"),
+            Self::PlanarTransmission => write!(f, "only serial chains have a transmission"),
             Self::Joints { expected, got } => write!(f, "expected {expected} joints, got {got}"),
             Self::ChainLength(got) => {
                 write!(f, "a chain has 1 to {MAX_CHAIN_JOINTS} joints, got {got}")
@@ -122,7 +139,59 @@ impl WithPrograms<1> for OneLink {
     }
 }
 
-/// Implements [`WithPrograms`] for chains, and defines [`serial_chain`].
+/// An arm behind the common interface, with the programs of a name: `serial` for a chain of rigid
+/// links with joints placed anywhere in space, `planar-two-link` and `single-joint` for planar arms,
+/// which are described as chains too.
+///
+/// # Errors
+/// See [`ArmError`].
+///
+/// # Panics
+/// The processor has no registers of that width.
+pub fn compiled_arm(
+    program: &str,
+    links: &Links<'_>,
+    drives: &Drives<'_>,
+    width: Width,
+) -> Result<Box<dyn CompiledArm>, ArmError> {
+    let Links {
+        joints, gravity, ..
+    } = *links;
+    if program == "serial" {
+        return serial_chain(links, drives, width);
+    }
+    if !links.transmission.is_empty() {
+        return Err(ArmError::PlanarTransmission);
+    }
+    let gravity = gravity.into_iter().fold(0.0, f64::hypot);
+    let wrong_number = |expected| ArmError::Joints {
+        expected,
+        got: joints.len(),
+    };
+    match program {
+        "planar-two-link" => {
+            let joints: &[_; 2] = joints.try_into().map_err(|_| wrong_number(2))?;
+            let arm = TwoLink {
+                link_length: joints[1].position[0],
+                gravity,
+                accelerometer_distance: joints.map(|joint| joint.accelerometer_distance),
+            };
+            with_drives(arm, drives, width)
+        }
+        "single-joint" => {
+            let [joint] = joints.try_into().map_err(|_| wrong_number(1))?;
+            let arm = OneLink {
+                joint_type: joint.joint_type,
+                gravity,
+                accelerometer_distance: joint.accelerometer_distance,
+            };
+            with_drives(arm, drives, width)
+        }
+        unknown => Err(ArmError::Program(unknown.to_owned())),
+    }
+}
+
+/// Implements [`WithPrograms`] for chains, and defines `serial_chain`.
 macro_rules! chains {
     ($($joints:literal: $general:expr, $baseline:expr;)*) => {
         $(
@@ -137,27 +206,18 @@ macro_rules! chains {
             }
         )*
 
-        /// A chain of rigid links with joints placed anywhere in space, under an acceleration of
-        /// gravity [m/s^2] in the base frame. `transmission` has the rows of C; empty: the identity.
-        ///
-        /// # Errors
-        /// See [`ArmError`].
-        ///
-        /// # Panics
-        /// The processor has no registers of that width.
-        pub fn serial_chain(
-            joints: &[ChainJoint],
-            gravity: [f64; 3],
-            transmission: &[Vec<f64>],
+        /// A chain with the programs for its number of joints.
+        fn serial_chain(
+            links: &Links<'_>,
             drives: &Drives<'_>,
             width: Width,
         ) -> Result<Box<dyn CompiledArm>, ArmError> {
-            match joints.len() {
+            match links.joints.len() {
                 $($joints => {
-                    let joints = joints.try_into().expect("the number of joints is checked");
-                    let arm = SerialChain::<$joints>::new(joints, gravity);
+                    let joints = links.joints.try_into().expect("the number is checked");
+                    let arm = SerialChain::<$joints>::new(joints, links.gravity);
                     let arm = arm.map_err(ArmError::Axis)?;
-                    with_drives(coupled(arm, transmission, drives)?, drives, width)
+                    with_drives(coupled(arm, links.transmission, drives)?, drives, width)
                 })*
                 got => Err(ArmError::ChainLength(got)),
             }
@@ -200,14 +260,8 @@ fn coupled<const N: usize>(
     Ok(arm.with_transmission(transmission))
 }
 
-/// An arm with its drives: a planar arm, or a chain with a fixed number of joints.
-///
-/// # Errors
-/// See [`ArmError`].
-///
-/// # Panics
-/// The processor has no registers of that width.
-pub fn with_drives<A: WithPrograms<N>, const N: usize>(
+/// An arm with its drives.
+fn with_drives<A: WithPrograms<N>, const N: usize>(
     arm: A,
     drives: &Drives<'_>,
     width: Width,

@@ -47,24 +47,49 @@ pub struct Parameter {
 }
 
 impl Parameter {
-    /// A parameter with the values of its fields in order.
-    pub const fn new(
-        name: &'static str,
-        symbol: &'static str,
-        meaning: &'static str,
-        units: [&'static str; 2],
-        sign: Sign,
-    ) -> Self {
+    /// A parameter of any sign, without a meaning yet.
+    pub const fn any(name: &'static str, symbol: &'static str, units: [&'static str; 2]) -> Self {
         Self {
             name,
             symbol,
-            meaning,
+            meaning: "",
             units,
-            sign,
+            sign: Sign::Any,
         }
+    }
+
+    /// As [`Parameter::any`], zero or more.
+    pub const fn non_negative(
+        name: &'static str,
+        symbol: &'static str,
+        units: [&'static str; 2],
+    ) -> Self {
+        Self {
+            sign: Sign::NonNegative,
+            ..Self::any(name, symbol, units)
+        }
+    }
+
+    /// As [`Parameter::any`], more than zero.
+    pub const fn positive(
+        name: &'static str,
+        symbol: &'static str,
+        units: [&'static str; 2],
+    ) -> Self {
+        Self {
+            sign: Sign::Positive,
+            ..Self::any(name, symbol, units)
+        }
+    }
+
+    /// The parameter with its meaning.
+    pub const fn meaning(self, meaning: &'static str) -> Self {
+        Self { meaning, ..self }
     }
 }
 
+/// A pure number.
+pub const NO_UNIT: [&str; 2] = ["1", "1"];
 /// kg m^2, or kg.
 pub const INERTIA: [&str; 2] = ["kg m^2", "kg"];
 /// N m, or N.

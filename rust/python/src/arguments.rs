@@ -76,19 +76,12 @@ pub fn chain_joints(joints: &[JointPlacement], distances: &[f64]) -> PyResult<Ve
     joints.iter().zip(distances).map(placed).collect()
 }
 
-pub fn joint_type(name: &str) -> PyResult<JointType> {
+fn joint_type(name: &str) -> PyResult<JointType> {
     match name {
         "revolute" => Ok(JointType::Revolute),
         "prismatic" => Ok(JointType::Prismatic),
         _ => Err(PyValueError::new_err(format!("no joint of type {name:?}"))),
     }
-}
-
-/// A value for each of an arm's joints.
-pub fn of_joints<T: Copy, const N: usize>(values: &[T]) -> PyResult<[T; N]> {
-    values
-        .try_into()
-        .map_err(|_| PyValueError::new_err(format!("expected {N} joints, got {}", values.len())))
 }
 
 pub fn check_clock(clock: &Clock) -> PyResult<()> {

@@ -4,8 +4,8 @@ use numpy::{PyArray1, PyArray2, PyArray3, PyArray4, PyArrayMethods, PyReadonlyAr
 use pyo3::exceptions::{PyFloatingPointError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use strainwave_arms::{Drives, serial_chain, with_drives};
-use strainwave_core::arm::{Kinematics, OneLink, TwoLink};
+use strainwave_arms::{Drives, Links, compiled_arm};
+use strainwave_core::arm::Kinematics;
 use strainwave_core::compiled::{
     CompiledArm, Derivatives, Experiment, InitialState, LinkMotion, ServoGains,
 };
@@ -15,8 +15,8 @@ use strainwave_core::program::Width;
 use strainwave_core::sensors::decimation::Decimation;
 
 use crate::arguments::{
-    JointPlacement, Joints, Matrix, chain_joints, check_clock, joint_type, of_joints, per_joint,
-    quantities, rows, same_rows, value_error,
+    JointPlacement, Joints, Matrix, chain_joints, check_clock, per_joint, quantities, rows,
+    same_rows, value_error,
 };
 
 type Vector<'py> = PyReadonlyArray1<'py, f64>;
@@ -35,86 +35,18 @@ pub struct Arm(Box<dyn CompiledArm>);
 #[pymethods]
 impl Arm {
     #[new]
-    #[pyo3(signature = (kind, springs, gear_ratio, *, motion="revolute", torque_per_volt=None,
-        link_length=0.0, gravity=0.0, current_loop_hz=None, encoder_counts=None, accelerometer_distance=None,
-        accelerometer_hz=None, gyro_hz=None, imu_accelerometer_hz=None, imu_gyro_hz=None,
-        effects=None, gear_corner=gear::CORNER))]
-    fn new(
-        kind: &str,
-        springs: Vec<String>,
-        gear_ratio: Vec<f64>,
-        motion: &str,
-        torque_per_volt: Option<Vec<f64>>,
-        link_length: f64,
-        gravity: f64,
-        current_loop_hz: Option<Vec<Option<f64>>>,
-        encoder_counts: Option<Vec<Option<f64>>>,
-        accelerometer_distance: Option<Vec<f64>>,
-        accelerometer_hz: Option<Vec<Option<f64>>>,
-        gyro_hz: Option<Vec<Option<f64>>>,
-        imu_accelerometer_hz: Option<Vec<Option<f64>>>,
-        imu_gyro_hz: Option<Vec<Option<f64>>>,
-        effects: Option<Vec<Vec<String>>>,
-        gear_corner: f64,
-    ) -> PyResult<Self> {
-        let distance = per_joint(
-            accelerometer_distance,
-            1.0,
-            springs.len(),
-            "accelerometer_distance",
-        )?;
-        let joints = Joints {
-            springs,
-            gear_ratio,
-            torque_per_volt,
-            current_loop_hz,
-            encoder_counts,
-            accelerometer_hz,
-            gyro_hz,
-            imu_accelerometer_hz,
-            imu_gyro_hz,
-            effects,
-        };
-        let drives = Drives {
-            joints: &joints.configs()?,
-            corner: gear_corner,
-        };
-        let width = Width::detect();
-        let arm = match kind {
-            "planar-two-link" => {
-                let arm = TwoLink {
-                    link_length,
-                    gravity,
-                    accelerometer_distance: of_joints(&distance)?,
-                };
-                with_drives(arm, &drives, width)
-            }
-            "single-joint" => {
-                let [accelerometer_distance] = of_joints(&distance)?;
-                let arm = OneLink {
-                    joint_type: joint_type(motion)?,
-                    gravity,
-                    accelerometer_distance,
-                };
-                with_drives(arm, &drives, width)
-            }
-            _ => return Err(PyValueError::new_err(format!("unknown arm kind {kind:?}"))),
-        };
-        Ok(Self(arm.map_err(value_error)?))
-    }
-
-    #[staticmethod]
-    #[pyo3(signature = (joints, springs, gear_ratio, *, torque_per_volt=None,
-        gravity=[0.0, 0.0, -9.81], transmission=None, current_loop_hz=None, encoder_counts=None,
+    #[pyo3(signature = (joints, springs, gear_ratio, *, program="serial", gravity=[0.0, 0.0, -9.81],
+        transmission=None, torque_per_volt=None, current_loop_hz=None, encoder_counts=None,
         accelerometer_distance=None, accelerometer_hz=None, gyro_hz=None,
         imu_accelerometer_hz=None, imu_gyro_hz=None, effects=None, gear_corner=gear::CORNER))]
-    fn serial_chain(
+    fn new(
         joints: Vec<JointPlacement>,
         springs: Vec<String>,
         gear_ratio: Vec<f64>,
-        torque_per_volt: Option<Vec<f64>>,
+        program: &str,
         gravity: [f64; 3],
         transmission: Option<Vec<Vec<f64>>>,
+        torque_per_volt: Option<Vec<f64>>,
         current_loop_hz: Option<Vec<Option<f64>>>,
         encoder_counts: Option<Vec<Option<f64>>>,
         accelerometer_distance: Option<Vec<f64>>,
@@ -125,12 +57,8 @@ impl Arm {
         effects: Option<Vec<Vec<String>>>,
         gear_corner: f64,
     ) -> PyResult<Self> {
-        let distance = per_joint(
-            accelerometer_distance,
-            1.0,
-            joints.len(),
-            "accelerometer_distance",
-        )?;
+        let count = joints.len();
+        let distances = per_joint(accelerometer_distance, 1.0, count, "accelerometer_distance")?;
         let constants = Joints {
             springs,
             gear_ratio,
@@ -147,14 +75,12 @@ impl Arm {
             joints: &constants.configs()?,
             corner: gear_corner,
         };
-        let joints = chain_joints(&joints, &distance)?;
-        let arm = serial_chain(
-            &joints,
+        let links = Links {
+            joints: &chain_joints(&joints, &distances)?,
             gravity,
-            &transmission.unwrap_or_default(),
-            &drives,
-            Width::detect(),
-        );
+            transmission: &transmission.unwrap_or_default(),
+        };
+        let arm = compiled_arm(program, &links, &drives, Width::detect());
         Ok(Self(arm.map_err(value_error)?))
     }
 

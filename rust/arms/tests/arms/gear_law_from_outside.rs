@@ -7,7 +7,7 @@ use crate::common::config;
 use strainwave_core::arm::OneLink;
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::gear::{GearLaw, Law, MAX_LAW_PARAMETERS, SingleLaw, Spring};
-use strainwave_core::parameter::{Parameter, STIFFNESS, Sign};
+use strainwave_core::parameter::{Parameter, STIFFNESS};
 use strainwave_core::plant::config::Config;
 use strainwave_core::program::{Request, dual_numbers, forward, simulate};
 use strainwave_core::scalar::Real;
@@ -26,8 +26,8 @@ impl GearLaw for Quadratic {
     const LAW: Law = Law {
         name: "quadratic",
         parameters: &[
-            Parameter::new("slope", "k", "stiffness at rest", STIFFNESS, Sign::Positive),
-            Parameter::new("rise", "c", "rise", ["1/rad", "1/m"], Sign::NonNegative),
+            Parameter::positive("slope", "k", STIFFNESS).meaning("stiffness at rest"),
+            Parameter::non_negative("rise", "c", ["1/rad", "1/m"]).meaning("rise"),
         ],
         rising: &[],
         elastic: true,

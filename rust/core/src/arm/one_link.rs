@@ -5,7 +5,7 @@ use super::link_signals::{
 };
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
-use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
+use crate::parameter::{INERTIA, Parameter, TORQUE};
 use crate::scalar::Real;
 
 /// One link on one joint, revolute or prismatic.
@@ -37,20 +37,10 @@ impl Arm<1> for OneLink {
     const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
-        Parameter::new(
-            "link_inertia",
-            "m_L",
-            "inertia that the gear moves with the arm stretched, at the link",
-            INERTIA,
-            Sign::Positive,
-        ),
-        Parameter::new(
-            "gravity_torque_1",
-            "G1",
-            "largest gravity torque of link 1, link 2's mass at axis 2",
-            TORQUE,
-            Sign::Any,
-        ),
+        Parameter::positive("link_inertia", "m_L", INERTIA)
+            .meaning("inertia that the gear moves with the arm stretched, at the link"),
+        Parameter::any("gravity_torque_1", "G1", TORQUE)
+            .meaning("largest gravity torque of link 1, link 2's mass at axis 2"),
     ];
 
     fn names(&self) -> Vec<Name> {

@@ -5,7 +5,7 @@ use super::link_signals::{
 };
 use super::sine_cosine::SineCosine;
 use super::{Arm, ChainJoint, JointType, Name, SerialChain, Slopes, has_gravity};
-use crate::parameter::{INERTIA, Parameter, Sign, TORQUE};
+use crate::parameter::{INERTIA, Parameter, TORQUE};
 use crate::scalar::Real;
 
 /// A planar arm of two links whose second angle is relative to the first, (3) and (4).
@@ -50,41 +50,15 @@ impl<const VERTICAL: bool> Arm<2> for TwoLink<VERTICAL> {
     const LINK_SIGNALS: &'static [usize] = link_signals::PLANAR;
 
     const PARAMETERS: &'static [Parameter] = &[
-        Parameter::new(
-            "alpha",
-            "alpha",
-            "inertia of link 1 and of link 2's mass at axis 2, about axis 1",
-            INERTIA,
-            Sign::Positive,
-        ),
-        Parameter::new(
-            "beta",
-            "beta",
-            "inertia of link 2 about axis 2",
-            INERTIA,
-            Sign::Positive,
-        ),
-        Parameter::new(
-            "gamma",
-            "gamma",
-            "coupling of the links: link length times first moment of link 2",
-            INERTIA,
-            Sign::Any,
-        ),
-        Parameter::new(
-            "gravity_torque_1",
-            "G1",
-            "largest gravity torque of link 1, link 2's mass at axis 2",
-            TORQUE,
-            Sign::Any,
-        ),
-        Parameter::new(
-            "gravity_torque_2",
-            "G2",
-            "largest gravity torque of link 2",
-            TORQUE,
-            Sign::Any,
-        ),
+        Parameter::positive("alpha", "alpha", INERTIA)
+            .meaning("inertia of link 1 and of link 2's mass at axis 2, about axis 1"),
+        Parameter::positive("beta", "beta", INERTIA).meaning("inertia of link 2 about axis 2"),
+        Parameter::any("gamma", "gamma", INERTIA)
+            .meaning("coupling of the links: link length times first moment of link 2"),
+        Parameter::any("gravity_torque_1", "G1", TORQUE)
+            .meaning("largest gravity torque of link 1, link 2's mass at axis 2"),
+        Parameter::any("gravity_torque_2", "G2", TORQUE)
+            .meaning("largest gravity torque of link 2"),
     ];
 
     fn names(&self) -> Vec<Name> {

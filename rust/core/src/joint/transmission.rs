@@ -2,65 +2,31 @@
 
 use crate::joint::effects::{Effects, Torsion};
 use crate::joint::gear::{Gears, Spring};
-use crate::parameter::{DAMPING, INERTIA, Parameter, Sign, TIME, TORQUE};
+use crate::parameter::{DAMPING, INERTIA, Parameter, TIME, TORQUE};
 use crate::scalar::Real;
 
 /// Parameters of motor and bearings, in the order of a flat list of values.
 pub(crate) const DRIVE: [Parameter; 5] = [
-    Parameter::new(
-        "motor_inertia",
-        "m_M",
-        "inertia of motor and wave generator, at the motor",
-        INERTIA,
-        Sign::Positive,
-    ),
-    Parameter::new(
-        "motor_viscous_friction",
-        "d_M",
-        "viscous friction of the motor, at the motor",
-        DAMPING,
-        Sign::NonNegative,
-    ),
-    Parameter::new(
-        "motor_coulomb_friction",
-        "f_M",
-        "Coulomb friction of the motor, at the motor",
-        TORQUE,
-        Sign::NonNegative,
-    ),
-    Parameter::new(
-        "friction_offset",
-        "f_0",
-        "constant part of the friction, at the motor",
-        TORQUE,
-        Sign::Any,
-    ),
-    Parameter::new(
-        "link_viscous_friction",
-        "d_L",
-        "viscous friction of the link, at the link",
-        DAMPING,
-        Sign::NonNegative,
-    ),
+    Parameter::positive("motor_inertia", "m_M", INERTIA)
+        .meaning("inertia of motor and wave generator, at the motor"),
+    Parameter::non_negative("motor_viscous_friction", "d_M", DAMPING)
+        .meaning("viscous friction of the motor, at the motor"),
+    Parameter::non_negative("motor_coulomb_friction", "f_M", TORQUE)
+        .meaning("Coulomb friction of the motor, at the motor"),
+    Parameter::any("friction_offset", "f_0", TORQUE)
+        .meaning("constant part of the friction, at the motor"),
+    Parameter::non_negative("link_viscous_friction", "d_L", DAMPING)
+        .meaning("viscous friction of the link, at the link"),
 ];
 
 /// Damping parallel to the spring of an elastic gear.
-pub(crate) const GEAR_DAMPING: Parameter = Parameter::new(
-    "gear_damping",
-    "d_G",
-    "damping of the gear, at the link",
-    DAMPING,
-    Sign::NonNegative,
-);
+pub(crate) const GEAR_DAMPING: Parameter = Parameter::non_negative("gear_damping", "d_G", DAMPING)
+    .meaning("damping of the gear, at the link");
 
 /// Settling time of friction; for motors of elastic gears.
-pub(crate) const SETTLING: Parameter = Parameter::new(
-    "friction_settling_time",
-    "tau",
-    "time constant in which friction brings the motor to rest",
-    TIME,
-    Sign::NonNegative,
-);
+pub(crate) const SETTLING: Parameter =
+    Parameter::non_negative("friction_settling_time", "tau", TIME)
+        .meaning("time constant in which friction brings the motor to rest");
 
 /// Drive train of one joint.
 #[derive(Clone, Copy)]

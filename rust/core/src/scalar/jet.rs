@@ -1,7 +1,6 @@
 //! Jets: numbers with one derivative per lane.
 
-use std::ops::{Add, Div, Mul, Neg, Sub};
-
+use super::real::{operators, tangent_methods};
 use super::{Real, Work};
 
 /// A number and its derivative in one direction. In contrast to [`super::Dual`], each lane has a
@@ -44,64 +43,22 @@ impl<R: Real> Jet<R> {
     }
 }
 
-impl<R: Real> Add for Jet<R> {
-    type Output = Self;
-    #[inline(always)]
-    fn add(self, other: Self) -> Self {
-        Self {
-            value: self.value + other.value,
-            tangent: self.tangent + other.tangent,
-        }
-    }
-}
-
-impl<R: Real> Sub for Jet<R> {
-    type Output = Self;
-    #[inline(always)]
-    fn sub(self, other: Self) -> Self {
-        Self {
-            value: self.value - other.value,
-            tangent: self.tangent - other.tangent,
-        }
-    }
-}
-
-impl<R: Real> Mul for Jet<R> {
-    type Output = Self;
-    #[inline(always)]
-    fn mul(self, other: Self) -> Self {
-        Self {
-            value: self.value * other.value,
-            tangent: self
-                .value
-                .mul_add(other.tangent, self.tangent * other.value),
-        }
-    }
-}
-
-impl<R: Real> Div for Jet<R> {
-    type Output = Self;
-    #[inline(always)]
-    fn div(self, other: Self) -> Self {
-        let value = self.value / other.value;
-        let tangent = (self.tangent - value * other.tangent) / other.value;
-        Self { value, tangent }
-    }
-}
-
-impl<R: Real> Neg for Jet<R> {
-    type Output = Self;
-    #[inline(always)]
-    fn neg(self) -> Self {
-        Self {
-            value: -self.value,
-            tangent: -self.tangent,
-        }
-    }
-}
+operators!(
+    {R: Real} Jet<R>,
+    |a, b| Jet { value: a.value + b.value, tangent: a.tangent + b.tangent },
+    Jet { value: a.value - b.value, tangent: a.tangent - b.tangent },
+    Jet { value: a.value * b.value, tangent: a.value.mul_add(b.tangent, a.tangent * b.value) },
+    {
+        let value = a.value / b.value;
+        Jet { value, tangent: (a.tangent - value * b.tangent) / b.value }
+    },
+    Jet { value: -a.value, tangent: -a.tangent }
+);
 
 impl<R: Real> Real for Jet<R> {
     const LANES: usize = R::LANES;
+
+    tangent_methods!(R);
 
     #[inline(always)]
     fn scope<W: Work>(work: W) -> W::Output {
@@ -118,10 +75,6 @@ impl<R: Real> Real for Jet<R> {
             value: self.value.mul_add(factor.value, term.value),
             tangent: self.value.mul_add(factor.tangent, tangent),
         }
-    }
-    #[inline(always)]
-    fn abs(self) -> Self {
-        self.copysign(Self::splat(0.0))
     }
     #[inline(always)]
     fn min(self, other: Self) -> Self {
@@ -143,31 +96,6 @@ impl<R: Real> Real for Jet<R> {
         }
         all
     }
-    #[inline(always)]
-    fn any_negative(self) -> bool {
-        self.value.any_negative()
-    }
-    #[inline(always)]
-    fn lane(self, index: usize) -> f64 {
-        self.value.lane(index)
-    }
-    #[inline(always)]
-    fn set_lane(&mut self, index: usize, value: f64) {
-        self.value.set_lane(index, value);
-    }
-
-    /// The root x of f(x, p) = 0 has the derivative x' = -(df/dp) / (df/dx); slope as in
-    /// [`super::Dual`].
-    fn root(root: f64, f: impl Fn(Self) -> Self) -> Self {
-        const FAST: f64 = 18_446_744_073_709_551_616.0; // 2^64
-        let mut at = Self::splat(root);
-        let rest = f(at).tangent;
-        at.tangent = R::splat(FAST);
-        let slope = (f(at).tangent - rest) * R::splat(1.0 / FAST);
-        at.tangent = -rest / slope;
-        at
-    }
-
     #[inline(always)]
     fn exp(self) -> Self {
         let value = self.value.exp();

@@ -39,7 +39,7 @@ pub struct Fused(f64);
 one_lane!(Fused);
 
 operators!(
-    Fused,
+    {} Fused,
     |a, b| Fused(a.0 + b.0),
     Fused(a.0 - b.0),
     Fused(a.0 * b.0),
@@ -103,7 +103,7 @@ macro_rules! vector {
 
         // SAFETY (all of them): the processor has the feature, see the top of this file.
         operators!(
-            $name,
+            {} $name,
             |a, b| Self(unsafe { $add(a.0, b.0) }),
             Self(unsafe { $sub(a.0, b.0) }),
             Self(unsafe { $mul(a.0, b.0) }),

@@ -253,10 +253,10 @@ impl Real for f64 {
     }
 }
 
-/// Implements the arithmetic operators part by part for a type that wraps its parts.
+/// Implements the arithmetic operators for a type, with its generic parameters in braces.
 macro_rules! operators {
-    ($type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
-        impl std::ops::Add for $type {
+    ({$($generics:tt)*} $type:ty, |$a:ident, $b:ident| $add:expr, $sub:expr, $mul:expr, $div:expr, $neg:expr) => {
+        impl<$($generics)*> std::ops::Add for $type {
             type Output = Self;
             #[inline(always)]
             fn add(self, other: Self) -> Self {
@@ -264,7 +264,7 @@ macro_rules! operators {
                 $add
             }
         }
-        impl std::ops::Sub for $type {
+        impl<$($generics)*> std::ops::Sub for $type {
             type Output = Self;
             #[inline(always)]
             fn sub(self, other: Self) -> Self {
@@ -272,7 +272,7 @@ macro_rules! operators {
                 $sub
             }
         }
-        impl std::ops::Mul for $type {
+        impl<$($generics)*> std::ops::Mul for $type {
             type Output = Self;
             #[inline(always)]
             fn mul(self, other: Self) -> Self {
@@ -280,7 +280,7 @@ macro_rules! operators {
                 $mul
             }
         }
-        impl std::ops::Div for $type {
+        impl<$($generics)*> std::ops::Div for $type {
             type Output = Self;
             #[inline(always)]
             fn div(self, other: Self) -> Self {
@@ -288,7 +288,7 @@ macro_rules! operators {
                 $div
             }
         }
-        impl std::ops::Neg for $type {
+        impl<$($generics)*> std::ops::Neg for $type {
             type Output = Self;
             #[inline(always)]
             fn neg(self) -> Self {
@@ -299,3 +299,40 @@ macro_rules! operators {
     };
 }
 pub(crate) use operators;
+
+/// Methods of [`Real`] for a number with a `value` and a `tangent`, whose type is `$tangent`.
+macro_rules! tangent_methods {
+    ($tangent:ty) => {
+        #[inline(always)]
+        fn abs(self) -> Self {
+            self.copysign(Self::splat(0.0))
+        }
+        #[inline(always)]
+        fn any_negative(self) -> bool {
+            self.value.any_negative()
+        }
+        #[inline(always)]
+        fn lane(self, index: usize) -> f64 {
+            self.value.lane(index)
+        }
+        #[inline(always)]
+        fn set_lane(&mut self, index: usize, value: f64) {
+            self.value.set_lane(index, value);
+        }
+
+        /// The root x of f(x, p) = 0 has the derivative x' = -(df/dp) / (df/dx).
+        ///
+        /// The first evaluation, with derivatives of x zero, gives df/dp. The second one, with
+        /// derivatives of x so large that subtracting df/dp loses no digits, gives df/dx.
+        fn root(root: f64, f: impl Fn(Self) -> Self) -> Self {
+            const FAST: f64 = 18_446_744_073_709_551_616.0; // 2^64
+            let mut at = Self::splat(root);
+            let rest = f(at).tangent;
+            at.tangent = <$tangent>::splat(FAST);
+            let slope = (f(at).tangent - rest) * <$tangent>::splat(1.0 / FAST);
+            at.tangent = -rest / slope;
+            at
+        }
+    };
+}
+pub(crate) use tangent_methods;

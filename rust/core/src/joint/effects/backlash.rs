@@ -1,7 +1,7 @@
 //! Backlash: the gear turns freely over a small angle.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{ANGLE, Parameter, Sign};
+use crate::parameter::{ANGLE, Parameter};
 use crate::scalar::Real;
 
 /// Smallest smoothing width [rad]: far below any backlash, and far above the rounding of a torsion
@@ -21,13 +21,8 @@ pub struct Backlash<R> {
 impl<R: Real> Effect<R> for Backlash<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "backlash",
-        parameters: &[Parameter::new(
-            "backlash",
-            "b_G",
-            "half the dead band of the gear, at the link",
-            ANGLE,
-            Sign::NonNegative,
-        )],
+        parameters: &[Parameter::non_negative("backlash", "b_G", ANGLE)
+            .meaning("half the dead band of the gear, at the link")],
         sizes: 1,
         of_gear: true,
         affects: AffectedTerms {

@@ -1,7 +1,7 @@
 //! Dead zone of a drive: small commands have no effect.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign, VOLTAGE};
+use crate::parameter::{Parameter, VOLTAGE};
 use crate::scalar::Real;
 
 /// Smallest smoothing width [V]: far below any dead zone, and far above the rounding of a voltage
@@ -19,13 +19,8 @@ pub struct DeadZone<R> {
 impl<R: Real> Effect<R> for DeadZone<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "dead-zone",
-        parameters: &[Parameter::new(
-            "dead_zone",
-            "u_0",
-            "half the dead zone of the drive",
-            VOLTAGE,
-            Sign::NonNegative,
-        )],
+        parameters: &[Parameter::non_negative("dead_zone", "u_0", VOLTAGE)
+            .meaning("half the dead zone of the drive")],
         sizes: 1,
         of_gear: false,
         affects: AffectedTerms {

@@ -1,7 +1,7 @@
 //! Gain error of a drive.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign};
+use crate::parameter::{NO_UNIT, Parameter};
 use crate::scalar::Real;
 
 /// The effective voltage is u (1 + g).
@@ -14,13 +14,8 @@ pub struct DriveGain<R> {
 impl<R: Real> Effect<R> for DriveGain<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-gain",
-        parameters: &[Parameter::new(
-            "drive_gain",
-            "g_u",
-            "relative error of the torque per volt",
-            ["1", "1"],
-            Sign::Any,
-        )],
+        parameters: &[Parameter::any("drive_gain", "g_u", NO_UNIT)
+            .meaning("relative error of the torque per volt")],
         sizes: 1,
         of_gear: false,
         affects: AffectedTerms {

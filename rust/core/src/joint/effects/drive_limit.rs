@@ -1,7 +1,7 @@
 //! Limit of an amplifier at large voltages.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign, VOLTAGE};
+use crate::parameter::{NO_UNIT, Parameter, VOLTAGE};
 use crate::scalar::Real;
 
 /// The effective voltage is u - c sgn(u) max(|u| - L, 0): a share c of the voltage beyond L is
@@ -18,20 +18,10 @@ impl<R: Real> Effect<R> for DriveLimit<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-limit",
         parameters: &[
-            Parameter::new(
-                "drive_limit_loss",
-                "c_u",
-                "share of the voltage above the limit that the drive loses",
-                ["1", "1"],
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "drive_limit",
-                "u_L",
-                "voltage above which the drive output is reduced",
-                VOLTAGE,
-                Sign::Positive,
-            ),
+            Parameter::non_negative("drive_limit_loss", "c_u", NO_UNIT)
+                .meaning("share of the voltage above the limit that the drive loses"),
+            Parameter::positive("drive_limit", "u_L", VOLTAGE)
+                .meaning("voltage above which the drive output is reduced"),
         ],
         sizes: 1,
         of_gear: false,

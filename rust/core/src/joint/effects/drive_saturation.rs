@@ -1,7 +1,7 @@
 //! Saturation of a motor: its torque constant decreases with current.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign};
+use crate::parameter::Parameter;
 use crate::scalar::Real;
 
 /// The effective voltage is u (1 - s |u|).
@@ -14,13 +14,10 @@ pub struct DriveSaturation<R> {
 impl<R: Real> Effect<R> for DriveSaturation<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "drive-saturation",
-        parameters: &[Parameter::new(
-            "drive_saturation",
-            "s_u",
-            "share of the torque per volt that is lost per volt",
-            ["1/V", "1/V"],
-            Sign::NonNegative,
-        )],
+        parameters: &[
+            Parameter::non_negative("drive_saturation", "s_u", ["1/V", "1/V"])
+                .meaning("share of the torque per volt that is lost per volt"),
+        ],
         sizes: 1,
         of_gear: false,
         affects: AffectedTerms {

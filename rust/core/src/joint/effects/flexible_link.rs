@@ -4,7 +4,7 @@ use super::{
     AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
     PartDeflection,
 };
-use crate::parameter::{FREQUENCY, INERTIA, Parameter, Sign};
+use crate::parameter::{FREQUENCY, INERTIA, NO_UNIT, Parameter};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
 
@@ -24,27 +24,12 @@ impl<R: Real> Effect<R> for FlexibleLink<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "flexible-link",
         parameters: &[
-            Parameter::new(
-                "flexible_inertia",
-                "J_f",
-                "inertia of the flexible part of the link",
-                INERTIA,
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "flexible_frequency",
-                "f_f",
-                "natural frequency of the flexible part with the link fixed",
-                FREQUENCY,
-                Sign::Positive,
-            ),
-            Parameter::new(
-                "flexible_damping",
-                "zeta_f",
-                "damping ratio of the flexible part with the link fixed",
-                ["1", "1"],
-                Sign::Positive,
-            ),
+            Parameter::non_negative("flexible_inertia", "J_f", INERTIA)
+                .meaning("inertia of the flexible part of the link"),
+            Parameter::positive("flexible_frequency", "f_f", FREQUENCY)
+                .meaning("natural frequency of the flexible part with the link fixed"),
+            Parameter::positive("flexible_damping", "zeta_f", NO_UNIT)
+                .meaning("damping ratio of the flexible part with the link fixed"),
         ],
         sizes: 1,
         of_gear: false,

@@ -3,7 +3,7 @@
 use super::{
     AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
 };
-use crate::parameter::{Parameter, STIFFNESS, Sign, TORQUE};
+use crate::parameter::{Parameter, STIFFNESS, TORQUE};
 use crate::scalar::Real;
 
 /// The load on the link is c theta_L + t.
@@ -19,20 +19,10 @@ impl<R: Real> Effect<R> for GroundSpring<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "ground-spring",
         parameters: &[
-            Parameter::new(
-                "ground_stiffness",
-                "c_g",
-                "stiffness of cables between the link and ground, by the joint's angle",
-                STIFFNESS,
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "ground_preload",
-                "t_g",
-                "torque of cables between the link and ground at the joint's zero",
-                TORQUE,
-                Sign::Any,
-            ),
+            Parameter::non_negative("ground_stiffness", "c_g", STIFFNESS)
+                .meaning("stiffness of cables between the link and ground, by the joint's angle"),
+            Parameter::any("ground_preload", "t_g", TORQUE)
+                .meaning("torque of cables between the link and ground at the joint's zero"),
         ],
         sizes: 2,
         of_gear: false,

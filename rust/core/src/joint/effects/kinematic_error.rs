@@ -1,7 +1,7 @@
 //! Kinematic error of a gear: its ratio varies with the angle of the wave generator.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{ANGLE, Parameter, Sign};
+use crate::parameter::{ANGLE, NO_UNIT, Parameter};
 use crate::scalar::Real;
 
 /// The link's angle has the error e = a cos(k theta_M) + b sin(k theta_M). The wave generator has
@@ -30,27 +30,12 @@ impl<R: Real> Effect<R> for KinematicError<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "kinematic-error",
         parameters: &[
-            Parameter::new(
-                "kinematic_error_cos",
-                "a",
-                "cosine part of the gear's kinematic error, at the link",
-                ANGLE,
-                Sign::Any,
-            ),
-            Parameter::new(
-                "kinematic_error_sin",
-                "b",
-                "sine part of the gear's kinematic error, at the link",
-                ANGLE,
-                Sign::Any,
-            ),
-            Parameter::new(
-                "kinematic_error_order",
-                "k_e",
-                "periods of the gear's kinematic error in a turn of the motor",
-                ["1", "1"],
-                Sign::Positive,
-            ),
+            Parameter::any("kinematic_error_cos", "a", ANGLE)
+                .meaning("cosine part of the gear's kinematic error, at the link"),
+            Parameter::any("kinematic_error_sin", "b", ANGLE)
+                .meaning("sine part of the gear's kinematic error, at the link"),
+            Parameter::positive("kinematic_error_order", "k_e", NO_UNIT)
+                .meaning("periods of the gear's kinematic error in a turn of the motor"),
         ],
         sizes: 2,
         of_gear: true,

@@ -1,7 +1,7 @@
 //! Coulomb friction that increases with the torque of the gear.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign};
+use crate::parameter::{NO_UNIT, Parameter};
 use crate::scalar::Real;
 
 /// Friction of the teeth: adds mu |T| to the friction limit, with the gear torque T at the motor.
@@ -16,13 +16,8 @@ pub struct LoadFriction<R> {
 impl<R: Real> Effect<R> for LoadFriction<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "load-friction",
-        parameters: &[Parameter::new(
-            "load_friction",
-            "mu",
-            "dry friction per torque through the gear, both at the motor",
-            ["1", "1"],
-            Sign::NonNegative,
-        )],
+        parameters: &[Parameter::non_negative("load_friction", "mu", NO_UNIT)
+            .meaning("dry friction per torque through the gear, both at the motor")],
         sizes: 1,
         of_gear: true,
         affects: AffectedTerms {

@@ -255,9 +255,10 @@ pub trait Effect<R: Real>: Copy + Send + Sync {
     }
 }
 
-/// [`EffectKinds`], [`Effects`] and the sums over the list of effects.
+/// [`EffectKinds`], [`Effects`], and `for_each_effect!`, which runs code with each effect of a joint,
+/// or with each that changes a term; `$` precedes the variables of the latter.
 macro_rules! effects {
-    ($($field:ident: $effect:ident,)*) => {
+    ($dollar:tt $($field:ident: $effect:ident,)*) => {
         /// Selection of effects of a joint.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
         pub struct EffectKinds {
@@ -325,241 +326,30 @@ macro_rules! effects {
                 )*
                 all
             }
+        }
 
-            /// Sum of [`Effect::dry_friction`].
-            #[inline(always)]
-            pub(crate) fn dry_friction(&self, velocity: R, load: R) -> R {
-                let mut sum = R::splat(0.0);
+        macro_rules! for_each_effect {
+            ($dollar effects:expr, $dollar one:ident => $dollar code:expr) => {
                 $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.friction
-                        && let Some(effect) = &self.$field
+                    if let Some($dollar one) = &$dollar effects.$field {
+                        $dollar code;
+                    }
+                )*
+            };
+            ($dollar effects:expr, $dollar term:ident, $dollar one:ident => $dollar code:expr) => {
+                $(
+                    if <$effect<R> as Effect<R>>::DECLARATION.affects.$dollar term
+                        && let Some($dollar one) = &$dollar effects.$field
                     {
-                        sum = sum + effect.dry_friction(velocity, load);
+                        $dollar code;
                     }
                 )*
-                sum
-            }
-
-            /// Sum of [`Effect::motor_torque`].
-            #[inline(always)]
-            pub(crate) fn motor_torque(&self, angle: R, velocity: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.motor
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.motor_torque(angle, velocity);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::error`].
-            #[inline(always)]
-            pub(crate) fn error(&self, motor_angle: R) -> [R; 2] {
-                let mut sum = [R::splat(0.0); 2];
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        let [error, slope] = effect.error(motor_angle);
-                        sum = [sum[0] + error, sum[1] + slope];
-                    }
-                )*
-                sum
-            }
-
-            /// Composition of [`Effect::strain`].
-            #[inline(always)]
-            pub(crate) fn strain(&self, torsion: R) -> R {
-                let mut strain = torsion;
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        strain = effect.strain(strain);
-                    }
-                )*
-                strain
-            }
-
-            /// Composition of [`Effect::torsion`].
-            pub(crate) fn torsion(&self, strain: R) -> R {
-                let mut torsion = strain;
-                $(
-                    if let Some(effect) = &self.$field {
-                        torsion = effect.torsion(torsion);
-                    }
-                )*
-                torsion
-            }
-
-            /// Sum of [`Effect::gear_torque`].
-            #[inline(always)]
-            pub(crate) fn gear_torque(&self, z: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.gear_torque(z);
-                    }
-                )*
-                sum
-            }
-
-            /// [`Effect::hysteresis_after`].
-            #[inline(always)]
-            pub(crate) fn hysteresis_after(&self, z: R, from: &Torsion<R>, to: &Torsion<R>, time: R) -> R {
-                let mut state = z;
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        state = effect.hysteresis_after(state, from, to, time);
-                    }
-                )*
-                state
-            }
-
-            /// Sum of [`Effect::base_acceleration`].
-            #[inline(always)]
-            pub(crate) fn base_acceleration(&self, base: &BaseTorque<R>, gear: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.base_acceleration(base, gear);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::base_rotation`].
-            #[inline(always)]
-            pub(crate) fn base_rotation(&self, torque: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.gear
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.base_rotation(torque);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::load`].
-            #[inline(always)]
-            pub(crate) fn load(&self, angle: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.link
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.load(angle);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::weight`].
-            #[inline(always)]
-            pub(crate) fn weight(&self, angle: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.weight(angle);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::part_acceleration`].
-            #[inline(always)]
-            pub(crate) fn part_acceleration(&self, deflection: &PartDeflection<R>) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.part_acceleration(deflection);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::part_load`].
-            #[inline(always)]
-            pub(crate) fn part_load(&self, acceleration: R) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.weight
-                        && let Some(effect) = &self.$field
-                    {
-                        sum = sum + effect.part_load(acceleration);
-                    }
-                )*
-                sum
-            }
-
-            /// Composition of [`Effect::drive`].
-            #[inline(always)]
-            pub(crate) fn drive(&self, voltage: R) -> R {
-                let mut effective = voltage;
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.drive
-                        && let Some(effect) = &self.$field
-                    {
-                        effective = effect.drive(effective);
-                    }
-                )*
-                effective
-            }
-
-            /// [`Effect::hold_voltage`].
-            #[inline(always)]
-            pub(crate) fn hold_voltage(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
-                let mut response = [voltage, memory];
-                $(
-                    if <$effect<R> as Effect<R>>::DECLARATION.affects.drive
-                        && let Some(effect) = &self.$field
-                    {
-                        response = effect.hold_voltage(response[0], response[1], time);
-                    }
-                )*
-                response
-            }
-
-            /// Sum of [`Effect::energy`].
-            pub(crate) fn energy(&self, at: &JointState<R>) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if let Some(effect) = &self.$field {
-                        sum = sum + effect.energy(at);
-                    }
-                )*
-                sum
-            }
-
-            /// Sum of [`Effect::loss`].
-            pub(crate) fn loss(&self, at: &JointState<R>) -> R {
-                let mut sum = R::splat(0.0);
-                $(
-                    if let Some(effect) = &self.$field {
-                        sum = sum + effect.loss(at);
-                    }
-                )*
-                sum
-            }
+            };
         }
     };
 }
 
-effects! {
+effects! { $
     stribeck: Stribeck,
     hysteresis: Hysteresis,
     kinematic_error: KinematicError,
@@ -576,6 +366,101 @@ effects! {
     tilt: Tilt,
     flexible_link: FlexibleLink,
     soft_base: SoftBase,
+}
+
+/// Sums of methods over the effects that change a term.
+macro_rules! sums {
+    ($($term:ident: $name:ident($($argument:ident: $type:ty),*);)*) => {
+        impl<R: Real> Effects<R> {$(
+            #[doc = concat!("Sum of [`Effect::", stringify!($name), "`].")]
+            #[inline(always)]
+            pub(crate) fn $name(&self, $($argument: $type),*) -> R {
+                let mut sum = R::splat(0.0);
+                for_each_effect!(self, $term, one => sum = sum + one.$name($($argument),*));
+                sum
+            }
+        )*}
+    };
+}
+
+sums! {
+    friction: dry_friction(velocity: R, load: R);
+    motor: motor_torque(angle: R, velocity: R);
+    gear: gear_torque(z: R);
+    gear: base_acceleration(base: &BaseTorque<R>, gear: R);
+    gear: base_rotation(torque: R);
+    link: load(angle: R);
+    weight: weight(angle: R);
+    weight: part_acceleration(deflection: &PartDeflection<R>);
+    weight: part_load(acceleration: R);
+}
+
+impl<R: Real> Effects<R> {
+    /// Sum of [`Effect::error`].
+    #[inline(always)]
+    pub(crate) fn error(&self, motor_angle: R) -> [R; 2] {
+        let mut sum = [R::splat(0.0); 2];
+        for_each_effect!(self, gear, one => {
+            let [error, slope] = one.error(motor_angle);
+            sum = [sum[0] + error, sum[1] + slope];
+        });
+        sum
+    }
+
+    /// Composition of [`Effect::strain`].
+    #[inline(always)]
+    pub(crate) fn strain(&self, mut torsion: R) -> R {
+        for_each_effect!(self, gear, one => torsion = one.strain(torsion));
+        torsion
+    }
+
+    /// Composition of [`Effect::torsion`].
+    pub(crate) fn torsion(&self, mut strain: R) -> R {
+        for_each_effect!(self, one => strain = one.torsion(strain));
+        strain
+    }
+
+    /// [`Effect::hysteresis_after`].
+    #[inline(always)]
+    pub(crate) fn hysteresis_after(
+        &self,
+        mut z: R,
+        from: &Torsion<R>,
+        to: &Torsion<R>,
+        time: R,
+    ) -> R {
+        for_each_effect!(self, gear, one => z = one.hysteresis_after(z, from, to, time));
+        z
+    }
+
+    /// Composition of [`Effect::drive`].
+    #[inline(always)]
+    pub(crate) fn drive(&self, mut voltage: R) -> R {
+        for_each_effect!(self, drive, one => voltage = one.drive(voltage));
+        voltage
+    }
+
+    /// [`Effect::hold_voltage`].
+    #[inline(always)]
+    pub(crate) fn hold_voltage(&self, voltage: R, memory: R, time: f64) -> [R; 2] {
+        let mut now = [voltage, memory];
+        for_each_effect!(self, drive, one => now = one.hold_voltage(now[0], now[1], time));
+        now
+    }
+
+    /// Sum of [`Effect::energy`].
+    pub(crate) fn energy(&self, at: &JointState<R>) -> R {
+        let mut sum = R::splat(0.0);
+        for_each_effect!(self, one => sum = sum + one.energy(at));
+        sum
+    }
+
+    /// Sum of [`Effect::loss`].
+    pub(crate) fn loss(&self, at: &JointState<R>) -> R {
+        let mut sum = R::splat(0.0);
+        for_each_effect!(self, one => sum = sum + one.loss(at));
+        sum
+    }
 }
 
 /// A parameter of a selected effect.

@@ -3,7 +3,7 @@
 use super::{
     AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
 };
-use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::parameter::{NO_UNIT, Parameter, TORQUE};
 use crate::scalar::Real;
 
 /// A torque f_P ((|dtheta_M|/w + s)^p - s^p) against the motion, with w = 100 rad/s and s = 0.01.
@@ -37,20 +37,10 @@ impl<R: Real> Effect<R> for PowerFriction<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "power-friction",
         parameters: &[
-            Parameter::new(
-                "power_friction",
-                "f_P",
-                "friction at 100 rad/s that grows with a power of the motor's velocity",
-                TORQUE,
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "power_exponent",
-                "p",
-                "power of the velocity with which friction grows",
-                ["1", "1"],
-                Sign::Positive,
-            ),
+            Parameter::non_negative("power_friction", "f_P", TORQUE)
+                .meaning("friction at 100 rad/s that grows with a power of the motor's velocity"),
+            Parameter::positive("power_exponent", "p", NO_UNIT)
+                .meaning("power of the velocity with which friction grows"),
         ],
         sizes: 1,
         of_gear: false,

@@ -4,7 +4,7 @@ use super::{
     AffectedTerms, BaseTorque, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS,
     NO_TERMS,
 };
-use crate::parameter::{COMPLIANCE, FREQUENCY, Parameter, Sign};
+use crate::parameter::{COMPLIANCE, FREQUENCY, NO_UNIT, Parameter};
 use crate::scalar::Real;
 use std::f64::consts::TAU;
 
@@ -25,27 +25,12 @@ impl<R: Real> Effect<R> for SoftBase<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "soft-base",
         parameters: &[
-            Parameter::new(
-                "base_compliance",
-                "c_B",
-                "compliance of the base about the joint's axis",
-                COMPLIANCE,
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "base_frequency",
-                "f_B",
-                "natural frequency of the base without its link",
-                FREQUENCY,
-                Sign::Positive,
-            ),
-            Parameter::new(
-                "base_damping",
-                "zeta_B",
-                "damping ratio of the base without its link",
-                ["1", "1"],
-                Sign::Positive,
-            ),
+            Parameter::non_negative("base_compliance", "c_B", COMPLIANCE)
+                .meaning("compliance of the base about the joint's axis"),
+            Parameter::positive("base_frequency", "f_B", FREQUENCY)
+                .meaning("natural frequency of the base without its link"),
+            Parameter::positive("base_damping", "zeta_B", NO_UNIT)
+                .meaning("damping ratio of the base without its link"),
         ],
         sizes: 1,
         of_gear: true,

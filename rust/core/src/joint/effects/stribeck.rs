@@ -1,7 +1,7 @@
 //! Stribeck friction.
 
 use super::{AffectedTerms, Effect, EffectDeclaration, MAX_EFFECT_PARAMETERS, NO_TERMS};
-use crate::parameter::{Parameter, Sign, TORQUE, VELOCITY};
+use crate::parameter::{Parameter, TORQUE, VELOCITY};
 use crate::scalar::Real;
 
 /// Friction in excess of Coulomb friction that decreases with velocity: f_S exp(-(dtheta_M/w_s)^2).
@@ -26,20 +26,10 @@ impl<R: Real> Effect<R> for Stribeck<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "stribeck",
         parameters: &[
-            Parameter::new(
-                "stribeck_friction",
-                "f_S",
-                "excess of the friction at standstill over Coulomb friction",
-                TORQUE,
-                Sign::NonNegative,
-            ),
-            Parameter::new(
-                "stribeck_velocity",
-                "w_s",
-                "motor velocity at which the Stribeck friction has decayed to 1/e",
-                VELOCITY,
-                Sign::Positive,
-            ),
+            Parameter::non_negative("stribeck_friction", "f_S", TORQUE)
+                .meaning("excess of the friction at standstill over Coulomb friction"),
+            Parameter::positive("stribeck_velocity", "w_s", VELOCITY)
+                .meaning("motor velocity at which the Stribeck friction has decayed to 1/e"),
         ],
         sizes: 1,
         of_gear: false,

@@ -3,7 +3,7 @@
 use super::{
     AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
 };
-use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::parameter::{Parameter, TORQUE};
 use crate::scalar::Real;
 
 /// The link has the potential energy -s cos a + c sin a at its angle in space a: a horizontal arm
@@ -20,20 +20,10 @@ impl<R: Real> Effect<R> for Tilt<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "tilt",
         parameters: &[
-            Parameter::new(
-                "tilt_sin",
-                "s_t",
-                "unknown gravity torque of the link at a quarter turn in space",
-                TORQUE,
-                Sign::Any,
-            ),
-            Parameter::new(
-                "tilt_cos",
-                "c_t",
-                "unknown gravity torque of the link at its zero in space",
-                TORQUE,
-                Sign::Any,
-            ),
+            Parameter::any("tilt_sin", "s_t", TORQUE)
+                .meaning("unknown gravity torque of the link at a quarter turn in space"),
+            Parameter::any("tilt_cos", "c_t", TORQUE)
+                .meaning("unknown gravity torque of the link at its zero in space"),
         ],
         sizes: 2,
         of_gear: false,

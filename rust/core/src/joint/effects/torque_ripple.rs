@@ -3,7 +3,7 @@
 use super::{
     AffectedTerms, Effect, EffectDeclaration, JointState, MAX_EFFECT_PARAMETERS, NO_TERMS,
 };
-use crate::parameter::{Parameter, Sign, TORQUE};
+use crate::parameter::{NO_UNIT, Parameter, TORQUE};
 use crate::scalar::Real;
 
 /// A torque a cos(k theta_M) + b sin(k theta_M), from cogging or commutation errors.
@@ -21,27 +21,12 @@ impl<R: Real> Effect<R> for TorqueRipple<R> {
     const DECLARATION: EffectDeclaration = EffectDeclaration {
         name: "torque-ripple",
         parameters: &[
-            Parameter::new(
-                "torque_ripple_cos",
-                "a_r",
-                "cosine part of the motor's torque ripple",
-                TORQUE,
-                Sign::Any,
-            ),
-            Parameter::new(
-                "torque_ripple_sin",
-                "b_r",
-                "sine part of the motor's torque ripple",
-                TORQUE,
-                Sign::Any,
-            ),
-            Parameter::new(
-                "torque_ripple_order",
-                "k_r",
-                "periods of the torque ripple in a turn of the motor",
-                ["1", "1"],
-                Sign::Positive,
-            ),
+            Parameter::any("torque_ripple_cos", "a_r", TORQUE)
+                .meaning("cosine part of the motor's torque ripple"),
+            Parameter::any("torque_ripple_sin", "b_r", TORQUE)
+                .meaning("sine part of the motor's torque ripple"),
+            Parameter::positive("torque_ripple_order", "k_r", NO_UNIT)
+                .meaning("periods of the torque ripple in a turn of the motor"),
         ],
         sizes: 2,
         of_gear: false,

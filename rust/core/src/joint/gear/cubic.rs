@@ -1,7 +1,7 @@
 //! A stiffness that increases with the square of the torsion: T = k_G delta + k_3 delta^3.
 
 use super::{GearLaw, Law, MAX_LAW_PARAMETERS, Spring};
-use crate::parameter::{Parameter, STIFFNESS, Sign};
+use crate::parameter::{Parameter, STIFFNESS};
 use crate::scalar::Real;
 
 /// The cubic law: the first two terms of the series of any odd smooth law (Tuttle and Seering, IEEE
@@ -20,20 +20,10 @@ impl GearLaw for Cubic {
     const LAW: Law = Law {
         name: "cubic",
         parameters: &[
-            Parameter::new(
-                "gear_stiffness",
-                "k_G",
-                "stiffness of the gear, at the link",
-                STIFFNESS,
-                Sign::Positive,
-            ),
-            Parameter::new(
-                "gear_stiffness_cubic",
-                "k_3",
-                "torque of the gear per cube of its torsion, at the link",
-                ["N m/rad^3", "N/m^3"],
-                Sign::NonNegative,
-            ),
+            Parameter::positive("gear_stiffness", "k_G", STIFFNESS)
+                .meaning("stiffness of the gear, at the link"),
+            Parameter::non_negative("gear_stiffness_cubic", "k_3", ["N m/rad^3", "N/m^3"])
+                .meaning("torque of the gear per cube of its torsion, at the link"),
         ],
         rising: &[],
         elastic: true,

@@ -1,7 +1,7 @@
 //! One stiffness: T = k_G delta.
 
 use super::{GearLaw, Law, MAX_LAW_PARAMETERS, Spring};
-use crate::parameter::{Parameter, STIFFNESS, Sign};
+use crate::parameter::{Parameter, STIFFNESS};
 use crate::scalar::Real;
 
 /// The linear law, (2).
@@ -17,13 +17,8 @@ pub struct LinearSpring<R> {
 impl GearLaw for Linear {
     const LAW: Law = Law {
         name: "linear",
-        parameters: &[Parameter::new(
-            "gear_stiffness",
-            "k_G",
-            "stiffness of the gear, at the link",
-            STIFFNESS,
-            Sign::Positive,
-        )],
+        parameters: &[Parameter::positive("gear_stiffness", "k_G", STIFFNESS)
+            .meaning("stiffness of the gear, at the link")],
         rising: &[],
         elastic: true,
     };
