@@ -45,7 +45,6 @@ from strainwave.identification.whole_arm.selection.causes import (
     warn_unfitted_effects,
 )
 from strainwave.identification.whole_arm.selection.sensor_constants import sensor_warnings
-from strainwave.identification.whole_arm.selection.sensor_mounts import mount_warnings
 from strainwave.identification.whole_arm.start import Start
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.recorded_input import missing_recorded_input
@@ -96,7 +95,6 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *warn_removed_effects(fit.space, arm),
             *warn_added_effects(fit, arm),
             *sensor_warnings(parameters),
-            *mount_warnings(parameters),
             *residual_warnings(criticism.residuals, explained=bool(criticism.causes)),
             *warn_likely_cause(criticism.causes),
             *warn_unfitted_effects(refits),

@@ -164,35 +164,29 @@ def suspects_of(fit: Fit, arm: Arm, causes: Sequence[Cause]) -> tuple[SuspectCon
     prior, in one linear step. Likely effects are included with the shares of their fits.
     """
     prior = fit.space.prior
+    joints = range(1, arm.n_joints + 1)
+    load, change = "with the load of fast records", "directly after the fast records"
     hypotheses = [
-        (
-            SuspectConstant(
-                "payload", None, 0.0, experiment="repeat the motion with the load of fast records"
-            ),
-            body_parameters(arm),
-        )
+        ("payload", None, body_parameters(arm), f"repeat the motion {load}"),
+        *(
+            ("changed friction", j, friction_parameters(arm, j), f"repeat the motion {change}")
+            for j in joints
+        ),
     ]
-    for joint in range(1, arm.n_joints + 1):
-        change = "repeat the motion directly after the fast records"
-        hypotheses.append(
-            (
-                SuspectConstant("changed friction", joint, 0.0, experiment=change),
-                friction_parameters(arm, joint),
-            )
-        )
     suspects = [
-        replace(one, share=_shift_share(fit, shifted=prior.by_shifts(names)))
-        for one, names in hypotheses
-        if any(name in names for name in prior.names)
-    ]
-    for number in range(2, arm.n_joints + 1):
-        suspects += _link_length(fit, arm, number)
-    suspects += [
         SuspectConstant(
-            cause.effect, cause.joint, cause.share, experiment=effect_named(cause.effect).experiment
+            name, joint, _shift_share(fit, shifted=prior.by_shifts(keys)), experiment=experiment
         )
-        for cause in causes
+        for name, joint, keys, experiment in hypotheses
+        if keys & set(prior.names)
     ]
+    for number in joints[1:]:
+        suspects += _link_length(fit, arm, number)
+    for cause in causes:
+        experiment = effect_named(cause.effect).experiment
+        suspects.append(
+            SuspectConstant(cause.effect, cause.joint, cause.share, experiment=experiment)
+        )
     likely = [one for one in suspects if one.share > MIN_EXPLAINED_SHARE]
     return tuple(sorted(likely, key=lambda one: -one.share)[:MAX_SUSPECTS])
 
@@ -219,11 +213,10 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
         return np.asarray((ends[0] - ends[1])[..., None] / (2.0 * LENGTH_STEP))
 
     try:
-        factor = objective.factor_with_columns(fit.z, 1, column)
+        columns, target = objective.project_columns(fit.z, 1, column)
     except (InvalidInput, NumericalFailure):
         return
-    n = len(objective.space.unknowns)
-    derivative, target = factor[n:, n], factor[n:, -1]
+    derivative = columns[:, 0]
     square = float(derivative @ derivative)
     if square > 0.0:
         step = -float(derivative @ target) / square
@@ -235,13 +228,12 @@ def _link_length(fit: Fit, arm: Arm, number: int) -> Iterator[SuspectConstant]:
 
 def _shift_share(fit: Fit, shifted: FloatArray) -> float:
     """Relative decrease of the objective by shifts of the prior rows, (n_prior, n_shifts)."""
-    n, width = len(fit.space.unknowns), shifted.shape[1]
+    width = shifted.shape[1]
 
     def nothing(_: int, evaluated: Evaluation) -> FloatArray:
         return np.zeros((*evaluated.difference.shape, width))
 
-    factor = fit.objective.factor_with_columns(fit.z, width, nothing, shifted)
-    jacobian, target = factor[n:, n:-1], factor[n:, -1]
+    jacobian, target = fit.objective.project_columns(fit.z, width, nothing, shifted)
     remaining = target - jacobian @ np.linalg.lstsq(jacobian, target)[0]
     return float((target @ target - remaining @ remaining) / max(fit.cost, 1e-300))
 

@@ -67,13 +67,10 @@ class _Pass:
             records, values, {one: sizes_of(one.named_effect, fit.records) for one in tested}
         )
 
-    def columns(self, k: int, record_parameters: FloatArray) -> FloatArray:
+    def columns(self, k: int, initial: FloatArray) -> FloatArray:
         """Derivatives by sizes in a record: (n_rows, n_channels, n_sizes)."""
-        record, keys = self.records[k], [key for sizes in self.sizes.values() for key in sizes]
-        tangent = record.linearise(
-            self.values, record_parameters[: len(record.initial_states)], keys
-        )[1]
-        return tangent[..., : len(keys)]
+        keys = [key for sizes in self.sizes.values() for key in sizes]
+        return self.records[k].linearise(self.values, initial, keys)[1][..., : len(keys)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,12 +112,9 @@ class EffectColumns:
         width = prior_rows.shape[1]
 
         def tangent(k: int, _: Evaluation) -> FloatArray:
-            size_columns = np.concatenate(
-                [run.columns(k, objective.memory.record_parameters[k]) for run in each], 2
-            )
-            return np.concatenate(
-                [size_columns, np.zeros((*size_columns.shape[:2], width - n_sizes))], axis=2
-            )
+            initial = objective.initial_states(k)
+            columns = np.concatenate([run.columns(k, initial) for run in each], axis=2)
+            return np.pad(columns, ((0, 0), (0, 0), (0, width - n_sizes)))
 
         whole = objective.factor_with_columns(fit.z, width, tangent, prior_rows)
         if not np.isfinite(whole).all():
@@ -160,13 +154,9 @@ class EffectColumns:
         return np.asarray(-np.linalg.lstsq(self.factor[:n, :n], by_effect)[0])
 
     def _place(self, one: Hypothesis) -> slice:
-        counts = {key: len(sizes) for key, sizes in self.sizes.items()}
-        at = self.n_unknowns
-        for key, count in counts.items():
-            if key == one:
-                return slice(at, at + count)
-            at += count
-        raise KeyError(one)
+        before = list(self.sizes)[: list(self.sizes).index(one)]
+        start = self.n_unknowns + sum(len(self.sizes[key]) for key in before)
+        return slice(start, start + len(self.sizes[one]))
 
     def _shifts(self, one: Hypothesis) -> list[int]:
         first = self.n_unknowns + sum(map(len, self.sizes.values()))

@@ -37,10 +37,9 @@ def space_of(
     """Unknowns with starting values from the decoupled step, and the prior of the rigid step.
 
     All gears are linear; `add_stiffness_curves` adds stiffness curves. `joints` has one model per
-    joint;
-    `model` may be None for a single joint without gravity. `largest_voltage` [V] of each joint sets
-    the minimum Coulomb friction. `floor` is the minimum relative standard deviation of the prior.
-    Raises `NotIdentifiable` if a starting value is missing.
+    joint; `model` may be None for a single joint without gravity. `largest_voltage` [V] of each
+    joint sets the minimum Coulomb friction. `floor` is the minimum relative standard deviation of
+    the prior. Raises `NotIdentifiable` if a starting value is missing.
     """
     start = starting_values_of(model, joints, arm).values
     pairs = zip(arm.joints, largest_voltage, strict=True)
@@ -106,11 +105,7 @@ def _curve(stiffness: Unknown, joint: Joint, largest_torque: float) -> list[Unkn
 def add_settling_unknowns(space: ParameterSpace) -> ParameterSpace:
     """Add the friction settling time of each joint."""
     joints = [unknown.joint for unknown in space.unknowns if unknown.name == COULOMB]
-    settling_times = [
+    return space.add(
         Unknown(SETTLING, j, "s", SETTLING_START, SETTLING_START, False, _FRICTION_LOG_RANGE)
         for j in joints
-    ]
-    rows = np.pad(space.prior.rows, ((0, 0), (0, len(settling_times))))
-    return ParameterSpace(
-        (*space.unknowns, *settling_times), space.fixed, replace(space.prior, rows=rows)
     )

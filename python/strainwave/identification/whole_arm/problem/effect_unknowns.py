@@ -78,11 +78,7 @@ def add_effects(
     for one in effects:
         for unknown, column in _sizes_in_rigid_records(one, arm, space, values, additions):
             additions[unknown.key], columns[unknown.key] = unknown, column
-    rows = np.column_stack([space.prior.rows, *columns.values()])
-    extended = ParameterSpace(
-        (*space.unknowns, *additions.values()), space.fixed, replace(space.prior, rows=rows)
-    )
-    extended = _update_prior_trust(extended, arm)
+    extended = _update_prior_trust(space.add(additions.values(), columns.values()), arm)
     starts: Values = {key: unknown.start for key, unknown in additions.items()}
     return extended, extended.coordinates(starts | values)
 
@@ -176,9 +172,7 @@ def remove_effects(
     """Remove effects from a parameter space."""
     removed = {(name, j) for j, effect in effects for name in effect_named(effect).names}
     kept = [k for k, (name, j) in enumerate(space.keys) if (base_name(name), j) not in removed]
-    prior = replace(space.prior, rows=space.prior.rows[:, kept])
-    reduced = ParameterSpace(tuple(space.unknowns[k] for k in kept), space.fixed, prior)
-    return _update_prior_trust(reduced, arm)
+    return _update_prior_trust(space.select(kept), arm)
 
 
 def insignificant_effects(

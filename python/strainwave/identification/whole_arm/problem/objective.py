@@ -61,11 +61,6 @@ class _Memory:
     rows: tuple[bytes, tuple[Weights, ...], list[Rows]] | None = None
     long_steps: tuple[bytes, tuple[Weights, ...], Objective] | None = None
 
-    def store_biases(self, k: int, n_begin: int, optimum: FloatArray) -> None:
-        """Store the sensor biases of a record as the start of the next search."""
-        start = self.record_parameters[k][:n_begin]
-        self.record_parameters[k] = np.concatenate([start, optimum[n_begin:]])
-
 
 @dataclass(frozen=True)
 class Objective:
@@ -98,15 +93,19 @@ class Objective:
             has_initial_weights=True,
         )
 
+    def initial_states(self, k: int) -> FloatArray:
+        """Current initial states (n_initial,) of record k."""
+        return self.memory.record_parameters[k][: len(self.records[k].initial_states)]
+
     def linearise(self, z: FloatArray) -> Linearised | None:
         """Cost and least squares problem in the unknowns at z; None if the simulation fails."""
         min_curvature_ratio = 1.0 if self.has_initial_weights else MIN_CURVATURE_RATIO
 
         def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
-            rows = evaluated.weigh(self.weights[k])
-            self.memory.store_biases(
-                k, len(self.records[k].initial_states), evaluated.record_parameters + rows.step
-            )
+            rows, begin = evaluated.weigh(self.weights[k]), self.initial_states(k)
+            biases = (evaluated.record_parameters + rows.step)[len(begin) :]
+            # the biases are the start of the next search
+            self.memory.record_parameters[k] = np.concatenate([begin, biases])
             return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
 
         try:
@@ -160,11 +159,9 @@ class Objective:
 
     def add_initial_states(self, k: int, start: FloatArray | None = None) -> Objective:
         """Add initial states to record k, starting at `start` or at default values."""
-        record, record_parameters = (
-            replace(self.records[k], begins_in_motion=True),
-            list(self.memory.record_parameters),
-        )
-        biases = record_parameters[k][len(self.records[k].initial_states) :]
+        record = replace(self.records[k], begins_in_motion=True)
+        record_parameters = list(self.memory.record_parameters)
+        biases = record_parameters[k][len(self.initial_states(k)) :]
         record_parameters[k] = np.concatenate([record.start(), biases]) if start is None else start
         records = (*self.records[:k], record, *self.records[k + 1 :])
         return replace(self, records=records, memory=_Memory(record_parameters))
@@ -172,13 +169,9 @@ class Objective:
     def correct_step_error(self, z: FloatArray) -> Objective:
         """Correct the integrator step error of all records at z."""
         evaluated, values = self.evaluate(z), self.space.values(z)
-
-        def corrected(k: int, record: Dataset) -> Dataset:
-            return record.correct_step_error(
-                values, self.memory.record_parameters[k][: len(record.initial_states)]
-            )
-
-        records = tuple(self._map_records(corrected))
+        records = tuple(
+            self._map_records(lambda k, r: r.correct_step_error(values, self.initial_states(k)))
+        )
         pairs = zip(evaluated, records, self.records, strict=True)
         shifted = [
             replace(e, difference=e.difference + n.step_error_correction - o.step_error_correction)
@@ -225,13 +218,8 @@ class Objective:
     def store_step_errors(self, z: FloatArray) -> Objective:
         """Store the step errors at z, where the residuals are exact, for a later `corrected`."""
         values = self.space.values(z)
-
-        def stored(k: int, record: Dataset) -> Dataset:
-            return record.store_step_error(
-                values, self.memory.record_parameters[k][: len(record.initial_states)]
-            )
-
-        return replace(self, records=tuple(self._map_records(stored)))
+        records = self._map_records(lambda k, r: r.store_step_error(values, self.initial_states(k)))
+        return replace(self, records=tuple(records))
 
     def replace_records(self, records: Sequence[Dataset]) -> Objective:
         """Replace the rows of the records; weights and record parameters stay."""
@@ -353,8 +341,7 @@ class Objective:
         (n_rows, n_channels, n_columns) for a record number and its evaluation. `prior_rows`
         (n_prior, n_columns) are the rows of these columns in the prior, zero by default.
 
-        R has n_unknowns + n_columns + 1 columns. Its rows from n_unknowns on are the R of
-        [additional columns, residual] after elimination of the unknowns.
+        R has n_unknowns + n_columns + 1 columns.
         """
         evaluated = self.evaluate(z)
 
@@ -371,6 +358,22 @@ class Objective:
             [*self._map_records(factor), np.column_stack([prior_columns, border, prior_residual])]
         )
         return np.asarray(np.linalg.qr(stacked, mode="r"))
+
+    def project_columns(
+        self,
+        z: FloatArray,
+        n_columns: int,
+        columns_of: Callable[[int, Evaluation], FloatArray],
+        prior_rows: FloatArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """R of [additional columns, residual] after elimination of the unknowns.
+
+        The arguments are those of `factor_with_columns`. Returns the columns (n_rows, n_columns)
+        and the residual (n_rows,).
+        """
+        n = len(self.space.unknowns)
+        factor = self.factor_with_columns(z, n_columns, columns_of, prior_rows)[n:, n:]
+        return factor[:, :-1], factor[:, -1]
 
     def _map_records(self, work: Callable[[int, Dataset], T]) -> list[T]:
         """Apply `work` to every record in parallel threads; simulations release the GIL."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -163,17 +163,27 @@ class ParameterSpace:
                 z.append(np.log(max(value / unknown.scale, 1e-12)))
         return np.asarray(np.clip(np.array(z), self.lower, self.upper))
 
+    def add(
+        self, unknowns: Iterable[Unknown], columns: Iterable[FloatArray] | None = None
+    ) -> ParameterSpace:
+        """Add unknowns, with their columns (n_prior,) in the rigid prior; zero by default."""
+        added = (*self.unknowns, *unknowns)
+        zero = [np.zeros(len(self.prior.rows))] * (len(added) - len(self.unknowns))
+        rows = np.column_stack([self.prior.rows, *(zero if columns is None else columns)])
+        return replace(self, unknowns=added, prior=replace(self.prior, rows=rows))
+
+    def select(self, kept: Sequence[int]) -> ParameterSpace:
+        """Remove the unknowns at other places than `kept`."""
+        prior = replace(self.prior, rows=self.prior.rows[:, kept])
+        return replace(self, unknowns=tuple(self.unknowns[k] for k in kept), prior=prior)
+
     def fix_values(self, values: Mapping[Key, float]) -> ParameterSpace:
         """Fix some of the unknowns at given values."""
-        kept = [k for k, unknown in enumerate(self.unknowns) if unknown.key not in values]
-        dropped = [k for k, unknown in enumerate(self.unknowns) if unknown.key in values]
-        held_values = np.array([values[self.unknowns[k].key] for k in dropped])
-        target = self.prior.target - self.prior.rows[:, dropped] @ held_values
-        return ParameterSpace(
-            tuple(self.unknowns[k] for k in kept),
-            {**self.fixed, **values},
-            replace(self.prior, rows=self.prior.rows[:, kept], target=target),
-        )
+        held = [values.get(key, 0.0) if key in values else 0.0 for key in self.keys]
+        target = self.prior.target - self.prior.rows @ np.array(held)
+        kept = self.select([k for k, key in enumerate(self.keys) if key not in values])
+        prior = replace(kept.prior, target=target)
+        return replace(kept, fixed={**self.fixed, **values}, prior=prior)
 
     @property
     def _bound_pairs(self) -> list[tuple[int, int]]:

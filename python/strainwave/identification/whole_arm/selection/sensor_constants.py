@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -73,10 +74,8 @@ def add_sensor_constants(
     """
     starts = starts or {}
     fixed = {key: value for key, value in starts.items() if key[0] in IMU_START_ATTITUDE}
-    added = [_unknown_of(key, starts) for key in keys]
-    rows = np.pad(space.prior.rows, ((0, 0), (0, len(added))))
-    known_values = {**space.fixed, **fixed}
-    return ParameterSpace((*space.unknowns, *added), known_values, replace(space.prior, rows=rows))
+    extended = space.add(_unknown_of(key, starts) for key in keys)
+    return replace(extended, fixed={**space.fixed, **fixed})
 
 
 def _unknown_of(key: Key, starts: Values) -> Unknown:
@@ -178,22 +177,12 @@ def _least_significant(fit: Fit) -> dict[Key, float]:
         for key, value, std, within in rows
         if key in ideal and (within or not np.isfinite(ideal[key]))
     }
-    for key in [
-        key for key in distances if _counterpart(key) in distances and _counterpart(key) != key
-    ]:
-        # a delay and a low-pass that cannot be separated both stay; their intervals show it
-        if (
-            distances[key] < _MIN_KEPT_SIGNIFICANCE
-            and distances[_counterpart(key)] < _MIN_KEPT_SIGNIFICANCE
-            and not _is_at_upper_bound(fit, key)
-        ):
-            del distances[key]
-    weakest = min(distances, key=lambda key: distances[key], default=None)
-    return (
-        {weakest: ideal[weakest]}
-        if weakest is not None and distances[weakest] < _MIN_KEPT_SIGNIFICANCE
-        else {}
-    )
+    weak = {key for key, distance in distances.items() if distance < _MIN_KEPT_SIGNIFICANCE}
+    # a delay and a low-pass that cannot be separated both stay; their intervals show it
+    inseparable = {key for key in weak if _counterpart(key) in weak}
+    weak -= {key for key in inseparable if not _is_at_upper_bound(fit, key)}
+    weakest = min(weak, key=distances.__getitem__, default=None)
+    return {} if weakest is None else {weakest: ideal[weakest]}
 
 
 _COUNTERPARTS = {
@@ -202,12 +191,12 @@ _COUNTERPARTS = {
 }
 
 
-def _counterpart(key: Key) -> Key:
-    """Bandwidth key for a delay key and vice versa; other keys are unchanged."""
+def _counterpart(key: Key) -> Key | None:
+    """Bandwidth key for a delay key and vice versa; None for other keys."""
     constant = constant_of(key)
     other = _COUNTERPARTS.get(constant.kind) if constant else None
     if constant is None or other is None or key[1] is None:
-        return key
+        return None
     return replace(constant, kind=other).key(key[1])
 
 
@@ -235,21 +224,16 @@ def _significant_constants(fit: Fit, options: WholeArmOptions, min_gain: float) 
     ]
     if not candidates:
         return {}
-    factor = _score_factor(fit, candidates)
-    columns, target = factor[:, :-1], factor[:, -1]
+    columns, target = _score_columns(fit, candidates)
     selected: list[int] = []
     cost = float(target @ target)
-    while len(selected) < len(candidates):
-        costs = {
-            k: _residual_cost(columns[:, [*selected, k]], target) for k in range(len(candidates))
-        }
-        best = min((k for k in costs if k not in selected), key=lambda k: costs[k])
+    while remaining := set(range(len(candidates))) - set(selected):
+        costs = {k: _residual_cost(columns[:, [*selected, k]], target) for k in sorted(remaining)}
+        best = min(costs, key=costs.__getitem__)
         if cost - costs[best] < max(_MIN_SIGNIFICANCE**2, min_gain):
             break
         selected.append(best)
         cost = costs[best]
-    if not selected:
-        return {}
     estimates = np.linalg.lstsq(columns[:, selected], -target)[0]
     return {
         candidates[k]: nominal(candidates[k]) + float(size)
@@ -300,18 +284,15 @@ def _is_collinear_with_tilt(key: Key, fit: Fit) -> bool:
     )
 
 
-def _score_factor(fit: Fit, keys: Sequence[Key]) -> FloatArray:
-    """R of [sensor constants, residual] after projection on the complement of the unknowns."""
-    objective = fit.objective
-    values, simulated = objective.space.values(fit.z), objective.simulate(fit.z)
+def _score_columns(fit: Fit, keys: Sequence[Key]) -> tuple[FloatArray, FloatArray]:
+    """Columns of sensor constants, and the residual, after elimination of the unknowns."""
+    objective, values, simulated = fit.objective, fit.values, fit.objective.simulate(fit.z)
 
     def tangent(k: int, _: Evaluation) -> FloatArray:
-        record = objective.records[k]
-        local = objective.memory.record_parameters[k][: len(record.initial_states)]
-        return record.sensor_tangent(simulated[k], values, local, keys)
+        initial = objective.initial_states(k)
+        return objective.records[k].sensor_tangent(simulated[k], values, initial, keys)
 
-    n = len(objective.space.unknowns)
-    return objective.factor_with_columns(fit.z, len(keys), tangent)[n:, n:]
+    return objective.project_columns(fit.z, len(keys), tangent)
 
 
 def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
@@ -321,34 +302,24 @@ def _residual_cost(columns: FloatArray, target: FloatArray) -> float:
 
 
 def sensor_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """Warn of link sensors with delays, scale errors or drifts."""
-    for parameter in parameters:
-        constant = constant_of(parameter.key)
-        if constant is None or parameter.value is None:
+    """Warn of link sensors with delays, scale errors, drifts or mount resonances."""
+    for p in parameters:
+        constant = constant_of(p.key)
+        if constant is None or p.value is None:
             continue
-        sensor, half = constant.owner.replace("_", " "), CI95_STDS * (parameter.std or 0.0)
-        error = parameter.value - constant.kind.nominal
-        place = Place(joint=parameter.joint)
-        if constant.kind is ConstantKind.DRIFT:
-            yield Diagnostic(
-                "sensor-drift",
-                place,
-                record=record_of(parameter.name),
-                sensor=sensor,
-                rate=parameter.value,
-                half=half,
-                unit=parameter.unit,
-            )
-        elif constant.kind is ConstantKind.DELAY and abs(error) >= _MIN_REPORTED_DELAY:
-            yield Diagnostic(
-                "sensor-delay",
-                place,
-                "fitted",
-                sensor=sensor,
-                delay=abs(error),
-                half=half,
-                side="behind" if error > 0.0 else "ahead of",
-            )
-        elif constant.kind is ConstantKind.SCALE and abs(error) >= _MIN_REPORTED_SCALE_ERROR:
-            scale = parameter.value
-            yield Diagnostic("sensor-scale", place, sensor=sensor, scale=scale, half=half)
+        place, error = Place(joint=p.joint), p.value - constant.kind.nominal
+        sensor, half = constant.owner.replace("_", " "), CI95_STDS * (p.std or 0.0)
+        warn = partial(Diagnostic, sensor=sensor, half=half)
+        match constant.kind:
+            case ConstantKind.DRIFT:
+                record = record_of(p.name)
+                yield warn("sensor-drift", place, record=record, rate=p.value, unit=p.unit)
+            case ConstantKind.DELAY if abs(error) >= _MIN_REPORTED_DELAY:
+                side = "behind" if error > 0.0 else "ahead of"
+                yield warn("sensor-delay", place, "fitted", delay=abs(error), side=side)
+            case ConstantKind.SCALE if abs(error) >= _MIN_REPORTED_SCALE_ERROR:
+                yield warn("sensor-scale", place, scale=p.value)
+            case ConstantKind.MOUNT_FREQUENCY:
+                yield warn("sensor-mount", place, joint=p.joint, frequency_hz=p.value)
+            case _:
+                pass

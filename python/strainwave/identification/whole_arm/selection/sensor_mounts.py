@@ -7,15 +7,14 @@ reduces the residuals of its sensor strongly and increases those of other channe
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from strainwave.domain import Diagnostic, FloatArray, Parameter, Place
-from strainwave.domain.distributions import CI95_STDS, chi_square_limit
+from strainwave.domain import FloatArray
+from strainwave.domain.distributions import chi_square_limit
 from strainwave.domain.keys import Key
-from strainwave.domain.link_sensors import ConstantKind, constant_of
 from strainwave.dynamics.mount_resonance import MountResonance
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.residual_analysis import channels_above_noise
@@ -76,18 +75,12 @@ def _significant_mounts(fit: Fit, selection: Selection) -> Mounts:
     n = sum(map(len, tested.values()))
     if not n:
         return {}
-    objective = fit.objective.lengthen_steps(fit.z)
-    values = objective.space.values(fit.z)
+    objective, values = fit.objective.lengthen_steps(fit.z), fit.values
 
     def columns(k: int, _: Evaluation) -> FloatArray:
-        record = objective.records[k]
-        return record.mount_tangent(
-            values, objective.memory.record_parameters[k][: len(record.initial_states)], tested
-        )
+        return objective.records[k].mount_tangent(values, objective.initial_states(k), tested)
 
-    n_unknowns = len(objective.space.unknowns)
-    factor = objective.factor_with_columns(fit.z, n, columns)[n_unknowns:, n_unknowns:]
-    projected, target = factor[:, :-1], factor[:, -1]
+    projected, target = objective.project_columns(fit.z, n, columns)
     square = np.sum(projected**2, axis=0)
     gains = np.where(projected.T @ target < 0.0, (projected.T @ target) ** 2, 0.0)
     gains /= np.where(square > 0.0, square, np.inf)
@@ -118,13 +111,9 @@ def _mounts_to_test(fit: Fit, selection: Selection) -> Mounts:
     ):
         for channel, exceeds_noise in zip(record.channels, beyond.tolist(), strict=True):
             names = channel.mount
-            if (
-                not exceeds_noise
-                or names is None
-                or any(is_held(k, selection.options) for k in names)
-            ):
+            if not exceeds_noise or names is None or names[0] in present:
                 continue
-            if names[0] not in present:
+            if not any(is_held(key, selection.options) for key in names):
                 mounts[names] = candidates
     return mounts
 
@@ -169,20 +158,3 @@ def _split_cost(fit: Fit, names: Names) -> tuple[float, float]:
             costs[0 if channel.mount == names else 1] += cost
     sensor_cost, others = costs.tolist()
     return sensor_cost, others
-
-
-def mount_warnings(parameters: Sequence[Parameter]) -> Iterator[Diagnostic]:
-    """Warn of link sensors with a mount resonance."""
-    for parameter in parameters:
-        constant = constant_of(parameter.key)
-        is_frequency = constant is not None and constant.kind is ConstantKind.MOUNT_FREQUENCY
-        if constant is None or not is_frequency or parameter.value is None:
-            continue
-        yield Diagnostic(
-            "sensor-mount",
-            Place(joint=parameter.joint),
-            sensor=constant.owner.replace("_", " "),
-            joint=parameter.joint,
-            frequency_hz=parameter.value,
-            half=CI95_STDS * (parameter.std or 0.0),
-        )
