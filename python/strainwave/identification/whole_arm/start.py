@@ -104,7 +104,7 @@ def prepare_start(
     space = space_at(records, best.joints)
     coarse, initial = _start_search(space, records, best, starts, options)
     if placed:
-        coarse = Fit.at(*select_mountings(coarse.objective, coarse.z, arm, options))
+        coarse = select_mountings(coarse, arm, options)
     stages = starting_values_of(model, best.joints, arm)
     for name, joint in stages.rejected:
         if name == STIFFNESS:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import replace
-from functools import partial
 from itertools import count
 
 import numpy as np
@@ -56,9 +55,7 @@ def coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
     Large initial errors give small weights, and with these a search may end too early. The weights
     are updated as long as the errors decrease markedly.
     """
-    fit = search_minimum(
-        start, options, tolerance=COARSE_TOLERANCE, relative=_INITIAL_RELATIVE_TOLERANCE
-    )
+    fit = search_minimum(start, options, relative=_INITIAL_RELATIVE_TOLERANCE)
     if not fit.end.is_minimum:
         return fit
     if fit.iterations >= options.max_iterations:
@@ -68,20 +65,14 @@ def coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
 
 def resumed_coarse_search(start: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse search after a change of records or unknowns."""
-    return _reweight(search_minimum(start, options, tolerance=COARSE_TOLERANCE), options)
+    return _reweight(search_minimum(start, options), options)
 
 
 def _reweight(fit: Fit, options: WholeArmOptions) -> Fit:
     """Continue a coarse fit with updated weights as long as the errors decrease markedly."""
     fit = replace(fit, objective=fit.objective.update_weights(fit.z))
-    search = partial(
-        search_minimum,
-        options=options,
-        tolerance=COARSE_TOLERANCE,
-        relative=COARSE_RELATIVE_TOLERANCE,
-    )
     for _ in range(_MAX_COARSE_UPDATES):
-        fit = search(fit)
+        fit = search_minimum(fit, options, relative=COARSE_RELATIVE_TOLERANCE)
         updated = fit.objective.update_weights(fit.z)
         is_finished = not fit.end.is_minimum or fit.iterations >= options.max_iterations
         if is_finished or not _has_decreased(fit.objective, updated):
@@ -117,11 +108,10 @@ def refine(fit: Fit, options: WholeArmOptions, tolerance: float = COARSE_TOLERAN
     The step error correction is not updated. With the default tolerance the result is within one
     standard deviation of the minimum, which is sufficient for the model selection.
     """
-    search = partial(search_minimum, options=options, tolerance=tolerance)
     for _ in range(_MAX_WEIGHT_UPDATES):
         if fit.iterations >= options.max_iterations:
             return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
-        fit = search(fit, damping=_NEAR_DAMPING)
+        fit = search_minimum(fit, options, tolerance=tolerance, damping=_NEAR_DAMPING)
         updated = fit.objective.update_weights(fit.z)
         if not fit.end.is_minimum or _has_converged(fit.objective, updated):
             break
@@ -140,7 +130,7 @@ def search_minimum(
     start: Fit,
     options: WholeArmOptions,
     *,
-    tolerance: float,
+    tolerance: float = COARSE_TOLERANCE,
     relative: float = 0.0,
     damping: float = 1e-3,
     max_evaluations: int | None = None,

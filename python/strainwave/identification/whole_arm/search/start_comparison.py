@@ -19,7 +19,7 @@ from strainwave.domain.keys import Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import COARSE_TOLERANCE, search_minimum
+from strainwave.identification.whole_arm.search.solver import search_minimum
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
 MAX_SEARCHED_SETS = 4
@@ -157,10 +157,7 @@ def _continue_search(
             values = _values_with_start_springs(fit, objective)
             fit = Fit.at(objective, objective.space.coordinates(values))
         fit = search_minimum(
-            replace(fit, iterations=0),
-            options,
-            tolerance=COARSE_TOLERANCE,
-            max_evaluations=EVALUATIONS_PER_ROUND,
+            replace(fit, iterations=0), options, max_evaluations=EVALUATIONS_PER_ROUND
         )
     except NotIdentifiable:
         return None
@@ -180,7 +177,5 @@ def _recentre(search: _SearchState) -> list[JointModel]:
 
 def _values_with_start_springs(fit: Fit, objective: Objective) -> Values:
     """The values of the search, with the springs at their starts."""
-    space = objective.space
-    start_values = space.start_values
-    gear_names, estimates = gear_parameters(), fit.values
-    return {**start_values, **{key: x for key, x in estimates.items() if key[0] not in gear_names}}
+    kept = {key: x for key, x in fit.values.items() if key[0] not in gear_parameters()}
+    return objective.space.start_values | kept

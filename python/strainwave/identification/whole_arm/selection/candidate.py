@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 from strainwave.domain import WholeArmOptions
+from strainwave.domain.keys import Key
 from strainwave.dynamics.arm import Arm
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import (
     COARSE_RELATIVE_TOLERANCE,
-    COARSE_TOLERANCE,
+    fine_search,
     search_minimum,
 )
 
@@ -34,19 +36,18 @@ class Selection:
     def __post_init__(self) -> None:
         self.budget = self.options.max_iterations
 
-    @property
-    def max_evaluations(self) -> int:
-        """Maximum total number of evaluations."""
-        return self.options.max_iterations
+    def has_ended(self, fit: Fit) -> bool:
+        """Whether no evaluations are left after those of `fit`."""
+        return fit.iterations >= self.options.max_iterations
 
-    def grant(self, evaluations: int) -> None:
-        """Increase the maximum number of evaluations."""
-        self.options = replace(self.options, max_iterations=self.max_evaluations + evaluations)
+    def allow(self, evaluations: int) -> None:
+        """Raise the maximum total number of evaluations, if it is lower."""
+        max_iterations = max(self.options.max_iterations, evaluations)
+        self.options = replace(self.options, max_iterations=max_iterations)
 
     def renew(self, fit: Fit) -> None:
         """Allow the full budget again, counted from the evaluations of `fit`."""
-        max_iterations = max(self.max_evaluations, fit.iterations + self.budget)
-        self.options = replace(self.options, max_iterations=max_iterations)
+        self.allow(fit.iterations + self.budget)
 
 
 class Candidate(Protocol):
@@ -65,10 +66,16 @@ def run_trial(start: Fit, selection: Selection, max_evaluations: int | None) -> 
     return search_minimum(
         start,
         selection.options,
-        tolerance=COARSE_TOLERANCE,
         relative=COARSE_RELATIVE_TOLERANCE,
         max_evaluations=max_evaluations,
     )
+
+
+def refit_without(values: Mapping[Key, float], fit: Fit, selection: Selection) -> Fit:
+    """Repeat a fine fit with unknowns fixed at `values`; the fit itself if there are none."""
+    if not values:
+        return fit
+    return fine_search(fit.with_unknowns(fit.space.fix_values(values)), selection.options)
 
 
 def select_better(fit: Fit, other: Fit) -> Fit:

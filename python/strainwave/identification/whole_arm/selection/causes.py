@@ -96,21 +96,6 @@ class Refits:
     evaluations: int  # budget that was given, in evaluations of the fit's objective
 
 
-@dataclass(frozen=True, slots=True)
-class _StepFits:
-    """A fit in long integrator steps and in its own steps."""
-
-    long: Fit
-    short: Fit
-
-    @classmethod
-    def of(cls, fit: Fit) -> _StepFits:
-        long = lengthen_steps(fit)
-        if long is not fit:
-            long = replace(long, objective=long.objective.store_step_errors(fit.z))
-        return cls(long, fit)
-
-
 class _Budget:
     """Evaluations available for fits with one additional effect."""
 
@@ -135,30 +120,24 @@ def fit_missing_effects(
     of significance.
     """
     named = named_effects(arm)
-    promising = [one for one in tested if one.is_promising and one.named_effect not in named]
+    unnamed = [one for one in tested if one.named_effect not in named]
+    promising = [one for one in unnamed if one.is_promising]
     if not promising:
         return Refits((), (), 0)
+    unnamed.sort(key=_predicted_gain, reverse=True)
     min_gain = MIN_RIVAL_GAIN_SHARE * max(map(_predicted_gain, promising))
-    rivals = sorted(
-        (
-            one
-            for one in tested
-            if _predicted_gain(one) >= min_gain and one.named_effect not in named
-        ),
-        key=lambda one: -_predicted_gain(one),
-    )
-    budget = _Budget(fit, options)
-    fits = _StepFits.of(fit)
-    refits = _fit_rivals(fits, rivals[:MAX_RIVAL_EFFECTS], arm, options, budget)
+    rivals = [one for one in unnamed if _predicted_gain(one) >= min_gain][:MAX_RIVAL_EFFECTS]
+    budget, starts = _Budget(fit, options), [fit]
+    long = lengthen_steps(fit)
+    if long is not fit:
+        long = replace(long, objective=long.objective.store_step_errors(fit.z))
+        starts = [long, fit]  # some effects are too stiff for long steps
+    refits = _fit_rivals(starts, rivals, arm, options, budget)
     if not refits or not _is_sufficient(refits[0]):
         # a linear step underrates some effects; an effect by record can replace many others
         joint = refits[0].named_effect[0] if refits else promising[0].test.joint
-        others = [
-            one for one in tested if one.test.joint == joint and one.named_effect not in named
-        ]
-        others = [one for one in others if one not in rivals[:MAX_RIVAL_EFFECTS]]
-        others.sort(key=_predicted_gain, reverse=True)
-        refits += _fit_rivals(fits, others[:MAX_OTHER_EFFECTS], arm, options, budget)
+        others = [one for one in unnamed if one.test.joint == joint and one not in rivals]
+        refits += _fit_rivals(starts, others[:MAX_OTHER_EFFECTS], arm, options, budget)
     return Refits(tuple(_sort_by_evidence(refits)), tuple(budget.excluded), budget.evaluations)
 
 
@@ -174,21 +153,23 @@ def _sort_by_evidence(refits: Iterable[Refit]) -> list[Refit]:
 
 
 def _fit_rivals(
-    fits: _StepFits,
+    starts: Sequence[Fit],
     rivals: Sequence[TestedEffect],
     arm: Arm,
     options: WholeArmOptions,
     budget: _Budget,
 ) -> list[Refit]:
-    """Fit each effect; keep those significant beyond chance, the most likely first."""
+    """Fit each effect; keep those significant beyond chance, the most likely first.
+
+    A later one of the `starts` is used if no arm near those before it can be simulated.
+    """
     refits = []
     for one in rivals:
         if not budget.next_limit:
             budget.excluded.append(one.named_effect)
             continue
-        refit = _refit(fits.long, one, arm, options, budget)
-        if refit is None and fits.short is not fits.long:  # too stiff an effect for long steps
-            refit = _refit(fits.short, one, arm, options, budget)
+        attempts = (_refit(start, one, arm, options, budget) for start in starts)
+        refit = next((refit for refit in attempts if refit is not None), None)
         if refit is not None and _is_significant(refit, one.chance):
             refits.append(refit)
     return _sort_by_evidence(refits)
@@ -212,24 +193,18 @@ def _refit(
     sizes = {key: value for key, value in tested.values.items() if key not in estimates}
     loads = loads_of(fit.objective.records, estimates)
     best: Fit | None = None
+    gain = -math.inf
     for start in (tested.values, estimates | sizes):
-        limited = replace(options, max_iterations=budget.next_limit)
-        if not budget.next_limit:
+        limit = budget.next_limit
+        if not limit or gain > MIN_ACHIEVED_GAIN_SHARE * tested.alone:
             break
+        limited = replace(options, max_iterations=limit)
         other = _search_with_effect(fit, tested.named_effect, start, loads, arm, limited)
-        budget.remaining -= (
-            budget.next_limit if other is None else min(other.iterations, budget.remaining)
-        )
+        budget.remaining -= limit if other is None else min(other.iterations, budget.remaining)
         if other is not None and (best is None or other.cost < best.cost):
-            best = other
-        if (
-            best is not None
-            and fit.cost - tested.rigid - best.cost > MIN_ACHIEVED_GAIN_SHARE * tested.alone
-        ):
-            break
+            best, gain = other, fit.cost - tested.rigid - other.cost
     if best is None:
         return None
-    gain = fit.cost - tested.rigid - best.cost
     parameter_shifts = tuple(shifts(fit, best.values))
     n_added = len(best.space.unknowns) - n
     share = gain / max(fit.cost, 1e-300)

@@ -32,7 +32,7 @@ def add_significant_initial_motion(fit: Fit, selection: Selection) -> Fit:
 
     Returns the fit itself if no such record exists or no evaluations are left.
     """
-    if fit.iterations >= selection.max_evaluations:
+    if selection.has_ended(fit):
         return fit
     objective = add_initial_states(fit.objective, fit.z)
     if objective is fit.objective:
@@ -70,15 +70,15 @@ def _estimate_initial_motion(
     fixed_space = objective.space.fix_values(objective.space.values(z))
     free_start = objective.add_initial_states(k).select_record(k).replace_unknowns(fixed_space)
     rough_start = replace(free_start, initial_state_tolerance=ROUGH_INITIAL_STATE_TOLERANCE)
+    weights = objective.weights[k]
     try:
         (rows,) = rough_start.rows(z[:0])
-        if (1.0 - ROUGH_INITIAL_STATE_TOLERANCE) * rows.cost(
-            objective.weights[k]
-        ) > _MIN_EXPLAINED_SHARE * rest:
+        min_cost = (1.0 - ROUGH_INITIAL_STATE_TOLERANCE) * rows.cost(weights)
+        if min_cost > _MIN_EXPLAINED_SHARE * rest:
             return None  # a more precise search cannot reach the required share
         (rows,) = free_start.rows(z[:0])
     except (InvalidInput, NumericalFailure):
         return None  # the arm cannot be simulated from such initial states
-    cost = rows.cost(objective.weights[k])
+    cost = rows.cost(weights)
     is_evident = rest - cost > _MIN_COST_REDUCTION and cost < _MIN_EXPLAINED_SHARE * rest
     return rows.evaluated.record_parameters + rows.step if is_evident else None

@@ -33,12 +33,10 @@ from strainwave.identification.whole_arm.selection.settling_times import (
     add_settling_times,
     remove_insignificant_settling_times,
 )
-from strainwave.identification.whole_arm.selection.stiffness_restarts import (
+from strainwave.identification.whole_arm.selection.stiffness_curves import (
+    remove_insignificant_stiffness_terms,
     restart_coarse_fit,
     restart_fine_fit,
-)
-from strainwave.identification.whole_arm.selection.stiffness_terms import (
-    remove_insignificant_stiffness_terms,
 )
 
 COARSE: tuple[Candidate, ...] = (

@@ -8,7 +8,6 @@ import numpy as np
 
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.problem.effect_unknowns import (
-    NamedEffect,
     add_effects,
     insignificant_effects,
     named_effects,
@@ -19,11 +18,7 @@ from strainwave.identification.whole_arm.problem.parameter_space import Paramete
 from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.largest_loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import (
-    COARSE_TOLERANCE,
-    fine_search,
-    search_minimum,
-)
+from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection, select_better
 
 MAX_TRIAL_EVALUATIONS = 30  # effects have several parameters each
@@ -34,14 +29,14 @@ def add_named_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    selection.grant(selection.budget)  # as many as the fit without them
+    # as many as the fit without them
+    selection.allow(selection.options.max_iterations + selection.budget)
     values = fit.values
     loads = loads_of(fit.objective.records, values)
     space, start = add_effects(fit.space, named_effects(arm), arm, values, loads, fit.records)
     extended = search_minimum(
         fit.restart(with_effects(fit.objective, space, arm), start),
         selection.options,
-        tolerance=COARSE_TOLERANCE,
         max_evaluations=MAX_TRIAL_EVALUATIONS,
     )
     return select_better(replace(fit, cost=fit.cost - _prior_relief(fit, space)), extended)
@@ -63,15 +58,9 @@ def remove_insignificant_effects(fit: Fit, selection: Selection) -> Fit:
     arm = selection.arm
     if not named_effects(arm):
         return fit
-    while insignificant := _insignificant_effects(fit):
-        space = remove_effects(fit.space, insignificant, arm)
+    while effects := set(insignificant_effects(fit.space, fit.z, confidence_of(fit).cautious)):
+        space = remove_effects(fit.space, effects, arm)
         objective = with_effects(fit.objective, space, arm)
         start = fit.restart(objective, space.coordinates(fit.values))
         fit = fine_search(start, selection.options)
     return fit
-
-
-def _insignificant_effects(fit: Fit) -> set[NamedEffect]:
-    """The insignificant effects among the unknowns."""
-    covariance = confidence_of(fit).cautious
-    return set(insignificant_effects(fit.space, fit.z, covariance))

@@ -54,7 +54,7 @@ def add_mount_resonances(fit: Fit, selection: Selection) -> Fit:
         best = _best_mount_fit(fit, selection)
         if best is None:
             break
-        selection.grant(best.iterations)
+        selection.allow(selection.options.max_iterations + best.iterations)
         best = replace(best, iterations=fit.iterations + best.iterations)
         fit = fine_search(best, selection.options)
     return fit

@@ -11,11 +11,11 @@ from strainwave.identification.whole_arm.problem.arm_unknowns import (
     add_settling_unknowns,
 )
 from strainwave.identification.whole_arm.search.fit import Fit
-from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
     MIN_SIGNIFICANCE_STDS,
     Selection,
+    refit_without,
     run_trial,
     select_better,
 )
@@ -30,7 +30,7 @@ def add_settling_times(fit: Fit, selection: Selection) -> Fit:
     Keeps them if the options require them or the cost decreases significantly.
     """
     required = selection.options.settling
-    if required is False or fit.iterations >= selection.max_evaluations:
+    if required is False or selection.has_ended(fit):
         return fit
     space = add_settling_unknowns(fit.space)
     starts = {key: SETTLING_START for key in space.keys if key[0] == SETTLING}
@@ -54,6 +54,4 @@ def remove_insignificant_settling_times(fit: Fit, selection: Selection) -> Fit:
         for key, std, is_at_bound in zip(fit.space.keys, stds, at_lower_bound, strict=True)
         if key[0] == SETTLING and (is_at_bound or values[key] < MIN_SIGNIFICANCE_STDS * std)
     }
-    if not insignificant:
-        return fit
-    return fine_search(fit.with_unknowns(fit.space.fix_values(insignificant)), selection.options)
+    return refit_without(insignificant, fit, selection)

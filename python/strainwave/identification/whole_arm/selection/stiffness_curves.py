@@ -1,20 +1,25 @@
-"""Restarts of stiffness curves that converged with fewer knees than their law has."""
+"""Stiffness curves: restarts of those that lost a knee, removal of insignificant terms."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
 
+import numpy as np
+
 from strainwave.domain import SearchEnd
 from strainwave.domain.gear_laws import GearLaw
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import Key, Values
 from strainwave.errors import NotIdentifiable
+from strainwave.identification.whole_arm.inference.covariance import confidence_of
 from strainwave.identification.whole_arm.records.gear_torques import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import (
     MAX_CANDIDATE_EVALUATIONS,
+    MIN_SIGNIFICANCE_STDS,
     Selection,
+    refit_without,
     run_trial,
     select_better,
 )
@@ -32,7 +37,7 @@ def restart_coarse_fit(fit: Fit, selection: Selection) -> Fit:
         values = fit.values
         largest = gear_torques(fit.objective.records, values)[number - 1]
         for start in alternative_curves(law, values, number, largest):
-            if fit.iterations >= selection.max_evaluations:
+            if selection.has_ended(fit):
                 return replace(fit, end=SearchEnd.EVALUATION_LIMIT)
             z = fit.space.coordinates(start)
             try:
@@ -76,3 +81,21 @@ def alternative_curves(
     """
     for start in law.restarts(law.of_joint(values, joint), largest_torque):
         yield {**values, **{(name, joint): value for name, value in start.items()}}
+
+
+def remove_insignificant_stiffness_terms(fit: Fit, selection: Selection) -> Fit:
+    """Repeat the fit without the optional terms of gear laws that are zero within their errors.
+
+    A chi-square distance tests all optional parameters of a gear together. Returns the fit itself
+    if all terms are significant.
+    """
+    keys, insignificant = fit.space.keys, dict[Key, float]()
+    for number, joint in enumerate(selection.arm.joints, start=1):
+        names = joint.law.may_vanish
+        places = [k for k, (name, of) in enumerate(keys) if of == number and name in names]
+        if places:
+            estimate = fit.space.parameters(fit.z)[places]
+            covariance = confidence_of(fit).cautious[np.ix_(places, places)]
+            if estimate @ np.linalg.solve(covariance, estimate) < MIN_SIGNIFICANCE_STDS**2:
+                insignificant |= {keys[k]: 0.0 for k in places}
+    return refit_without(insignificant, fit, selection)
