@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -120,7 +120,10 @@ def predict_rigid(
         return prediction
 
     def varied() -> Iterator[FloatArray]:
-        for solution in _rigid_variations(model):
+        coulomb = [k for k, p in enumerate(model.parameters) if p.name == COULOMB]
+        covariance = np.nan_to_num(model.covariance, nan=0.0, posinf=0.0)
+        every = range(len(covariance))
+        for solution in _variations(model.solution, coulomb, every, covariance):
             other = _predict_torques(model, solution, signals, arm)
             yield other.predicted - prediction.predicted
 
@@ -164,17 +167,19 @@ def _predict_torques(
     )
 
 
-def _rigid_variations(model: RigidModel) -> Iterator[FloatArray]:
-    """Solutions with changed friction, and with samples of the parameter covariance."""
-    for k, p in enumerate(model.parameters):
-        if p.name == COULOMB:
-            solution = model.solution.copy()
-            solution[k] *= 1.0 + FRICTION_VARIATION_SHARE
-            yield solution
-    covariance = np.nan_to_num(model.covariance, nan=0.0, posinf=0.0)
-    rng = np.random.default_rng(0)
-    for draw in rng.multivariate_normal(np.zeros(len(covariance)), covariance, _N_DRAWS):
-        yield model.solution + draw / math.sqrt(_N_DRAWS)
+def _variations(
+    values: FloatArray, coulomb: Iterable[int], places: Sequence[int], covariance: FloatArray
+) -> Iterator[FloatArray]:
+    """Values with changed Coulomb friction, and with samples of the covariance at `places`."""
+    for k in coulomb:
+        changed = values.copy()
+        changed[k] *= 1.0 + FRICTION_VARIATION_SHARE
+        yield changed
+    rng, mean = np.random.default_rng(0), np.zeros(len(places))
+    for draw in rng.multivariate_normal(mean, covariance, _N_DRAWS, check_valid="ignore"):
+        changed = values.copy()
+        changed[list(places)] += draw / math.sqrt(_N_DRAWS)
+        yield changed
 
 
 def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
@@ -194,9 +199,15 @@ def predict_elastic(model: ArmModel, log: Log, arm: Arm) -> Prediction:
     typical, noise = _typical_motion(model), observed.noise
 
     def varied() -> Iterator[FloatArray]:
-        for other in _variations(model):
+        keys, parameters = list(values), [p for p in model.parameters if p.key in values]
+        coulomb = [k for k, key in enumerate(keys) if key[0] == COULOMB]
+        rows = [k for k, p in enumerate(model.parameters) if p.key in values]
+        covariance = model.covariance[np.ix_(rows, rows)]
+        places = [keys.index(p.key) for p in parameters]
+        for other in _variations(np.array(list(values.values())), coulomb, places, covariance):
             try:
-                yield observed.simulate(arm, other) - motion
+                changed = dict(zip(keys, other.tolist(), strict=True))
+                yield observed.simulate(arm, changed) - motion
             except (InvalidInput, NumericalFailure):  # the values are physically impossible
                 continue
 
@@ -230,25 +241,6 @@ def _typical_motion(model: ArmModel) -> Mapping[str, _TypicalMotion]:
             max(previous.motion, motion), max(previous.error, test.deviation)
         )
     return typical
-
-
-def _variations(model: ArmModel) -> Iterator[Values]:
-    """Values with changed friction, and with samples of the parameter covariance."""
-    values = dict(model.values)
-    for key, value in values.items():
-        if key[0] == COULOMB:
-            yield {**values, key: value * (1.0 + FRICTION_VARIATION_SHARE)}
-    indices = [k for k, p in enumerate(model.parameters) if p.key in values]
-    covariance = model.covariance[np.ix_(indices, indices)]
-    rng = np.random.default_rng(0)
-    draws = rng.multivariate_normal(
-        np.zeros(len(indices)), covariance, _N_DRAWS, check_valid="ignore"
-    )
-    for draw in draws / math.sqrt(_N_DRAWS):
-        changed = dict(values)
-        for k, change in zip(indices, draw.tolist(), strict=True):
-            changed[model.parameters[k].key] += change
-        yield changed
 
 
 def _stiffness_effect(

@@ -35,7 +35,7 @@ from strainwave.domain import (
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import StrainwaveError
 from strainwave.identification.joint_model.agreement import compare_response
-from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band
+from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band, resonances_of
 from strainwave.identification.joint_model.grey_box import Solved, solve
 from strainwave.identification.joint_model.linear import (
     LinearFit,
@@ -235,10 +235,9 @@ def _in_known_band(
     record: Decoupled, physical: JointModel | None, options: LinearOptions
 ) -> LinearOptions:
     """Options for three states in the band around the resonances, if these are known."""
-    options = physical_order(options)
-    if physical is None or physical.anti_resonance is None or physical.resonance is None:
+    options, resonances = physical_order(options), resonances_of(physical)
+    if resonances is None:
         return options
-    resonances = physical.anti_resonance.frequency_hz, physical.resonance.frequency_hz
     return replace(options, band_hz=band_for(resonances, [record], options))
 
 
@@ -277,17 +276,15 @@ def _by_transfer(
 
 
 def _in_other_bands(
-    records: Sequence[Decoupled], near: StateSpace, modes: Modes | None, options: LinearOptions
+    records: Sequence[Decoupled], near: StateSpace, modes: Modes, options: LinearOptions
 ) -> list[StateSpace]:
     """Models in a narrower and a wider band, which measure the effect of the band on the estimates.
 
     Models that fail or have no resonance are left out.
     """
-    if modes is None or modes.anti_resonance is None or modes.resonance is None:
+    resonances = resonances_of(modes)
+    if resonances is None or options.filter != "band":
         return []
-    if options.filter != "band":
-        return []
-    resonances = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
     models = []
     for band in other_bands(band_for(resonances, records, options), records):
         band_options = replace(options, band_hz=band, decimation=None)  # the rate follows the band

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from strainwave.domain import Decoupled, LinkSignals
+from strainwave.domain import Decoupled, JointModel, LinkSignals, Modes
 
 Band = tuple[float, float]
 """Lower and upper edge [Hz]."""
@@ -19,6 +19,13 @@ MIN_PERIODS = 6.0
 
 _MAX_HIGH_EDGE_TO_RATE = 0.4  # upper edge over the sampling rate
 _MAX_HIGH_EDGE_TO_BANDWIDTH = 0.8  # upper edge over the bandwidth of a filter of the signals
+
+
+def resonances_of(modes: Modes | JointModel | None) -> Band | None:
+    """Frequencies [Hz] of anti-resonance and resonance; None unless both are known."""
+    if modes is None or modes.anti_resonance is None or modes.resonance is None:
+        return None
+    return modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
 
 
 def limit_band(

@@ -129,8 +129,10 @@ class WeightedEquations:
             for p, tau in zip(self.pieces, error.tau, strict=True):
                 tau_change = p.passed(tau)
                 changes += [p.ratio * tau_change, self.x[_COMPLIANCE] * tau_change]
-            prior, changed = (_prior_equations(k, ratio) for k in (known, known.add_error(error)))
-            columns.append(np.concatenate([*changes, changed.target - prior.target]))
+            target, changed = (
+                _prior_equations(k, ratio)[1] for k in (known, known.add_error(error))
+            )
+            columns.append(np.concatenate([*changes, changed - target]))
         return ls.moves(self.equations, factor, np.column_stack(columns))
 
     @property
@@ -269,9 +271,9 @@ def _assemble(
         group += [np.full(n_rows, 2 * number), np.full(n_rows, 2 * number + 1)]
         block += [block_index, block_index]
         free_friction_std += [max(standing * abs(float(x[_COULOMB])), 1e-300)] * n_free
-    prior = _prior_equations(known, pieces[0].ratio)
-    prior_group = np.full(len(prior.target), ls.PRIOR_GROUP)
-    rows = np.concatenate([*shared, prior.rows])
+    prior_rows, prior_target = _prior_equations(known, pieces[0].ratio)
+    prior_group = np.full(len(prior_target), ls.PRIOR_GROUP)
+    rows = np.concatenate([*shared, prior_rows])
     return ls.Equations(
         shared=rows,
         noise=np.zeros(len(COLUMNS)),
@@ -279,22 +281,17 @@ def _assemble(
         common_deviation=np.zeros(0),
         local=tuple(local),
         local_deviation=np.array(free_friction_std),
-        target=np.concatenate([*target, prior.target]),
+        target=np.concatenate([*target, prior_target]),
         group=np.concatenate([*group, prior_group]),
         block=np.concatenate([*block, prior_group]),
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Prior:
-    """Equations of the values from the rigid step."""
+def _prior_equations(known: RigidKnowledge, n: float) -> tuple[FloatArray, FloatArray]:
+    """Rows (n_values, n_unknowns) and right-hand sides (n_values,) for the rigid-step values.
 
-    rows: FloatArray  # (n_values, n_unknowns)
-    target: FloatArray  # (n_values,)
-
-
-def _prior_equations(known: RigidKnowledge, n: float) -> _Prior:
-    """Rows and right-hand sides for the rigid-step values, divided by their standard deviations."""
+    Both are divided by the standard deviations.
+    """
     rows, values = [], []
     for value, columns in (
         (known.total_inertia, {_MOTOR: 1.0, _LINK: n * n}),
@@ -309,12 +306,10 @@ def _prior_equations(known: RigidKnowledge, n: float) -> _Prior:
         std = max(value[1], _MIN_RELATIVE_STD * abs(value[0]))
         rows.append(row / std)
         values.append(value[0] / std)
-    return _Prior(np.reshape(rows, (-1, len(COLUMNS))), np.array(values))
+    return np.reshape(rows, (-1, len(COLUMNS))), np.array(values)
 
 
 def physical_values(x: FloatArray) -> FloatArray:
     """Physical parameters in the order of `NAMES`, then the Coulomb friction."""
     k = 1.0 / x[_COMPLIANCE]
-    gear = [k, k * x[_RELAXATION]]
-    inertia_and_friction = x[list(_MECHANICAL)]
-    return np.concatenate([inertia_and_friction, gear, x[[_COULOMB]]])
+    return np.concatenate([x[list(_MECHANICAL)], [k, k * x[_RELAXATION]], x[[_COULOMB]]])

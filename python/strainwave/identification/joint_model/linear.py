@@ -6,7 +6,7 @@ velocity and link velocity, as in (11), (12).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -24,7 +24,12 @@ from strainwave.domain import (
     StateSpace,
 )
 from strainwave.errors import NotIdentifiable, StrainwaveError
-from strainwave.identification.joint_model.bands import FIRST_BAND_HZ, Band, same_band
+from strainwave.identification.joint_model.bands import (
+    FIRST_BAND_HZ,
+    Band,
+    resonances_of,
+    same_band,
+)
 from strainwave.identification.joint_model.stretches import (
     band_around,
     band_for,
@@ -115,11 +120,10 @@ def fit_linear(
     data = input_output_of(joint, band, chosen)
     # the model of three states determines the band; then the order is selected in that band
     physical = _model(joint, data, physical_order(chosen))
-    modes = modes_of(replace(physical, covariance=None))
+    resonances = _resonances(physical)
     # with only some inputs or outputs, the modes need not be those of the joint
     is_whole = chosen.inputs == chosen.outputs == "both"
-    if is_whole and modes.anti_resonance and modes.resonance:
-        resonances = modes.anti_resonance.frequency_hz, modes.resonance.frequency_hz
+    if is_whole and resonances:
         refined_band = band_for(resonances, joint, chosen)
         if not same_band(band, refined_band, _REFIT_BAND_DIFFERENCE):
             return _fit_in(refined_band, joint, chosen)
@@ -148,13 +152,12 @@ def judge(fit: LinearFit) -> ModelCheck:
     The check computes fits and tests of whiteness and independence on samples that the fit does not
     use. Raises `NotIdentifiable` if the model has no resonance, because its band is then arbitrary.
     """
-    if not _has_resonances(fit.model):
+    if _resonances(fit.model) is None:
         raise NotIdentifiable("the model does not ring: there is no band to judge it in")
     cuts = [round(_FIT_SHARE * len(piece.inputs)) for piece in fit.data]
-    fitted_part = [piece.window(0, cut) for piece, cut in zip(fit.data, cuts, strict=True)]
-    held_out_part = [
-        piece.window(cut, len(piece.inputs)) for piece, cut in zip(fit.data, cuts, strict=True)
-    ]
+    pairs = list(zip(fit.data, cuts, strict=True))
+    fitted_part = [piece.window(0, cut) for piece, cut in pairs]
+    held_out_part = [piece.window(cut, len(piece.inputs)) for piece, cut in pairs]
     refitted = _fit_near(fitted_part, fit.model, fit.options)
     return check_model(refitted or _fit(fitted_part, fit.model.order, fit.options), held_out_part)
 
@@ -168,15 +171,11 @@ def _search_band(records: Sequence[Decoupled]) -> Band:
     """Band around the resonances, from fast subspace estimates without starting values."""
     band = limit_to_records(FIRST_BAND_HZ, records)
     for _ in range(_MAX_BANDS):
-        estimated_modes = modes_of(subspace(input_output_of(records, band, LinearOptions()), 3))
-        if estimated_modes.anti_resonance is None or estimated_modes.resonance is None:
+        estimate = subspace(input_output_of(records, band, LinearOptions()), PHYSICAL_ORDER)
+        resonances = resonances_of(modes_of(estimate))
+        if resonances is None:
             break
-        previous_band = band
-        low, high = (
-            estimated_modes.anti_resonance.frequency_hz,
-            estimated_modes.resonance.frequency_hz,
-        )
-        band = band_around(min(low, high), max(low, high), records)
+        previous_band, band = band, band_around(min(resonances), max(resonances), records)
         if same_band(previous_band, band, _BAND_TOLERANCE):
             break
     return band
@@ -198,17 +197,18 @@ def _model(
         return physical
     start = near if near is not None and near.order == order else None
     model = _fit_from(data, start, options) or _fit(data, order, options)
-    notes: tuple[Diagnostic, ...] = ()
+    place = Place.in_records(*(record.experiment.name for record in records))
+    notes = []
     if not options.order and order != PHYSICAL_ORDER and not _is_usable(model):
         reduced = physical or _fit(data, PHYSICAL_ORDER, options)
         if _is_usable(reduced):
-            model, notes = reduced, (_order_warning(records, order),)
-    return replace(model, warnings=(*model.warnings, *notes, *_warnings(model, records)))
-
-
-def _order_warning(records: Sequence[Decoupled], order: int) -> Diagnostic:
-    place = Place.in_records(*(record.experiment.name for record in records))
-    return Diagnostic("order-reduced", place, order=order, reduced=PHYSICAL_ORDER)
+            model = reduced
+            notes = [Diagnostic("order-reduced", place, order=order, reduced=PHYSICAL_ORDER)]
+    growth = float(np.abs(np.linalg.eigvals(model.A)).max())
+    if growth > 1.0:
+        rate = float(np.log(growth) / model.sample_time)
+        notes.append(Diagnostic("unstable-model", place, rate=rate))
+    return replace(model, warnings=(*model.warnings, *notes))
 
 
 def _best_order(data: Sequence[InputOutput], options: LinearOptions) -> int:
@@ -259,17 +259,9 @@ def _fit_near(
 
 
 def _is_usable(model: StateSpace) -> bool:
-    return model.status in (SearchEnd.CONVERGED, "estimated") and _has_resonances(model)
+    return model.status in (SearchEnd.CONVERGED, "estimated") and _resonances(model) is not None
 
 
-def _has_resonances(model: StateSpace) -> bool:
-    modes = modes_of(replace(model, covariance=None))
-    return bool(modes.resonance and modes.anti_resonance)
-
-
-def _warnings(model: StateSpace, records: Sequence[Decoupled]) -> Iterator[Diagnostic]:
-    place = Place.in_records(*(record.experiment.name for record in records))
-    growth = float(np.abs(np.linalg.eigvals(model.A)).max())
-    if growth > 1.0:
-        rate = float(np.log(growth) / model.sample_time)
-        yield Diagnostic("unstable-model", place, rate=rate)
+def _resonances(model: StateSpace) -> Band | None:
+    """Frequencies [Hz] of anti-resonance and resonance, without the cost of their errors."""
+    return resonances_of(modes_of(replace(model, covariance=None)))

@@ -162,21 +162,17 @@ def _pairs_with_covariance(
 def _pairs(model: StateSpace, near: _Pairs | None) -> _Pairs:
     """The least damped pole and zero pair, or those nearest to the pairs of `near`."""
     reduced = remove_alternating_poles(replace(model, covariance=None))
-    model_modes = modes_of(reduced)
-    zeros, poles = (
-        [m.value for m in ms if m.oscillates] for ms in (model_modes.zeros, model_modes.poles)
-    )
+    modes = modes_of(reduced)
+    zeros, poles = ([m.value for m in each if m.oscillates] for each in (modes.zeros, modes.poles))
     if not zeros or not poles:
         raise NotIdentifiable(
             "the state-space model has no oscillating pair of poles and zeros: raise the amplitude "
             "or record for longer"
         )
-    if near is None:
-        zero, pole = (min(v, key=lambda r: abs(r.real / r)) for v in (zeros, poles))
-    else:
-        target = near
-        zero = min(zeros, key=lambda r: abs(r - target.zero))
-        pole = min(poles, key=lambda r: abs(r - target.pole))
+    zero, pole = (min(roots, key=lambda r: abs(r.real / r)) for roots in (zeros, poles))
+    if near is not None:
+        zero = min(zeros, key=lambda r: abs(r - near.zero))
+        pole = min(poles, key=lambda r: abs(r - near.pole))
     lag = _lag(to_continuous(reduced), np.array([zero]), np.array([pole]))
     return _Pairs(zero, pole, (float(lag[0][0]), float(lag[1][0])))
 
@@ -199,10 +195,6 @@ def _response(model: ContinuousStateSpace, s: ComplexArray) -> ComplexArray:
     inner = s[:, None, None] * np.eye(model.A.shape[-1]) - model.A
     right = np.broadcast_to(model.B + 0j, (len(s), *model.B.shape[-2:]))
     return np.asarray(model.C @ np.linalg.solve(inner, right) + model.D)
-
-
-def _laplace_variable(f: FloatArray) -> ComplexArray:
-    return np.asarray(2j * np.pi * f, dtype=np.complex128)
 
 
 def _with_rigid(
@@ -246,7 +238,7 @@ def _outputs_and_residuals(
 
     def modelled(f: FloatArray) -> ComplexArray:
         return np.asarray(
-            band_of(f, band)[:, None, None] * _response(physical, _laplace_variable(f))
+            band_of(f, band)[:, None, None] * _response(physical, 2j * np.pi * f.astype(complex))
         )
 
     def measured(f: FloatArray) -> ComplexArray:
@@ -267,10 +259,8 @@ def _reciprocity(model: StateSpace, low_hz: float, high_hz: float) -> float | No
     if min(len(model.C), model.B.shape[1]) < 2:
         return None
     f = np.geomspace(0.7 * low_hz, 1.3 * high_hz, _RECIPROCITY_LINES)
-    G = _response(
-        to_continuous(remove_alternating_poles(replace(model, covariance=None))),
-        _laplace_variable(f),
-    )
+    continuous = to_continuous(remove_alternating_poles(replace(model, covariance=None)))
+    G = _response(continuous, 2j * np.pi * f.astype(complex))
     difference, average = G[:, 0, 1] - G[:, 1, 0], 0.5 * (G[:, 0, 1] + G[:, 1, 0])
     return float(100.0 * (1.0 - np.linalg.norm(difference) / np.linalg.norm(average)))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,13 +59,10 @@ def motor_side_limits(
                 yield Diagnostic("motor-side-limit", place, estimates=estimates, reasons=reasons)
         poor_viscous = [p for p in joint_parameters if p.name in VISCOUS and _is_poor(p, at_bounds)]
         if poor_viscous:
-            anti_resonance_hz = anti_resonance(_undamped_joint(fit, arm, number)).frequency_hz
+            estimates, place = _describe(poor_viscous, at_bounds), Place(joint=number)
+            hz = anti_resonance(_undamped_joint(fit, arm, number)).frequency_hz
             yield Diagnostic(
-                "motor-side-limit",
-                Place(joint=number),
-                "viscous",
-                estimates=_describe(poor_viscous, at_bounds),
-                anti_resonance_hz=anti_resonance_hz,
+                "motor-side-limit", place, "viscous", estimates=estimates, anti_resonance_hz=hz
             )
 
 
@@ -124,28 +120,22 @@ def _reasons(fit: Fit, arm: Arm, joint: int) -> Iterator[Clause]:
     if damping_ratio > _MAX_PEAK_DAMPING_RATIO:
         yield Clause("damped", damping_ratio=float(damping_ratio), resonance_hz=resonance_hz)
     counts = arm.joints[joint - 1].encoder_counts
-    velocity = _busiest_velocity(fit, joint)
-    if counts and velocity.rounding**2 > _MIN_ROUNDING_SHARE * velocity.residual**2:
-        channel, error, noise = f"omega_m{joint}", velocity.residual, velocity.rounding
+    error, noise = _velocity_errors(fit, joint)
+    if counts and noise**2 > _MIN_ROUNDING_SHARE * error**2:
+        channel = f"omega_m{joint}"
         yield Clause("coarse", channel=channel, error=error, noise=noise, counts=counts)
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class _Velocity:
-    """Standard deviations [rad/s] of a motor velocity in one record."""
+def _velocity_errors(fit: Fit, joint: int) -> tuple[float, float]:
+    """Standard deviations [rad/s] of the residual and of the encoder rounding of a motor velocity.
 
-    motion: float
-    residual: float
-    rounding: float  # of the encoder
-
-
-def _busiest_velocity(fit: Fit, joint: int) -> _Velocity:
-    """Velocity of a motor in the record in which it moves most."""
-    velocities = []
+    They are those of the record in which the motor moves most.
+    """
+    errors = []
     for record, weights in zip(fit.objective.records, fit.objective.weights, strict=True):
         column = [c.channel for c in record.channels].index(f"theta_m{joint}")
         slope = np.linalg.norm(record.kernels.taps(rate=True))
         rounding = float(record.counts[column] / np.sqrt(12.0) * slope)
         motion = float(np.std(record.measured[:, column]))
-        velocities.append(_Velocity(motion, float(weights.stds[column]), rounding))
-    return max(velocities)
+        errors.append((motion, float(weights.stds[column]), rounding))
+    return max(errors)[1:]

@@ -56,8 +56,9 @@ def warnings_of(
     space = fit.space
     values = space.parameters(fit.z)
     stds = np.sqrt(np.diag(confidence_of(fit).combined))
-    for k, (unknown, at_bound) in enumerate(zip(space.unknowns, is_at_bound, strict=True)):
-        place = Place(joint=unknown.joint, parameter=unknown.name)
+    places = [Place(joint=joint, parameter=name) for name, joint in space.keys]
+    rows = zip(space.unknowns, places, is_at_bound, strict=True)
+    for k, (unknown, place, at_bound) in enumerate(rows):
         if at_bound and unknown.name != SETTLING:
             value = float(values[k])
             yield Diagnostic("at-bounds", place, value=value, unit=unknown.unit)
@@ -74,9 +75,8 @@ def warnings_of(
     for name, number in vanished_parameters(fit, arm):
         place, law = Place(joint=number, parameter=name), arm.joints[number - 1].law.simpler
         yield Diagnostic("not-reached", place, "simpler-law", law=law)
-    for unknown, value in zip(space.unknowns, values.tolist(), strict=True):
-        if unknown.name == SETTLING:
-            place = Place(joint=unknown.joint, parameter=unknown.name)
+    for place, value in zip(places, values.tolist(), strict=True):
+        if place.parameter == SETTLING:
             yield Diagnostic("friction-settles", place, time=value)
     combinable = [
         k
@@ -84,9 +84,7 @@ def warnings_of(
         if not is_hidden(unknown.key)
         and unknown.prior_std is None  # deviations from a prior at zero are not combined
     ]
-    names = [
-        Place(joint=space.unknowns[k].joint, parameter=space.unknowns[k].name) for k in combinable
-    ]
+    names = [places[k] for k in combinable]
     covariance = confidence_of(fit).combined[np.ix_(combinable, combinable)]
     for group, spread in only_together(names, values[combinable], covariance):
         yield Diagnostic("only-together", group, spread=float(spread))
