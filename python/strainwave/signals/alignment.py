@@ -79,11 +79,9 @@ def estimate_sensor_delay(signals: LinkSignals, arm: Arm, i: int) -> Delay | Non
             _differentiate_repeatedly(nonlinear, T, 3),
         ]
         estimate = _fit_spectral_lines(target, np.column_stack(columns), T, band, 1.0)
-    return (
-        None
-        if estimate is None
-        else _delay_with_model_error(estimate[0][0], estimate[1][0], _SENSOR_PHASE_ERROR, band)
-    )
+    if estimate is None:
+        return None
+    return _delay_with_model_error(estimate[0][0], estimate[1][0], _SENSOR_PHASE_ERROR, band)
 
 
 def estimate_drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float) -> Delay | None:
@@ -113,10 +111,8 @@ def estimate_drive_delay(signals: LinkSignals, arm: Arm, i: int, band_hz: float)
     estimate = _fit_spectral_lines(motor_acceleration, columns, T, band, 0.0)
     if estimate is None or estimate[0][1] == 0.0:
         return None
-    value, std = estimate
-    return _delay_with_model_error(
-        -value[0] / value[1], std[0] / value[1], _DRIVE_PHASE_ERROR, band
-    )
+    (slope, gain, *_), std = estimate
+    return _delay_with_model_error(-slope / gain, std[0] / gain, _DRIVE_PHASE_ERROR, band)
 
 
 def _delay_with_model_error(

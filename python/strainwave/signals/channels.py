@@ -58,6 +58,19 @@ def channel_of(log: Log, name: str) -> FloatArray:
     return log.channels[name]
 
 
+def check_length(log: Log, edge: int, cutoff_hz: float) -> None:
+    """Check that a record lasts longer than the transients of a low-pass at its ends.
+
+    `edge` [samples] is the length of a transient. Raises InvalidInput otherwise.
+    """
+    if len(log) < 4 * edge + 16:
+        raise InvalidInput(
+            f"{len(log)} samples are too few for a filter of {cutoff_hz:.3g} Hz",
+            where=log.name,
+            remedy="record a longer motion",
+        )
+
+
 def resolution(joint: Joint, noise: float) -> float:
     """Angle change [rad] above which the direction of a motor is significant.
 

@@ -8,6 +8,7 @@ minima, and the minimum with the smallest objective is selected.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -115,11 +116,13 @@ def _start_attitude(matrix: FloatArray, joint: int) -> dict[Key, float]:
     return {(name, joint): angle for name, angle in rpy}
 
 
+@dataclass(frozen=True, slots=True)
 class _AxisProblem:
-    """Linear least-squares problem for the factors of one axis: triangular root and target."""
+    """Linear least-squares problem for the factors of one axis."""
 
-    def __init__(self, axis: Axis, root: FloatArray, target: FloatArray) -> None:
-        self.axis, self.root, self.target = axis, root, target
+    axis: Axis
+    root: FloatArray  # (n_factors + 1, n_factors) triangular
+    target: FloatArray  # (n_factors + 1,)
 
     @classmethod
     def of(cls, axis: Axis, rows: FloatArray) -> _AxisProblem:
@@ -246,18 +249,14 @@ def _find_minimum(
     cost, damping = _cost(problems, values), _INITIAL_DAMPING
     for _ in range(_MAX_ITERATIONS):
         jacobian, residual = _jacobian(problems, values, keys), _residual(problems, values)
-        column_norm = np.linalg.norm(jacobian, axis=0)
-        column_norm = np.maximum(
-            column_norm, _MIN_COLUMN_NORM * max(float(column_norm.max()), 1e-300)
-        )
-        rows = np.concatenate([jacobian / column_norm, np.sqrt(damping) * np.eye(len(keys))])
-        step = (
-            np.linalg.lstsq(rows, np.concatenate([-residual, np.zeros(len(keys))]))[0] / column_norm
-        )
-        trial = dict(values)
+        norm = np.linalg.norm(jacobian, axis=0)
+        norm = np.maximum(norm, _MIN_COLUMN_NORM * max(float(norm.max()), 1e-300))
+        rows = np.concatenate([jacobian / norm, np.sqrt(damping) * np.eye(len(keys))])
+        target = np.concatenate([-residual, np.zeros(len(keys))])
+        step = np.linalg.lstsq(rows, target)[0] / norm
         step *= min(1.0, _MAX_STEP / max(float(np.max(np.abs(step))), 1e-300))
-        for key, change in zip(keys, step.tolist(), strict=True):
-            trial[key] += change
+        changes = zip(keys, step.tolist(), strict=True)
+        trial = values | {key: values[key] + change for key, change in changes}
         trial_cost = _cost(problems, trial)
         if trial_cost < cost:
             decrease, cost, values, damping = cost - trial_cost, trial_cost, trial, 0.2 * damping

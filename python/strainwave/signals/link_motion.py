@@ -28,7 +28,7 @@ from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import Between, apply_lags_without_aliases, differentiate, low_pass
 from strainwave.numerics.parallel import run_parallel
 from strainwave.signals.alignment import estimate_drive_delay, estimate_sensor_delay
-from strainwave.signals.channels import sensor_lags, unmeasured
+from strainwave.signals.channels import check_length, sensor_lags, unmeasured
 from strainwave.signals.delays import (
     build_delay_warnings,
     build_misalignment_warnings,
@@ -91,9 +91,8 @@ def compute_link_signals(
         if not any(late.value for late in remaining) or _exceeds_longest_delay(total):
             break
     if _exceeds_longest_delay(total):
-        return [prepare_link_signals(log, arm, options) for log in logs], (Delay(0.0, 0.0),) * len(
-            total
-        )
+        none = (Delay(0.0, 0.0),) * arm.n_joints
+        return [prepare_link_signals(log, arm, options) for log in logs], none
     return [replace(record, removed_delay=total) for record in records], total
 
 
@@ -138,17 +137,17 @@ def prepare_link_signals(
         motor_velocity=motor_velocity,
         direction=direction,
         sliding=sliding,
-        link_angle=links.angle,
-        link_velocity=links.velocity,
-        link_acceleration=links.acceleration,
+        link_angle=links.motion.angle,
+        link_velocity=links.motion.velocity,
+        link_acceleration=links.motion.acceleration,
         valid=valid,
         sources=view.sources,
         held=tuple(view.held(i) for i in range(arm.n_joints)),
         shared=view.shared,
         bandwidth_hz=view.bandwidth_hz,
         fusion=tuple(links.fusion),
-        fusion_error=np.array(links.fusion_error),
-        bias=np.array(links.bias),
+        fusion_error=links.fusion_error,
+        bias=links.bias,
         sensor_delay=(None,) * arm.n_joints,
         drive_delay=(None,) * arm.n_joints,
     )
@@ -179,18 +178,10 @@ class _FilteredLog:
         self.band = max(record.bands_hz)
         differenced = any(s != "accelerometer" for s in self.sources)
         self.bandwidth_hz = options.bandwidth_hz or (self.band if differenced else None)
-        slowest = min(
-            [lag.cutoff_hz for lag in self.shared]
-            + ([self.bandwidth_hz] if self.bandwidth_hz else [])
-            + [0.1 / log.sample_time]
-        )
+        cutoffs = [lag.cutoff_hz for lag in self.shared]
+        slowest = min([*cutoffs, self.bandwidth_hz or np.inf, 0.1 / log.sample_time])
         self.edge = int(np.ceil(_EDGE_PERIODS / (slowest * log.sample_time)))
-        if len(log) < 4 * self.edge + 16:
-            raise InvalidInput(
-                f"{len(log)} samples are too few for a filter of {slowest:.3g} Hz",
-                where=log.name,
-                remedy="record a longer motion",
-            )
+        check_length(log, self.edge, slowest)
         self.motor_angle = self.through(record.motor_angle)
 
     def through(
@@ -246,14 +237,9 @@ class _FilteredLog:
         """
         T, certain, noise = self.log.sample_time, self.record.sliding, self.record.angle_noise
         velocity = differentiate(low_pass(self.record.motor_angle, self.band, T), T)
-        softened = np.clip(
-            velocity / np.maximum(_MIN_VELOCITY_SIGNIFICANCE * self._velocity_noise(noise), 1e-12),
-            -1.0,
-            1.0,
-        )
-        return certain, self.through(
-            np.where(certain != 0.0, certain, softened), between="straight"
-        )
+        width = np.maximum(_MIN_VELOCITY_SIGNIFICANCE * self._velocity_noise(noise), 1e-12)
+        direction = np.where(certain != 0.0, certain, np.clip(velocity / width, -1.0, 1.0))
+        return certain, self.through(direction, between="straight")
 
 
 def _source(log: Log, arm: Arm, joint: int) -> LinkSource:
@@ -288,12 +274,10 @@ def _distinct_lags(joints: Sequence[Joint], sources: Sequence[LinkSource]) -> tu
 class _LinkMotion:
     """Motion of the links, computed from the base outward."""
 
-    angle: FloatArray
-    velocity: FloatArray
-    acceleration: FloatArray
-    bias: list[float]
+    motion: JointMotion
+    bias: FloatArray  # (n_joints,)
     fusion: list[Fusion | None]
-    fusion_error: list[float]
+    fusion_error: FloatArray  # (n_joints,)
 
 
 def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _LinkMotion:
@@ -301,42 +285,36 @@ def _compute_link_motion(view: _FilteredLog, motor_velocity: FloatArray) -> _Lin
     arm, T = view.arm, view.log.sample_time
     motor_angle, motor_side = arm.links_of(view.motor_angle), arm.links_of(motor_velocity)
     # Initialise all joints with the motor-side motion; the loop replaces it joint by joint.
+    n = arm.n_joints
     links = _LinkMotion(
-        motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T), [], [], []
+        motion=JointMotion(motor_angle.copy(), motor_side.copy(), differentiate(motor_side, T)),
+        bias=np.zeros(n),
+        fusion=[None] * n,
+        fusion_error=np.zeros(n),
     )
+    motion = links.motion
     for i, source in enumerate(view.sources):
         angle, slow = _low_frequency_motion(view, i, motor_angle[:, i])
+        if source in ("accelerometer", "gyro"):
+            channel = view.log.channels[f"{_CHANNEL[source]}{i + 1}"]
+            read = view.through(channel, sensor_lags(arm.joints[i], _CHANNEL[source]))
         if source != "accelerometer":
             if source == "gyro":
-                gyro = view.log.channels[f"gyro{i + 1}"]
-                rate = view.through(gyro, sensor_lags(arm.joints[i], _CHANNEL[source]))
-                motion = JointMotion(links.angle, links.velocity, links.acceleration)
-                slow = rate - read_gyro(arm, motion.without(i), i)
-            links.angle[:, i], links.velocity[:, i] = angle, slow
-            links.acceleration[:, i] = differentiate(slow, T)
-            links.bias.append(0.0)
-            links.fusion.append(None)
-            links.fusion_error.append(0.0)
+                slow = read - read_gyro(arm, motion.without(i), i)
+            motion.angle[:, i], motion.velocity[:, i] = angle, slow
+            motion.acceleration[:, i] = differentiate(slow, T)
             continue
-        read = view.through(
-            view.log.channels[f"a{i + 1}"], sensor_lags(arm.joints[i], _CHANNEL[source])
-        )
-        acceleration = _acceleration(arm, read, i, links)
-        bias = bias_of(acceleration, slow, T, view.edge)
-        acceleration = acceleration - bias
+        acceleration = _acceleration(arm, read, i, motion)
+        links.bias[i] = bias_of(acceleration, slow, T, view.edge)
+        acceleration = acceleration - links.bias[i]
         fusion = Fusion(view.options.time_constant, view.options.order)
-        links.velocity[:, i] = fuse(acceleration, slow, fusion, T)
-        links.angle[:, i] = fuse(links.velocity[:, i], angle, Fusion(fusion.time_constant, 1), T)
-        links.acceleration[:, i] = acceleration
-        has_link_angle = f"theta_l{i + 1}" in view.log.channels
-        has_link_angle = has_link_angle or f"deflection{i + 1}" in view.log.channels
-        fusion_error = complement(slow - links.velocity[:, i], fusion, T)[view.edge : -view.edge]
-        links.bias.append(bias)
+        motion.velocity[:, i] = fuse(acceleration, slow, fusion, T)
+        motion.angle[:, i] = fuse(motion.velocity[:, i], angle, Fusion(fusion.time_constant, 1), T)
+        motion.acceleration[:, i] = acceleration
         # With a measured link angle, (10) has no fusion error.
-        links.fusion.append(None if has_link_angle else fusion)
-        links.fusion_error.append(
-            0.0 if has_link_angle else float(np.sqrt(np.mean(fusion_error**2)))
-        )
+        if not {f"theta_l{i + 1}", f"deflection{i + 1}"} & view.log.channels.keys():
+            error = complement(slow - motion.velocity[:, i], fusion, T)[view.edge : -view.edge]
+            links.fusion[i], links.fusion_error[i] = fusion, np.sqrt(np.mean(error**2))
     return links
 
 
@@ -352,9 +330,8 @@ def _low_frequency_motion(
     return motor_side, differentiate(motor_side, view.log.sample_time)
 
 
-def _acceleration(arm: Arm, read: FloatArray, i: int, links: _LinkMotion) -> FloatArray:
+def _acceleration(arm: Arm, read: FloatArray, i: int, motion: JointMotion) -> FloatArray:
     """Relative link acceleration from an accelerometer signal: (8), (9) with gravity."""
-    motion = JointMotion(links.angle, links.velocity, links.acceleration)
     still = replace(motion, acceleration=motion.without(i).acceleration)
     return (read - read_accelerometer(arm, still, i)) / acceleration_gain(arm.joints[i])
 

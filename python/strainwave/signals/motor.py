@@ -8,9 +8,8 @@ import numpy as np
 
 from strainwave.domain import Log, Signals
 from strainwave.dynamics.arm import Arm
-from strainwave.errors import InvalidInput
 from strainwave.numerics.filters import differentiate, low_pass
-from strainwave.signals.channels import unmeasured
+from strainwave.signals.channels import check_length, unmeasured
 from strainwave.signals.prepared_record import prepare_record
 
 
@@ -34,12 +33,7 @@ def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = No
     T, angle = log.sample_time, record.motor_angle
     bandwidth = chosen.bandwidth_hz or min(record.bands_hz)
     edge = int(np.ceil(1.0 / (bandwidth * T)))
-    if len(log) < 4 * edge + 16:
-        raise InvalidInput(
-            f"{len(log)} samples are too few for a filter of {bandwidth:.3g} Hz",
-            where=log.name,
-            remedy="record a longer motion",
-        )
+    check_length(log, edge, bandwidth)
     smooth_angle = low_pass(angle, bandwidth, T)
     velocity = differentiate(smooth_angle, T)
     angle_invalid = unmeasured(log, (f"theta_m{i + 1}" for i in range(arm.n_joints)))

@@ -74,9 +74,8 @@ def find_saturated_runs(values: FloatArray, *, rests: bool) -> list[IntArray]:
         if at_standstill or abs(extreme) < 1e-9 * span:
             continue
         at_extreme = np.abs(values - extreme) <= 1e-9 * span
-        is_reversal = at_extreme.sum() < _MIN_EXTREME_COUNT_RATIO * _count_adjacent(
-            values, extreme, 1e-9 * span
-        )
+        adjacent = _count_adjacent(values, extreme, 1e-9 * span)
+        is_reversal = at_extreme.sum() < _MIN_EXTREME_COUNT_RATIO * adjacent
         if rests and is_reversal:
             continue
         runs = runs_of(at_extreme)

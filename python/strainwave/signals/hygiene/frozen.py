@@ -105,34 +105,22 @@ def _frozen_before(x: FloatArray, jump: Jump, rest_runs: IntArray) -> tuple[int,
     ):
         return None
     start = int(rest_runs[k, 0])
-    predicted = (
-        0.5
-        * (_mean_increment(x, start, before=True) + _mean_increment(x, end + 1))
-        * (end + 1 - start)
-    )
-    step = x[end + 1] - x[end]
-    rest_after = (
-        int(rest_runs[k + 1, 1] - end - 1) if _is_followed_by_rest(rest_runs, k, end) else 0
-    )
-    is_predicted = abs(predicted - step) < _MAX_PREDICTION_ERROR * abs(step)
-    is_moving_after = rest_after < _STANDSTILL_RATIO * (end - start) + 2
-    is_plausible = abs(step) < _MAX_SPEED_RATIO * _speed_around(x, start, end) * (end + 1 - start)
-    is_unusual = end - start > _MIN_ZERO_INCREMENTS and end - start > _MIN_REST_RATIO * _usual_rest(
-        x, start, end
-    )
-    return (
-        (start + 1, end + 1)
-        if is_predicted or (is_moving_after and is_plausible and is_unusual)
-        else None
-    )
+    length, step = end - start, x[end + 1] - x[end]
+    mean_increment = 0.5 * (_mean_increment(x, start, before=True) + _mean_increment(x, end + 1))
+    is_predicted = abs(mean_increment * (length + 1) - step) < _MAX_PREDICTION_ERROR * abs(step)
+    has_rest_after = k + 1 < len(rest_runs) and rest_runs[k + 1, 0] == end + 1
+    rest_after = rest_runs[k + 1, 1] - end - 1 if has_rest_after else 0
+    is_moving_after = rest_after < _STANDSTILL_RATIO * length + 2
+    is_plausible = abs(step) < _MAX_SPEED_RATIO * _speed_around(x, start, end) * (length + 1)
+    min_length = max(_MIN_ZERO_INCREMENTS, _MIN_REST_RATIO * _usual_rest(x, start, end))
+    is_frozen = is_predicted or (is_moving_after and is_plausible and length > min_length)
+    return (start + 1, end + 1) if is_frozen else None
 
 
 def _speed_around(x: FloatArray, start: int, end: int) -> float:
     """Larger mean speed [per sample] of both sides of a stretch and its jump."""
-    before, after = (
-        x[max(0, start - _SPEED_INCREMENTS) : start + 1],
-        x[end + 1 : end + 2 + _SPEED_INCREMENTS],
-    )
+    before = x[max(0, start - _SPEED_INCREMENTS) : start + 1]
+    after = x[end + 1 : end + 2 + _SPEED_INCREMENTS]
     return float(max(np.ptp(before), np.ptp(after))) / _SPEED_INCREMENTS
 
 
@@ -146,16 +134,10 @@ def _usual_rest(x: FloatArray, start: int, end: int) -> int:
     return max((int(np.max(r[:, 1] - r[:, 0], initial=0)) for r in runs), default=0)
 
 
-def _is_followed_by_rest(rest_runs: IntArray, k: int, end: int) -> bool:
-    """Whether the next run of zero increments begins directly after a jump."""
-    return k + 1 < len(rest_runs) and int(rest_runs[k + 1, 0]) == end + 1
-
-
 def _mean_increment(x: FloatArray, k: int, *, before: bool = False) -> float:
     """Mean increment on one side of a sample."""
-    other = (
-        max(0, k - _VELOCITY_INCREMENTS) if before else min(len(x) - 1, k + _VELOCITY_INCREMENTS)
-    )
+    other = k - _VELOCITY_INCREMENTS if before else k + _VELOCITY_INCREMENTS
+    other = min(max(0, other), len(x) - 1)
     return float((x[k] - x[other]) / (k - other)) if k != other else 0.0
 
 
@@ -175,10 +157,8 @@ def _find_frozen_encoder(x: FloatArray, count: float) -> Iterator[tuple[int, int
     inside = long_runs[(long_runs[:, 0] > 0) & (long_runs[:, 1] < len(increment))]
     ends = np.minimum(np.abs(increment[inside[:, 0] - 1]), np.abs(increment[inside[:, 1]]))
     for start, end in inside[ends > abrupt].tolist():
-        if (
-            min(abs(_mean_increment(x, start, before=True)), abs(_mean_increment(x, end + 1)))
-            > abrupt
-        ):
+        speeds = _mean_increment(x, start, before=True), _mean_increment(x, end + 1)
+        if min(map(abs, speeds)) > abrupt:
             frozen.add((start + 1, end + 1))
     yield from sorted(frozen)
 
@@ -195,16 +175,12 @@ def _find_repeated_runs(x: FloatArray, *, drives: bool) -> Iterator[tuple[int, i
     length = repeated_runs[:, 1] - repeated_runs[:, 0]
     typical = float(np.quantile(length, _TYPICAL_QUANTILE))
     random_repeats = is_repeated.copy()
-    for start, stop in repeated_runs[
-        length > max(_MIN_REPEATED_READINGS, _MIN_OUTLIER_RATIO * typical)
-    ].tolist():
+    is_outlier = length > max(_MIN_REPEATED_READINGS, _MIN_OUTLIER_RATIO * typical)
+    for start, stop in repeated_runs[is_outlier].tolist():
         random_repeats[start:stop] = False
-    blocks = (
-        random_repeats[: len(is_repeated) // _BLOCK_SAMPLES * _BLOCK_SAMPLES]
-        .reshape(-1, _BLOCK_SAMPLES)
-        .mean(axis=1)
-    )
-    share = max(float(np.quantile(blocks, _TYPICAL_QUANTILE)) if len(blocks) else 1.0, 1e-3)
+    n_blocks = len(is_repeated) // _BLOCK_SAMPLES
+    blocks = random_repeats[: n_blocks * _BLOCK_SAMPLES].reshape(n_blocks, -1).mean(axis=1)
+    share = max(float(np.quantile(blocks, _TYPICAL_QUANTILE)) if n_blocks else 1.0, 1e-3)
     if share > _MAX_REPEATED_SHARE:
         return
     min_length = max(

@@ -16,7 +16,9 @@ from strainwave.signals.hygiene.defects import resolution_of, usual_change
 MAX_SPIKE_SAMPLES = 3
 """Maximum duration of a spike [samples]."""
 
-_MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
+MAX_RETURN_ERROR = 0.35
+"""Maximum residual offset after a spike, relative to its size."""
+
 _MIN_RECORD_RATIO = 3.0  # minimum ratio to the usual value in the record
 _MIN_LOCAL_RATIO = 5.0  # minimum ratio to the usual value nearby
 # minimum size in units of the resolution; larger than quantization effects
@@ -55,7 +57,7 @@ def classify_jumps(
         speed = signal[start] - signal[start - 1] - jump.size
         ends = np.arange(start, min(start + MAX_SPIKE_SAMPLES, len(signal) - 1) + 1)
         offset = signal[ends] - signal[start - 1] - speed * (ends - start + 1)
-        returns = ends[np.abs(offset) < _MAX_RETURN_ERROR * abs(jump.size)].tolist()
+        returns = ends[np.abs(offset) < MAX_RETURN_ERROR * abs(jump.size)].tolist()
         if returns:
             last_stop = returns[0]
             spikes.append((start, last_stop))

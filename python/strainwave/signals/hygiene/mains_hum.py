@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
 
@@ -38,10 +39,10 @@ def detect(log: Log, _: Arm) -> list[Defect]:
         spectrum, duration = _amplitudes(x[:_MAX_SAMPLES]), _duration(log)
         for hz in _LINES_HZ:
             line = _peak_index(spectrum, hz, duration)
-            if line is not None and spectrum[line] > _MIN_LINE_RATIO * _largest_nearby(
-                spectrum, line, duration
-            ):
-                size = float(spectrum[line])
+            if line is None:
+                continue
+            size = float(spectrum[line])
+            if size > _MIN_LINE_RATIO * _largest_nearby(spectrum, line, duration):
                 detections.append(Defect("mains-hum", name, 0, len(log), size, hz))
     return detections
 
@@ -56,10 +57,8 @@ def confirm_hum(
     motion of the arm. `detections` are the defects of each log.
     """
     sizes: dict[tuple[str, float], list[float]] = {}
-    for defect in (
-        d for record_defects in detections for d in record_defects if d.kind == "mains-hum"
-    ):
-        if defect.level is not None:
+    for defect in chain.from_iterable(detections):
+        if defect.kind == "mains-hum" and defect.level is not None:
             sizes.setdefault((defect.channel, defect.level), []).append(defect.size)
     lines: set[tuple[str, float | None]] = set()
     for (channel, hz), amplitudes in sizes.items():
@@ -77,11 +76,9 @@ def _amplitude_bound(log: Log, channel: str, hz: float) -> float:
     """Upper bound of the amplitude of a line: its peak or the largest amplitude around it."""
     spectrum, duration = _amplitudes(log.channels[channel][:_MAX_SAMPLES]), _duration(log)
     line = _peak_index(spectrum, hz, duration)
-    return (
-        np.inf
-        if line is None
-        else max(float(spectrum[line]), _largest_nearby(spectrum, line, duration))
-    )
+    if line is None:
+        return np.inf
+    return max(float(spectrum[line]), _largest_nearby(spectrum, line, duration))
 
 
 def _duration(log: Log) -> float:
@@ -113,8 +110,6 @@ def _peak_index(spectrum: FloatArray, hz: float, duration: float) -> int | None:
 def _largest_nearby(spectrum: FloatArray, at: int, duration: float) -> float:
     """Largest amplitude within `_COMPARISON_BAND_HZ` of a line, without the line itself."""
     near = int(_COMPARISON_BAND_HZ * duration)
-    below, above = (
-        spectrum[at - near : at - _LINE_HALF_WIDTH],
-        spectrum[at + _LINE_HALF_WIDTH + 1 : at + near + 1],
-    )
+    below = spectrum[at - near : at - _LINE_HALF_WIDTH]
+    above = spectrum[at + _LINE_HALF_WIDTH + 1 : at + near + 1]
     return float(max(below.max(), above.max()))

@@ -15,10 +15,13 @@ from strainwave.signals.hygiene.defects import (
     noisy_kinds,
     of_kinds,
 )
-from strainwave.signals.hygiene.isolated import MAX_SPIKE_SAMPLES, classify_jumps
+from strainwave.signals.hygiene.isolated import (
+    MAX_RETURN_ERROR,
+    MAX_SPIKE_SAMPLES,
+    classify_jumps,
+)
 from strainwave.signals.standstill import runs_of
 
-_MAX_RETURN_ERROR = 0.35  # maximum residual offset after a spike, relative to its size
 # Minimum distance of a spike from the usual voltages, relative to their range.
 _MIN_RANGE_MARGIN = {"open": 0.3, "servo": 1.0}
 _EXCLUDED_SHARE = 1e-3  # share of samples on each side that the usual range excludes
@@ -56,8 +59,8 @@ def _find_outside_range(x: FloatArray, min_margin: float) -> Iterator[tuple[int,
     low, high = float(ordered[k]), float(ordered[-1 - k])
     margin = min_margin * (high - low)
     for start, stop in runs_of((x > high + margin) | (x < low - margin)).tolist():
-        is_short = start > 0 and stop < len(x) and stop - start <= MAX_SPIKE_SAMPLES
-        if is_short and abs(x[stop] - x[start - 1]) < _MAX_RETURN_ERROR * abs(
-            x[start] - x[start - 1]
-        ):
+        if start == 0 or stop == len(x) or stop - start > MAX_SPIKE_SAMPLES:
+            continue
+        before = x[start - 1]
+        if abs(x[stop] - before) < MAX_RETURN_ERROR * abs(x[start] - before):
             yield start, stop

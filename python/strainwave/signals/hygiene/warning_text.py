@@ -23,11 +23,9 @@ def build_defect_warnings(
             place = (defect.channel, defect.kind, defect.level, defect.wraps)
             by_place.setdefault(place, []).append(defect)
     for (channel, kind, level, wraps), group in by_place.items():
-        spikes = (
-            Clause("spikes-count/one")
-            if len(group) == 1
-            else Clause("spikes-count", count=len(group))
-        )
+        spikes = Clause("spikes-count", count=len(group))
+        if len(group) == 1:
+            spikes = Clause("spikes-count/one")
         yield Diagnostic(
             kind,
             Place((log.name,), channel),
