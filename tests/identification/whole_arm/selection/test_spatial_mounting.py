@@ -28,6 +28,7 @@ from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace, Unknown
 from strainwave.identification.whole_arm.problem.prior import Prior
 from strainwave.identification.whole_arm.records.preparation import dataset_of
+from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.numerics.filters import low_pass
@@ -164,9 +165,8 @@ def test_short_searches_refine_the_mounting() -> None:
     keys = [key for key in starts if key[0] not in IMU_START_ATTITUDE]
     space = add_sensor_constants(space, keys, starts)
     objective = Objective.of(space, (dataset_of(record(), arm, 40.0),))
-    at = np.zeros(len(space.unknowns))
-    objective, z = select_mountings(objective, at, arm, WholeArmOptions())
-    position, angle = errors(objective.space.values(z))
+    start = Fit.at(objective, np.zeros(len(space.unknowns)))
+    position, angle = errors(select_mountings(start, arm, WholeArmOptions()).values)
     assert position < 5e-3
     assert angle < np.radians(1.0)
 
