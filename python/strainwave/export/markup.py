@@ -26,8 +26,13 @@ def root(tag: str, name: str, notes: Iterable[str]) -> ET.Element:
 
 
 def comment(parent: ET.Element, text: str) -> None:
-    """Add a comment; two hyphens in a row, which XML forbids, become one."""
-    parent.append(ET.Comment(f" {text.replace('--', '-')} "))
+    """Add a comment."""
+    parent.append(ET.Comment(f" {comment_text(text)} "))
+
+
+def comment_text(text: str) -> str:
+    """Text of a comment; two hyphens in a row, which XML forbids, become one."""
+    return text.replace("--", "-")
 
 
 def to_bytes(element: ET.Element) -> bytes:
