@@ -9,7 +9,8 @@ the table in the terminal.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,36 +116,36 @@ def design(
     lowest = min((b.anti_resonance_hz for b in bands.values() if b), default=None)
     records: tuple[Planned, ...] = ()
     failures: list[LimitBroken] = []
+
+    @contextmanager
+    def collecting() -> Iterator[None]:
+        try:
+            yield
+        except LimitBroken as error:
+            failures.append(error)
+
     if arm.servo is not None:
         progress("optimising the rigid motion")
-        try:
+        with collecting():
             records = motion_records(
                 arm, values, limits, anti_resonance_hz=lowest, starts=_N_STARTS, seed=seed
             )
-        except LimitBroken as error:
-            failures.append(error)
     for joint, band in bands.items():
-        if band:
-            progress(f"sizing the excitation of joint {joint}")
-            try:
-                record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
-            except LimitBroken as error:
-                failures.append(error)
-            else:
-                sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
-                records += (record, *sweep)
-                warnings += tuple(
-                    Diagnostic(
-                        "limit-broken", Place(part="sweep", joint=joint), reason=text, remedy=None
-                    )
-                    for text in omissions
-                )
-        if band and arm.servo is not None:
+        if not band:
+            continue
+        progress(f"sizing the excitation of joint {joint}")
+        with collecting():
+            record = voltage_record(arm, values, limits, band, joint, kind=kind, seed=seed)
+            sweep, omissions = sweep_records(arm, values, limits, band, record, seed=seed)
+            records += (record, *sweep)
+            place = Place(part="sweep", joint=joint)
+            warnings += tuple(
+                Diagnostic("limit-broken", place, reason=text, remedy=None) for text in omissions
+            )
+        if arm.servo is not None:
             progress(f"sizing the steps of joint {joint}")
-            try:
+            with collecting():
                 records += step_records(arm, values, limits, band, joint)
-            except LimitBroken as error:
-                failures.append(error)
     if not records:
         raise failures[0]
     warnings += tuple(
@@ -174,11 +175,9 @@ def _warn_slow_clocks(
     for joint, band in bands.items():
         first = next((r for r in records if r.experiment.joint == joint), None)
         if band and first and first.band_hz[1] < _MIN_BAND_SHARE * band.high_hz:
+            hz = {"limit_hz": first.band_hz[1], "needed_hz": band.high_hz}
             place = Place.in_records(first.experiment.name)
-            needed = band.high_hz
-            warnings.append(
-                Diagnostic("slow-clock", place, limit_hz=first.band_hz[1], needed_hz=needed)
-            )
+            warnings.append(Diagnostic("slow-clock", place, **hz))
     return tuple(warnings)
 
 
@@ -187,18 +186,12 @@ def _warn_unlimited_torques(
 ) -> tuple[Diagnostic, ...]:
     """Warnings of the largest gear torques for which no limit is given."""
     warnings = []
-    for i in range(arm.n_joints):
-        if np.isfinite(limits.gear_torque[i]) or not arm.joints[i].elastic:
-            continue
-        worst = max(records, key=lambda record: float(record.predicted.gear_torque[i]))
-        warning = Diagnostic(
-            "no-torque-limit",
-            Place(joint=i + 1),
-            joint=i + 1,
-            torque=float(worst.predicted.gear_torque[i]),
-            experiment=worst.experiment.name,
-        )
-        warnings.append(warning)
+    for i, joint in enumerate(arm.joints):
+        if joint.elastic and not np.isfinite(limits.gear_torque[i]):
+            torques = {r.experiment.name: float(r.predicted.gear_torque[i]) for r in records}
+            worst = max(torques, key=torques.__getitem__)
+            values = {"joint": i + 1, "torque": torques[worst], "experiment": worst}
+            warnings.append(Diagnostic("no-torque-limit", Place(joint=i + 1), **values))
     return tuple(warnings)
 
 

@@ -184,12 +184,8 @@ def _inertia_at_motor(search: Search) -> FloatArray:
 
 def _sizes(arm: Arm, values: Values) -> dict[int, float]:
     """Magnitudes of the guessed rigid parameters that are not zero, by column of the regressor."""
-    sizes = {}
-    for k, column in enumerate(arm.rigid_columns):
-        size = abs(values.get(column.key, 0.0))
-        if size > 0.0:
-            sizes[k] = size
-    return sizes
+    sizes = [abs(values.get(column.key, 0.0)) for column in arm.rigid_columns]
+    return {k: size for k, size in enumerate(sizes) if size > 0.0}
 
 
 def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: FloatArray) -> Motion:
@@ -200,11 +196,9 @@ def quintic(start: Sequence[FloatArray], stop: Sequence[FloatArray], time: Float
     """
     T = float(time[-1] + time[1] - time[0])
     powers = np.arange(6.0)
-    rows = []
-    for end in (0.0, T):
-        for order in range(3):
-            rows.append(_power_rows(np.array([end]), powers, order)[0])
-    coefficients = np.linalg.solve(np.array(rows), np.array([*start, *stop]))
+    ends = np.array([0.0, T])
+    rows = np.stack([_power_rows(ends, powers, order) for order in range(3)], axis=1)
+    coefficients = np.linalg.solve(rows.reshape(6, 6), np.array([*start, *stop]))
     angle, velocity, acceleration = (
         _power_rows(time, powers, order) @ coefficients for order in range(3)
     )
