@@ -8,6 +8,7 @@ import pytest
 from rich.console import Console
 
 from strainwave.monitoring import output
+from strainwave.presentation.terminal import printed_table
 
 
 @pytest.mark.parametrize(
@@ -20,9 +21,7 @@ def test_p_values_as_text(p: float, text: str) -> None:
 @pytest.mark.parametrize("width", [20, 60])
 def test_tables_are_never_truncated(width: int) -> None:
     text = io.StringIO()
-    table = output.printed_table()
-    for heading in ("parameter", "value"):
-        table.add_column(heading)
+    table = printed_table("parameter", "value")
     table.add_row("motor_viscous_friction 1", "1.234567e-04")
     output.print_table(Console(file=text, width=width), table)
     assert "motor_viscous_friction 1 1.234567e-04" in text.getvalue()

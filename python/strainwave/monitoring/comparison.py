@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
-from strainwave.domain import FloatArray, Parameter
+from strainwave.domain import Parameter
 from strainwave.domain.distributions import CI95_STDS
 from strainwave.errors import InvalidInput, NotIdentifiable, import_optional
 from strainwave.monitoring.joint_tests import JointTest, adjust_p_values, joint_test, welch_test
@@ -42,21 +42,16 @@ class ParameterDifference:
 
     @property
     def percent(self) -> float | None:
-        """The change in percent of the first value; None if zero is in its 95 % interval."""
-        reference = self._reference
-        return 100.0 * self.change / reference if reference else None
+        """The change in percent of the first value; None as `of_first`."""
+        return self.of_first(self.change)
 
-    @property
-    def std_percent(self) -> float | None:
-        """Standard deviation of the change in percent of the first value; None as `percent`."""
-        reference = self._reference
-        return 100.0 * self.std / reference if reference else None
+    def of_first(self, size: float) -> float | None:
+        """A size in percent of the first value; None if zero is in its 95 % interval."""
+        first = abs(_value(self.first))
+        return 100.0 * size / first if first > CI95_STDS * _std(self.first) else None
 
-    @property
-    def _reference(self) -> float:
-        """Magnitude of the first value; zero if zero is in its 95 % interval."""
-        size = abs(_value(self.first))
-        return size if size > CI95_STDS * _std(self.first) else 0.0
+
+_Test = TypeVar("_Test", ParameterDifference, JointTest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,22 +175,21 @@ def compare(results: Sequence[ResultEstimates], level: float = 0.05) -> ResultCo
 
 def _adjust_tests(comparison: ResultComparison) -> ResultComparison:
     """Return the comparison with adjusted p-values."""
-    adjusted = iter(adjust_p_values([test.p for test in comparison.tests]))
-    parameters = [
-        tuple(replace(d, adjusted_p=next(adjusted)) for d in pair.parameters)
-        for pair in comparison.pairs
-    ]
-    joint = [
-        None if pair.joint is None else replace(pair.joint, adjusted_p=next(adjusted))
-        for pair in comparison.pairs
-    ]
+    p_values = adjust_p_values([test.p for test in comparison.tests])
+    adjusted = dict(zip(map(id, comparison.tests), p_values, strict=True))
+
+    def adjust(test: _Test) -> _Test:
+        return replace(test, adjusted_p=adjusted[id(test)])
+
     pairs = tuple(
-        replace(pair, parameters=differences, joint=test)
-        for pair, differences, test in zip(comparison.pairs, parameters, joint, strict=True)
+        replace(
+            pair,
+            parameters=tuple(map(adjust, pair.parameters)),
+            joint=pair.joint and adjust(pair.joint),
+        )
+        for pair in comparison.pairs
     )
-    homogeneity = comparison.homogeneity
-    if homogeneity is not None:
-        homogeneity = replace(homogeneity, adjusted_p=next(adjusted))
+    homogeneity = comparison.homogeneity and adjust(comparison.homogeneity)
     return replace(comparison, pairs=pairs, homogeneity=homogeneity)
 
 
@@ -233,13 +227,8 @@ def _reason_to_omit(a: Parameter | None, b: Parameter | None, first: str, second
 
 
 def _test_homogeneity(results: Sequence[ResultEstimates]) -> JointTest | None:
-    common = set.intersection(
-        *(
-            {p.label for p in result.parameters if p.value is not None and p.std}
-            for result in results
-        )
-    )
-    return _joint_test(results, common)
+    known = [{p.label for p in r.parameters if p.value is not None and p.std} for r in results]
+    return _joint_test(results, set.intersection(*known))
 
 
 def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> JointTest | None:
@@ -260,18 +249,11 @@ def _joint_test(results: Sequence[ResultEstimates], compared: set[str]) -> Joint
         index = [covariance.names.index(name) for name in names]
         matrices.append(covariance.matrix[np.ix_(index, index)])
     others = len(results) - 1
-    blocks = [np.ones((others, others)), *(_unit(others, k) for k in range(others))]
+    blocks = [np.ones((others, others)), *map(np.diag, np.eye(others))]
     parts = [np.asarray(np.kron(block, S)) for block, S in zip(blocks, matrices, strict=True)]
     difference = np.concatenate([value - values[0] for value in values[1:]])
     degrees = [min(degrees_of_freedom(r.of(name)) for name in names) for r in results]
     return joint_test(difference, parts, degrees)
-
-
-def _unit(n: int, k: int) -> FloatArray:
-    """The (n, n) matrix with a one at (k, k)."""
-    matrix = np.zeros((n, n))
-    matrix[k, k] = 1.0
-    return matrix
 
 
 def _notes(results: Sequence[ResultEstimates], pairs: Sequence[Pair]) -> Iterator[str]:

@@ -38,6 +38,7 @@ from strainwave.presentation.report.blocks import (
     table,
 )
 from strainwave.presentation.report.document import document as page_of
+from strainwave.presentation.terminal import printed_table
 
 SCHEMA = "strainwave/comparison/1"
 
@@ -138,13 +139,10 @@ def print_comparison(
 
 
 def _printed_pair_table(comparison: ResultComparison, pair: Pair) -> Table:
-    table = output.printed_table()
-    table.add_column("parameter")
     labels = (pair.first, pair.second)
     is_short = all(len(label) <= _MAX_HEADER for label in labels)
-    for head in (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p"):
-        table.add_column(Text(head), justify="right")
-    table.add_column("verdict")
+    heads = (*(labels if is_short else ("first", "second")), "change %", "z", "adj. p")
+    table = printed_table("parameter", *map(number, heads), "verdict")
     for difference in pair.parameters:
         verdict = comparison.verdict(difference)
         values = (plus_minus(p.value, p.std)[0] for p in (difference.first, difference.second))
@@ -155,11 +153,9 @@ def _printed_pair_table(comparison: ResultComparison, pair: Pair) -> Table:
 
 def _test_cells(difference: ParameterDifference) -> tuple[str, ...]:
     """Change [%], z and adjusted p-value as text."""
-    percent = (
-        ""
-        if difference.percent is None
-        else f"{difference.percent:+.{3 if abs(difference.percent) < 1 else 2}f}"
-    )
+    percent = "" if difference.percent is None else f"{difference.percent:+.2f}"
+    if difference.percent is not None and abs(difference.percent) < 1.0:
+        percent = f"{difference.percent:+.3f}"
     return percent, f"{difference.z:+.1f}", format_p(difference.adjusted_p)
 
 
@@ -185,12 +181,8 @@ def _describe_test(comparison: ResultComparison, test: JointTest) -> str:
 
 def render(comparison: ResultComparison) -> str:
     """The comparison as one self-contained HTML page."""
-    homogeneity = comparison.homogeneity
-    facts = (
-        []
-        if homogeneity is None
-        else [f"All results together: {_describe_test(comparison, homogeneity)}"]
-    )
+    test = comparison.homogeneity
+    facts = [f"All results together: {_describe_test(comparison, test)}"] if test else []
     before = output.page_summary(
         comparison.headline, facts, comparison.notes, bad=comparison.differs
     )
@@ -208,16 +200,8 @@ def render(comparison: ResultComparison) -> str:
 
 
 def _pair_blocks(comparison: ResultComparison, pair: Pair) -> Iterator[Block]:
-    heads: Row = (
-        "parameter",
-        "verdict",
-        number("change %"),
-        number("z"),
-        number("adjusted p"),
-        number(pair.first),
-        number(pair.second),
-        "unit",
-    )
+    numbers = map(number, ("change %", "z", "adjusted p", pair.first, pair.second))
+    heads: Row = ("parameter", "verdict", *numbers, "unit")
     rows = [_difference_row(comparison, d) for d in pair.parameters]
     yield from table("Parameters", heads, rows, heading=False)
     if pair.joint is not None:
@@ -252,34 +236,23 @@ def change_figure(comparison: ResultComparison, pair: Pair) -> Figure | None:
     if not shown:
         return None
     percent = np.array([difference.percent or 0.0 for difference in shown])
-    half_width = np.array([CI95_STDS * (difference.std_percent or 0.0) for difference in shown])
-    groups = [
-        (
-            verdict,
-            colour,
-            [k for k, difference in enumerate(shown) if comparison.verdict(difference) == verdict],
-        )
-        for verdict, colour in ((DIFFERS, Colour.MODEL), (AGREES, Colour.MEASURED))
-    ]
+    half_width = CI95_STDS * np.array([d.of_first(d.std) or 0.0 for d in shown])
+    differs = np.array([comparison.verdict(difference) == DIFFERS for difference in shown])
+    z = np.array([difference.z for difference in shown])
     upper, lower = [], []
-    for verdict, colour, indices in groups:
-        if indices:
-            names = tuple(shown[k].first.label for k in indices)
-            upper.append(
-                Markers(names, percent[indices], verdict, colour, 7.0, error=half_width[indices])
-            )
-            z = np.array([shown[k].z for k in indices])
-            lower.append(
-                Markers(names, z, verdict, colour, 7.0, error=np.full(len(indices), CI95_STDS))
-            )
+    for verdict, colour, is_in_group in (
+        (DIFFERS, Colour.MODEL, differs),
+        (AGREES, Colour.MEASURED, ~differs),
+    ):
+        rows = np.flatnonzero(is_in_group)
+        if len(rows):
+            names = tuple(shown[k].first.label for k in rows)
+            style = (verdict, colour, 7.0, 1.0)
+            upper.append(Markers(names, percent[rows], *style, half_width[rows]))
+            lower.append(Markers(names, z[rows], *style, np.full(len(rows), CI95_STDS)))
     ordinary = half_width <= _MAX_INTERVAL_RATIO * float(np.median(half_width))
     widest = 1.1 * float(np.max(np.abs(percent[ordinary]) + half_width[ordinary]))
-    significant = [
-        abs(p) * 1.2
-        for p, difference in zip(percent, shown, strict=True)
-        if comparison.verdict(difference) == DIFFERS
-    ]
-    limit = max([widest, *significant])
+    limit = max(widest, 1.2 * float(np.abs(percent[differs]).max(initial=0.0)))
     panels = (
         Panel(Axis("change [%]", range=(-limit, limit)), tuple(upper), 1.8),
         Panel(Axis("z"), tuple(lower), 1.4),

@@ -23,11 +23,6 @@ def write(name: str, document: dict[str, Any], page: str, folder: Path) -> None:
     write_whole(folder, {f"{name}.json": (text + "\n").encode(), f"{name}.html": page.encode()})
 
 
-def printed_table() -> Table:
-    """An empty table for the terminal."""
-    return Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-
-
 def print_table(console: Console, table: Table) -> None:
     """Print a table without truncation; the terminal wraps rows that are too long."""
     wide = console.options.update(width=10_000)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -134,16 +133,10 @@ def _test_arm(arm: ArmHistory) -> ArmTrend:
             too_few.append((history.label, len(history.visits)))
         else:
             tested.append(ParameterTrend(history, change))
-    ordered = sorted(
-        _adjust_trends(tested), key=lambda parameter: (parameter.adjusted_p, parameter.change.p)
-    )
-    return ArmTrend(arm, tuple(ordered), tuple(too_few))
-
-
-def _adjust_trends(trends: Sequence[ParameterTrend]) -> Iterator[ParameterTrend]:
-    adjusted = adjust_p_values([parameter.change.p for parameter in trends])
-    for parameter, p in zip(trends, adjusted, strict=True):
-        yield replace(parameter, adjusted_p=p)
+    adjusted = adjust_p_values([parameter.change.p for parameter in tested])
+    trends = [replace(t, adjusted_p=p) for t, p in zip(tested, adjusted, strict=True)]
+    trends.sort(key=lambda parameter: (parameter.adjusted_p, parameter.change.p))
+    return ArmTrend(arm, tuple(trends), tuple(too_few))
 
 
 def _rng(*names: str) -> np.random.Generator:

@@ -21,7 +21,6 @@ from strainwave.presentation.report.blocks import (
     Block,
     Cell,
     Fold,
-    Mark,
     Plot,
     Row,
     Section,
@@ -32,6 +31,7 @@ from strainwave.presentation.report.blocks import (
     table,
 )
 from strainwave.presentation.report.document import document as page_of
+from strainwave.presentation.terminal import printed_table
 
 SCHEMA = "strainwave/trend/1"
 
@@ -127,24 +127,14 @@ def print_trend(
 ) -> None:
     """Print the most significant change of each arm, the verdict, and the files in `folder`."""
     console = console or Console(highlight=False)
-    summary = output.printed_table()
-    summary.add_column("arm")
-    summary.add_column("visits", justify="right")
-    summary.add_column("parameter")
-    summary.add_column("change")
-    summary.add_column("%", justify="right")
-    summary.add_column("adj. p", justify="right")
+    summary = printed_table(
+        "arm", number("visits"), "parameter", "change", number("%"), number("adj. p")
+    )
     for arm in trend.arms:
         for k, parameter in enumerate(trend.concerns(arm) or arm.parameters[:1]):
             first = (arm.history.arm, str(len(arm.history.visits))) if k == 0 else ("", "")
             label = "" if parameter.is_likely_chance else parameter.history.label
-            cells = (
-                *first,
-                label,
-                parameter.words,
-                _format_percent(parameter),
-                _format_adjusted_p(parameter),
-            )
+            cells = (*first, label, parameter.words, *_test_cells(parameter))
             style = "red" if parameter.adjusted_p < trend.level else ""
             summary.add_row(*map(Text, cells), style=style)
         if not arm.parameters:
@@ -153,13 +143,10 @@ def print_trend(
     output.print_end(console, "trend", headline(trend), trend.notes, folder, bad=trend.concern)
 
 
-def _format_percent(parameter: ParameterTrend) -> str:
+def _test_cells(parameter: ParameterTrend) -> tuple[str, str]:
+    """Change [% of the level] and adjusted p-value as text."""
     shown = parameter.percent is not None and not parameter.is_likely_chance
-    return f"{parameter.percent:+.2f}" if shown else ""
-
-
-def _format_adjusted_p(parameter: ParameterTrend) -> str:
-    return format_p(parameter.adjusted_p)
+    return f"{parameter.percent:+.2f}" if shown else "", format_p(parameter.adjusted_p)
 
 
 def render(trend: Trend) -> str:
@@ -190,16 +177,8 @@ def _arm_anchor(arm: ArmTrend) -> str:
 
 
 def _fleet_blocks(trend: Trend) -> Iterator[Block]:
-    heads: Row = (
-        "arm",
-        "change",
-        number("of the level [%]"),
-        number("adjusted p"),
-        number("changed parameters"),
-        number("visits"),
-        "first",
-        "last",
-    )
+    numbers = ("of the level [%]", "adjusted p", "changed parameters", "visits")
+    heads: Row = ("arm", "change", *map(number, numbers), "first", "last")
     rows = [_fleet_row(trend, arm) for arm in trend.arms]
     yield from table("Arms, most significant change first", heads, rows, heading=False)
 
@@ -212,15 +191,15 @@ def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
     if not arm.parameters:
         return (name, prose("too few visits"), *[number("")] * 3, number(str(len(visits))), *dates)
     parameter = arm.parameters[0]
-    mark: Mark = "bad" if concerns else ""
-    chance = parameter.is_likely_chance
+    words = f"{parameter.history.label}: {parameter.words}"
     return (
         name,
         Cell(
-            "none" if chance else f"{parameter.history.label}: {parameter.words}", "text", mark=mark
+            "none" if parameter.is_likely_chance else words,
+            "text",
+            mark="bad" if concerns else "",
         ),
-        number(_format_percent(parameter)),
-        number(_format_adjusted_p(parameter)),
+        *map(number, _test_cells(parameter)),
         number(str(len(concerns))),
         number(str(len(visits))),
         *dates,
@@ -233,17 +212,9 @@ def _arm_blocks(trend: Trend, arm: ArmTrend) -> Iterator[Block]:
     others = arm.parameters[len(concerns) :]
     name = arm.history.arm
     yield from _plots(trend, arm, concerns, f"{name} changes", f"{name}: changed parameters")
-    heads: Row = (
-        "parameter",
-        "change",
-        number("of the level [%]"),
-        number("adjusted p"),
-        number("level"),
-        "unit",
-        number("between visits [%]"),
-        number("drift [% in 30 days]"),
-        number("p of the drift"),
-    )
+    tests = map(number, ("of the level [%]", "adjusted p", "level"))
+    further = map(number, ("between visits [%]", "drift [% in 30 days]", "p of the drift"))
+    heads: Row = ("parameter", "change", *tests, "unit", *further)
     rows = [_row(trend, parameter) for parameter in arm.parameters]
     yield from table(f"{name}: all parameters", heads, rows, heading=False)
     if others:
@@ -268,8 +239,7 @@ def _row(trend: Trend, parameter: ParameterTrend) -> Row:
     return (
         Cell(parameter.history.label, "name"),
         Cell(parameter.words, mark="bad" if parameter.adjusted_p < trend.level else ""),
-        number(_format_percent(parameter)),
-        number(_format_adjusted_p(parameter)),
+        *map(number, _test_cells(parameter)),
         number(plus_minus(change.level, float(np.median(parameter.history.series.std)))[0]),
         parameter.history.unit,
         number("" if between is None else f"{between:.2g}"),

@@ -23,6 +23,7 @@ from strainwave.domain.formatting import percent, plus_minus
 from strainwave.domain.keys import Key
 from strainwave.presentation.report import advice, by_severity, gain_sentences, sentence
 from strainwave.presentation.report.amplitudes import trend_title
+from strainwave.presentation.report.blocks import Cell, number
 
 Truth = Mapping[Key, float]
 """Known values of a virtual arm, by name and joint."""
@@ -117,7 +118,7 @@ def _fit_table(identification: Identification) -> Table:
         for name, fits in identification.whole_arm.fit_percent.items():
             rows[name, "fitted"] = dict(fits)
     channels = list(dict.fromkeys(name for fits in rows.values() for name in fits))
-    table = _empty_table("fit of record", "use", *channels)
+    table = printed_table("fit of record", "use", *map(number, channels))
     for (experiment, use), fits in rows.items():
         cells = (_fit_cell(fits.get(name)) for name in channels)
         table.add_row(Text(experiment), use, *cells)
@@ -132,7 +133,7 @@ def _fit_cell(fit: float | None) -> str:
 
 def _resonance_table(identification: Identification) -> Table:
     """Resonances of the joints; if only motors were measured, those of the fitted arm."""
-    table = _empty_table("resonances [Hz]", "of", "anti-resonance", "resonance")
+    table = printed_table("resonances [Hz]", "of", number("anti-resonance"), number("resonance"))
     responses = identification.motor_responses
     by_motor = {joint.joint for joint in identification.joints if joint.method == "motor-response"}
     for joint in identification.joints:
@@ -154,26 +155,22 @@ def _resonance_table(identification: Identification) -> Table:
     return table
 
 
-def _empty_table(first: str, second: str, *numbers: str) -> Table:
+def printed_table(*heads: str | Cell) -> Table:
+    """An empty table for the terminal; columns whose head is a number are on the right."""
     table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column(first)
-    table.add_column(second)
-    for name in numbers:
-        table.add_column(name, justify="right")
+    for head in heads:
+        if isinstance(head, Cell):
+            table.add_column(Text(head.text), justify="right")
+        else:
+            table.add_column(Text(head))
     return table
 
 
 def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:
     """The final table, at most 80 columns wide with the true values."""
-    table = Table(box=None, padding=(0, 1, 0, 0), header_style="bold")
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("joint")
-    for head in ("value", "± std"):
-        table.add_column(head, justify="right")
-    table.add_column("unit")
-    if truth is not None:
-        table.add_column("true", justify="right")
-        table.add_column("error %", justify="right")
+    heads = ["parameter", "joint", number("value"), number("± std"), "unit"]
+    table = printed_table(*heads, *(map(number, ("true", "error %")) if truth is not None else ()))
+    table.columns[0].no_wrap = True
     for decision in decisions:
         p = decision.parameter
         value, std = plus_minus(p.value, p.std)
@@ -182,7 +179,7 @@ def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Tabl
         row = [p.name, str(p.joint or "arm"), value, std, p.unit]
         if truth is not None:
             row += _truth_cells(p, truth.get(p.key))
-        table.add_row(*(Text(cell) for cell in row))
+        table.add_row(*map(Text, row))
     return table
 
 
