@@ -190,8 +190,12 @@ def _warn_unlimited_torques(
         if joint.elastic and not np.isfinite(limits.gear_torque[i]):
             torques = {r.experiment.name: float(r.predicted.gear_torque[i]) for r in records}
             worst = max(torques, key=torques.__getitem__)
-            values = {"joint": i + 1, "torque": torques[worst], "experiment": worst}
-            warnings.append(Diagnostic("no-torque-limit", Place(joint=i + 1), **values))
+            place = Place(joint=i + 1)
+            warnings.append(
+                Diagnostic(
+                    "no-torque-limit", place, joint=i + 1, torque=torques[worst], experiment=worst
+                )
+            )
     return tuple(warnings)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
+from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.paper.claims import comparison_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
@@ -197,7 +198,7 @@ def _level(rig: Rig, amplitude: float, runs: Sequence[Run]) -> Level:
     joint, hz, other, std = None, linear, float("nan"), float("nan")
     if is_default:
         model = rig.physical(*runs, disks=PAYLOAD)
-        joint = joint_of(np.array([model.values[name] for name in NAMES]), runs[0].truth.gear_ratio)
+        joint = joint_of(vector_of(model), runs[0].truth.gear_ratio)
         hz, other = (_hz(model.anti_resonance), _hz(model.resonance)), linear[0]
         std = _square_std(model, joint)
         evidence.append(evidence_of(model, f"equations of motion, {runs[0].name}"))

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from strainwave import __version__
-from strainwave.domain import Comparison, Tally
+from strainwave.domain import Criterion, Tally
 
 SCHEMA = "strainwave/comparisons/2"
 
@@ -34,6 +34,7 @@ def to_json(document: Mapping[str, Any]) -> bytes:
 
 def _claim(tally: Tally) -> dict[str, Any]:
     first = max(tally.runs, key=lambda run: len(run.criteria))  # a run that did not fail
+    names = dict.fromkeys(e.name for run in tally.runs for e in run.evidence)
     return {
         "figure": first.figure,
         "protocol": first.protocol,
@@ -48,8 +49,8 @@ def _claim(tally: Tally) -> dict[str, Any]:
                 "bound": criterion.bound,
                 "limit": criterion.limit,
                 "reason": criterion.reason,
-                "values": [_value(run, criterion.name) for run in tally.runs],
-                "passed": [_passed(run, criterion.name) for run in tally.runs],
+                "values": [c and _number(c.value) for c in _over_runs(tally, criterion.name)],
+                "passed": [bool(c and c.passed) for c in _over_runs(tally, criterion.name)],
             }
             for criterion in first.criteria
         ],
@@ -57,12 +58,13 @@ def _claim(tally: Tally) -> dict[str, Any]:
             name: [_number(run.values.get(name, math.nan)) for run in tally.runs]
             for name in first.values
         },
-        "models": [_model(tally, name) for name in _names(tally)],
+        "models": [_model(tally, name) for name in names],
     }
 
 
-def _names(tally: Tally) -> list[str]:
-    return list(dict.fromkeys(e.name for run in tally.runs for e in run.evidence))
+def _over_runs(tally: Tally, name: str) -> list[Criterion | None]:
+    """The criterion of that name of each run; None if the run failed."""
+    return [next((c for c in run.criteria if c.name == name), None) for run in tally.runs]
 
 
 def _model(tally: Tally, name: str) -> dict[str, Any]:
@@ -80,14 +82,6 @@ def _model(tally: Tally, name: str) -> dict[str, Any]:
         "decisive": [e and e.decisive for e in models],
         "warnings": dict(sorted(codes.items())),  # number of runs by code
     }
-
-
-def _value(run: Comparison, name: str) -> float | None:
-    return next((_number(c.value) for c in run.criteria if c.name == name), None)
-
-
-def _passed(run: Comparison, name: str) -> bool:
-    return any(c.passed for c in run.criteria if c.name == name)
 
 
 def _number(value: float) -> float | None:

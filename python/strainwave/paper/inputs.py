@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
-from strainwave.domain import BoolArray, Comparison, Control, Criterion, FloatArray
+from strainwave.domain import Comparison, Control, Criterion, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import apply_lags
 from strainwave.paper.claims import comparison_of
@@ -63,11 +63,8 @@ def prbs(rig: Rig) -> Comparison:
 def free(rig: Rig) -> Comparison:
     """Fig. 5: torque of link 2 on link 1 with joint 2 free."""
     run = rig.prbs(1)
-    tau, true, fit = _interaction_torque(run)
-    frequency, density = _density(tau, run)
+    torque = _InteractionTorque.of(run)
     spectrum_check = next(c for c in run.decoupled.checks if c.name == "interaction-spectrum")
-    cosine = _least_cosine(run)
-    early = run.trajectory.time < PRBS_PERIOD
     return comparison_of(
         5,
         criteria=(
@@ -78,32 +75,23 @@ def free(rig: Rig) -> Comparison:
                 _MIN_BAND_SHARE,
                 "below it, identify warns of a poor second input",
             ),
-            _cosine_criterion(cosine),
-            _fit_criterion(fit),
+            *torque.criteria(),
         ),
-        values={"rms_n_m": float(tau.std())},
+        values={"rms_n_m": float(torque.computed.std())},
         message=f"above its noise in {100.0 * spectrum_check.value:.0f} % of the band; "
-        f"{fit:.1f} % fit to the true torque; least cosine of joint 2 {cosine:.5f}",
-        plots=(
-            *_torque_plots(run, tau, true, early),
-            _spectra({"joint 2 free": (frequency, density)}),
-        ),
+        f"{torque.describe()}",
+        plots=(torque.plot(run), _spectra({"free": torque})),
     )
 
 
 def servoed(rig: Rig) -> Comparison:
     """Fig. 12: torque of link 2 on link 1 with joint 2 under its servo."""
-    densities, slow = {}, {}
     controls: tuple[tuple[str, Control], ...] = (("free", "open"), ("servoed", "servo"))
-    for name, other in controls:
-        run = rig.prbs(1, other=other)
-        tau, true, fit = _interaction_torque(run)
-        frequency, density = _density(tau, run)
-        densities[f"joint 2 {name}"] = (frequency, density)
-        cosine = _least_cosine(run)
-        slow[name] = float(density[(frequency >= 1.0) & (frequency <= _MAX_SERVO_HZ)].mean())
+    runs = {name: rig.prbs(1, other=other) for name, other in controls}
+    torques = {name: _InteractionTorque.of(run) for name, run in runs.items()}
+    slow = {name: torque.slow_power for name, torque in torques.items()}
     drop = 10.0 * float(np.log10(slow["servoed"] / slow["free"]))
-    early = run.trajectory.time < PRBS_PERIOD
+    torque = torques["servoed"]
     return comparison_of(
         12,
         criteria=(
@@ -114,59 +102,80 @@ def servoed(rig: Rig) -> Comparison:
                 _MAX_SERVO_POWER_DB,
                 "half the power",
             ),
-            _cosine_criterion(cosine),
-            _fit_criterion(fit),
+            *torque.criteria(),
         ),
-        message=f"{drop:+.1f} dB from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint; {fit:.1f} "
-        f"% fit to the true torque; least cosine of joint 2 {cosine:.5f}",
-        plots=(*_torque_plots(run, tau, true, early), _spectra(densities)),
+        message=f"{drop:+.1f} dB from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint; "
+        f"{torque.describe()}",
+        plots=(torque.plot(runs["servoed"]), _spectra(torques)),
     )
 
 
-def _least_cosine(run: Run) -> float:
-    """Smallest cosine of joint 2's angle from its motor encoder, as the source computes it."""
-    ratio = run.arm.joints[1].gear_ratio
-    return float(np.cos(ratio * run.log.channels["theta_m2"]).min())
+@dataclass(frozen=True, slots=True)
+class _InteractionTorque:
+    """Interaction torque on the excited joint in one run."""
 
-
-def _cosine_criterion(cosine: float) -> Criterion:
-    return Criterion(
-        "least cosine of the angle of joint 2",
-        cosine,
-        "at least",
-        _MIN_COSINE,
-        "limit of the source for a constant inertia",
-        "in open loop this arm swings further than that of the source",
-    )
-
-
-def _fit_criterion(fit: float) -> Criterion:
-    return Criterion(
-        "fit of the computed to the true torque [%]",
-        fit,
-        "at least",
-        _MIN_TORQUE_FIT,
-        "errors of 5 % in the base parameters change the link inertia by 2.4 %",
-    )
-
-
-class _InteractionTorque(NamedTuple):
     computed: FloatArray
     true: FloatArray
     fit_percent: float
+    cosine: float  # smallest of joint 2's angle from its motor encoder, as in the source
+    frequency: FloatArray
+    density: FloatArray  # of `computed`
 
+    @classmethod
+    def of(cls, run: Run) -> _InteractionTorque:
+        record = run.decoupled
+        tau = record.inputs[:, 1]
+        motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
+        base = np.array([run.values.get(key, 0.0) for key in run.arm.base_names])
+        true = interaction_torques(run.arm, base, *motion)[:, record.joint - 1]
+        true = apply_lags(true, record.shared, record.sample_time)
+        error = np.linalg.norm((tau - true)[record.valid])
+        spread = np.linalg.norm(true[record.valid] - true[record.valid].mean())
+        angle = run.arm.joints[1].gear_ratio * run.log.channels["theta_m2"]
+        fit = float(100.0 * (1.0 - error / spread))
+        return cls(tau, true, fit, float(np.cos(angle).min()), *_density(tau, run))
 
-def _interaction_torque(run: Run) -> _InteractionTorque:
-    joint = run.decoupled.joint
-    tau = run.decoupled.inputs[:, 1]
-    motion = (run.trajectory[q] for q in ("link_angle", "link_velocity", "link_acceleration"))
-    base = np.array([run.values.get(key, 0.0) for key in run.arm.base_names])
-    true = interaction_torques(run.arm, base, *motion)[:, joint - 1]
-    true = apply_lags(true, run.decoupled.shared, run.decoupled.sample_time)
-    valid = run.decoupled.valid
-    error = np.linalg.norm((tau - true)[valid])
-    fit = 100.0 * (1.0 - error / np.linalg.norm(true[valid] - true[valid].mean()))
-    return _InteractionTorque(tau, true, float(fit))
+    @property
+    def slow_power(self) -> float:
+        """Mean density in the band in which the servo holds the joint."""
+        is_slow = (self.frequency >= 1.0) & (self.frequency <= _MAX_SERVO_HZ)
+        return float(self.density[is_slow].mean())
+
+    def criteria(self) -> tuple[Criterion, Criterion]:
+        """A constant inertia, and a torque that is computed correctly."""
+        return (
+            Criterion(
+                "least cosine of the angle of joint 2",
+                self.cosine,
+                "at least",
+                _MIN_COSINE,
+                "limit of the source for a constant inertia",
+                "in open loop this arm swings further than that of the source",
+            ),
+            Criterion(
+                "fit of the computed to the true torque [%]",
+                self.fit_percent,
+                "at least",
+                _MIN_TORQUE_FIT,
+                "errors of 5 % in the base parameters change the link inertia by 2.4 %",
+            ),
+        )
+
+    def describe(self) -> str:
+        """Both criteria in a clause."""
+        fit = f"{self.fit_percent:.1f} % fit to the true torque"
+        return f"{fit}; least cosine of joint 2 {self.cosine:.5f}"
+
+    def plot(self, run: Run) -> Figure:
+        """Computed and true torque over one period."""
+        rows = run.trajectory.time < PRBS_PERIOD
+        time = run.trajectory.time[rows]
+        series = [
+            Series("true", time, self.true[rows], true=True),
+            Series("computed", time, self.computed[rows]),
+        ]
+        caption = "Interaction torque on link 1, one period"
+        return lines(series, "time [s]", "torque [N m]", caption)
 
 
 def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
@@ -180,20 +189,10 @@ def _density(signal: FloatArray, run: Run) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequency[is_shown]), np.asarray(density[is_shown])
 
 
-def _torque_plots(
-    run: Run, tau: FloatArray, true: FloatArray, rows: BoolArray
-) -> tuple[Figure, ...]:
-    time = run.trajectory.time[rows]
-    return (
-        lines(
-            [Series("true", time, true[rows], true=True), Series("computed", time, tau[rows])],
-            "time [s]",
-            "torque [N m]",
-            "Interaction torque on link 1, one period",
-        ),
-    )
-
-
-def _spectra(densities: dict[str, tuple[FloatArray, FloatArray]]) -> Figure:
-    series = [Series(name, f[f <= 200.0], p[f <= 200.0]) for name, (f, p) in densities.items()]
+def _spectra(torques: dict[str, _InteractionTorque]) -> Figure:
+    series = []
+    for name, torque in torques.items():
+        is_shown = torque.frequency <= 200.0
+        f, density = torque.frequency[is_shown], torque.density[is_shown]
+        series.append(Series(f"joint 2 {name}", f, density))
     return spectrum(series, "(N m)²/Hz", "Its power spectral density")

@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from strainwave.domain import Comparison, Criterion, Evidence, JointModel
+from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.domain.keys import Values
-from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
+from strainwave.dynamics.two_inertia import TwoInertia, joint_of
 from strainwave.errors import NotIdentifiable
+from strainwave.identification.joint_model.agreement import vector_of
 from strainwave.paper.claims import comparison_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
@@ -46,7 +47,7 @@ def stages(rig: Rig, joint: int) -> Stages:
     """
     run = rig.prbs(joint)
     model = rig.transfer(joint)
-    modified = _joint(model, run.decoupled.gear_ratio)
+    modified = joint_of(vector_of(model), run.decoupled.gear_ratio)
     # the model is judged by its response, not by single parameters
     evidence = replace(evidence_of(model, f"joint {joint} by (18)"), growth=growth_of(modified))
     return Stages(rig.estimate(run), modified, evidence)
@@ -123,10 +124,6 @@ def responses(rig: Rig, joint: int, whole_arm: WholeArmEstimate) -> Comparison:
         f"{errors['tuned_slow_db']:.2f} dB",
         plots=(bode(curves, f"Joint {joint}: motor torque to motor velocity"),),
     )
-
-
-def _joint(model: JointModel, ratio: float) -> TwoInertia:
-    return joint_of(np.array([model.values[name] for name in NAMES]), ratio)
 
 
 def _values(rig: Rig, joints: dict[int, TwoInertia]) -> Values:

@@ -49,6 +49,7 @@ CLOCK_PERIOD = 1e-3  # [s] of servo and PRBS
 PRBS_ORDER = 10  # of the PRBS: 1023 clocks
 STEP_SAMPLE_TIME = 2.5e-4  # [s] of step records
 TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
+_SERVOS: tuple[Control, Control] = ("servo", "servo")
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
 _TRUTH: tuple[Quantity, ...] = (
     "motor_angle",
@@ -116,7 +117,7 @@ class Rig:
         values = scara.parameters(DEFAULT_PAYLOAD)
         trajectory = run_steps(self.arm, values, levels, joint)
         name = f"steps-j{joint}-{number}"
-        experiment = Experiment(name, f"{name}.csv", "tuning", ("servo", "servo"), joint)
+        experiment = Experiment(name, f"{name}.csv", "tuning", _SERVOS, joint)
         log = _log(experiment, trajectory, SensorNoise(), self._rng(2, joint, number))
         reference = _reference(levels, joint)
         ticks = np.floor(log.time / CLOCK_PERIOD + 1e-9).astype(int)
@@ -130,18 +131,9 @@ class Rig:
         reference = np.column_stack(
             [smooth_reference(joint.gear_ratio, CLOCK_PERIOD, rng) for joint in self.arm.joints]
         )
-        both: tuple[Control, Control] = ("servo", "servo")
-        drive = _drive(np.zeros_like(reference), reference, both)
         values = scara.parameters(disks)
-        trajectory = simulate(
-            self.arm,
-            values,
-            drive,
-            sample_time=CLOCK_PERIOD,
-            samples=len(reference),
-            record=_SENSORS,
-        )
-        experiment = Experiment("motion", "motion.csv", "motion", both)
+        trajectory = _simulated(self.arm, values, _SERVOS, CLOCK_PERIOD, reference=reference)
+        experiment = Experiment("motion", "motion.csv", "motion", _SERVOS)
         log = _log(experiment, trajectory, SensorNoise(), rng)
         return rigid.fit_rigid([signals.prepare_motor_signals(log, self.arm)], self.arm)
 
@@ -166,14 +158,8 @@ class Rig:
         voltage = np.zeros((len(sequence), 2))
         voltage[:, joint - 1] = np.roll(sequence, -start - self._prbs_start)
         values = scara.parameters(disks)
-        T = self.settings.sample_time
-        trajectory = simulate(
-            self.arm,
-            values,
-            _drive(voltage, np.zeros_like(voltage), control),
-            sample_time=T,
-            samples=round(len(voltage) * CLOCK_PERIOD / T),
-            record=_SENSORS + _TRUTH,
+        trajectory = _simulated(
+            self.arm, values, control, self.settings.sample_time, voltage=voltage
         )
         loop = "servoed" if other == "servo" else "free"
         name = f"joint {joint} at {amplitude:g} V, {disks} kg, joint {3 - joint} {loop}"
@@ -267,12 +253,8 @@ def run_steps(arm: Arm, values: Values, levels: tuple[float, ...], joint: int) -
 
     `values` have the springs of `arm`. `levels` [rad/s].
     """
-    both = _reference(levels, joint)
-    drive = _drive(np.zeros_like(both), both, ("servo", "servo"))
-    samples = round(len(both) * CLOCK_PERIOD / STEP_SAMPLE_TIME)
-    return simulate(
-        arm, values, drive, sample_time=STEP_SAMPLE_TIME, samples=samples, record=_SENSORS + _TRUTH
-    )
+    reference = _reference(levels, joint)
+    return _simulated(arm, values, _SERVOS, STEP_SAMPLE_TIME, reference=reference)
 
 
 def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
@@ -285,18 +267,33 @@ def _reference(levels: tuple[float, ...], joint: int) -> FloatArray:
 
 def ideal_log(trajectory: Trajectory, joint: int) -> Log:
     """Log of a model's steps with the sensors of the rig, without noise."""
-    experiment = Experiment("model", "model.csv", "tuning", ("servo", "servo"), joint)
+    experiment = Experiment("model", "model.csv", "tuning", _SERVOS, joint)
     return _log(experiment, trajectory, None, np.random.default_rng(0))
 
 
-def _drive(voltage: FloatArray, reference: FloatArray, control: tuple[Control, ...]) -> Drive:
-    return Drive(
+def _simulated(
+    arm: Arm,
+    values: Values,
+    control: tuple[Control, ...],
+    sample_time: float,
+    *,
+    voltage: FloatArray | None = None,
+    reference: FloatArray | None = None,
+) -> Trajectory:
+    """Trajectory from rest under one of the inputs, (n_ticks, 2); the other is zero."""
+    given = reference if voltage is None else voltage
+    assert given is not None
+    drive = Drive(
         tick=CLOCK_PERIOD,
-        voltage=voltage,
-        reference=reference,
+        voltage=np.zeros_like(given) if voltage is None else voltage,
+        reference=np.zeros_like(given) if reference is None else reference,
         servo=tuple(c == "servo" for c in control),
         motor_angle=(0.0, 0.0),
         initial_voltage=(0.0, 0.0),
+    )
+    samples = round(len(given) * CLOCK_PERIOD / sample_time)
+    return simulate(
+        arm, values, drive, sample_time=sample_time, samples=samples, record=_SENSORS + _TRUTH
     )
 
 

@@ -25,12 +25,14 @@ _MIN_FIT_REASON = "a smaller difference is not visible in a printed plot"
 
 def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Comparison:
     """Fig. 7: step of joint 1 and the response of the model before and after tuning."""
-    fits, vibration_fits, plots = [], [], []
-    for name, model_of in (("before", before), ("after", after)):
-        measured, model, time = _link_velocities(rig, model_of.values, TUNING_STEPS, 0)
-        fits.append(_fit(measured, model))
-        vibration_fits.append(_fit(_vibration(measured, time), _vibration(model, time)))
-        plots.append(_plot(measured, model, time, f"Step of joint 1, {name} tuning"))
+    models = {"before": before, "after": after}
+    steps = [_link_velocities(rig, m.values, TUNING_STEPS, 0) for m in models.values()]
+    fits = [step.fit() for step in steps]
+    vibration_fits = [step.vibration().fit() for step in steps]
+    plots = [
+        step.plot(f"Step of joint 1, {name} tuning")
+        for name, step in zip(models, steps, strict=True)
+    ]
     return comparison_of(
         7,
         criteria=(
@@ -59,10 +61,10 @@ def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
     """Fig. 8: steps for validation."""
     fits, plots = [], []
     for number, levels in enumerate(_VALIDATION_STEPS, start=1):
-        measured, model, time = _link_velocities(rig, whole_arm.values, levels, number)
-        fits.append(_fit(measured, model))
+        step = _link_velocities(rig, whole_arm.values, levels, number)
+        fits.append(step.fit())
         level_list = " to ".join(f"{level:g}" for level in levels)
-        plots.append(_plot(measured, model, time, f"Reference {level_list} rad/s of the motor"))
+        plots.append(step.plot(f"Reference {level_list} rad/s of the motor"))
     return comparison_of(
         8,
         criteria=(
@@ -81,9 +83,28 @@ def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
 
 
 class _StepResponse(NamedTuple):
+    """Link velocities of the arm and of the model."""
+
     measured: FloatArray
     model: FloatArray
     time: FloatArray
+
+    def fit(self) -> float:
+        """Fit of the model [%]."""
+        spread = np.linalg.norm(self.measured - self.measured.mean())
+        return float(100.0 * (1.0 - np.linalg.norm(self.measured - self.model) / spread))
+
+    def vibration(self) -> _StepResponse:
+        """The part in the band of the gears' vibration."""
+        T = float(self.time[1] - self.time[0])
+        measured, model = (band_pass(v, *_VIBRATION_HZ, T) for v in (self.measured, self.model))
+        return _StepResponse(measured, model, self.time)
+
+    def plot(self, caption: str) -> Figure:
+        """Both velocities and their difference."""
+        arm = Series("arm", self.time, self.measured)
+        model = Series("model", self.time, self.model)
+        return pair(arm, model, "link velocity [rad/s]", caption)
 
 
 def _link_velocities(
@@ -98,21 +119,3 @@ def _link_velocities(
         velocity = prepare_link_signals(record, rig.arm).link_velocity[:, joint - 1]
         velocities.append(low_pass(velocity, _MAX_SIGNAL_HZ, record.sample_time))
     return _StepResponse(velocities[0], velocities[1], log.time)
-
-
-def _vibration(velocity: FloatArray, time: FloatArray) -> FloatArray:
-    return band_pass(velocity, *_VIBRATION_HZ, float(time[1] - time[0]))
-
-
-def _fit(measured: FloatArray, model: FloatArray) -> float:
-    spread = np.linalg.norm(measured - measured.mean())
-    return float(100.0 * (1.0 - np.linalg.norm(measured - model) / spread))
-
-
-def _plot(measured: FloatArray, model: FloatArray, time: FloatArray, caption: str) -> Figure:
-    return pair(
-        Series("arm", time, measured),
-        Series("model", time, model),
-        "link velocity [rad/s]",
-        caption,
-    )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from strainwave.domain import ArmDescription
 from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
 from strainwave.dynamics.simulation import Trajectory
-from strainwave.dynamics.two_inertia import TwoInertia
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 
 
 def slopes(values: Values, joint: int) -> list[float]:
@@ -19,15 +21,9 @@ def joint_with(values: Values, joint: int, stiffness: float, ratio: float) -> Tw
     link_inertia = values["beta", None]
     if joint == 1:
         link_inertia += values["alpha", None] + 2.0 * values["gamma", None]
-    return TwoInertia(
-        motor_inertia=values["motor_inertia", joint],
-        motor_viscous_friction=values["motor_viscous_friction", joint],
-        link_inertia=link_inertia,
-        link_viscous_friction=values["link_viscous_friction", joint],
-        gear_stiffness=stiffness,
-        gear_damping=values["gear_damping", joint],
-        gear_ratio=ratio,
-    )
+    drive = {name: values[name, joint] for name in NAMES if (name, joint) in values}
+    drive |= {"link_inertia": link_inertia, "gear_stiffness": stiffness}
+    return joint_of(np.array([drive[name] for name in NAMES]), ratio)
 
 
 def equivalent(

@@ -168,8 +168,10 @@ def printed_table(*heads: str | Cell) -> Table:
 
 def _parameter_table(decisions: Sequence[Decision], truth: Truth | None) -> Table:
     """The final table, at most 80 columns wide with the true values."""
-    heads = ["parameter", "joint", number("value"), number("± std"), "unit"]
-    table = printed_table(*heads, *(map(number, ("true", "error %")) if truth is not None else ()))
+    heads: list[str | Cell] = ["parameter", "joint", number("value"), number("± std"), "unit"]
+    if truth is not None:
+        heads += map(number, ("true", "error %"))
+    table = printed_table(*heads)
     table.columns[0].no_wrap = True
     for decision in decisions:
         p = decision.parameter

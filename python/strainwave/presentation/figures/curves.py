@@ -14,20 +14,25 @@ import numpy as np
 
 from strainwave.domain import BoolArray, ComplexArray, FloatArray
 from strainwave.domain.distributions import CI95_STDS
-from strainwave.presentation.figures.records import (
+from strainwave.presentation.figures import (
+    DASHES,
     FREQUENCY_AXIS,
+    MIN_BAND_SHARE,
+    PALETTE,
+    SHORT_DASH,
     SOLID,
     Area,
     Axis,
+    Colour,
     Dash,
     Figure,
     Line,
     Mark,
     Markers,
     Panel,
+    decibel,
+    decimate,
 )
-from strainwave.presentation.figures.samples import MIN_BAND_SHARE, decibel, decimate
-from strainwave.presentation.figures.style import DASHES, PALETTE, SHORT_DASH, Colour
 
 _TRUE_COLOUR = Colour.RESIDUAL
 _TRUE_WIDTH = 4.0  # [px]
