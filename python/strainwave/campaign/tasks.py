@@ -112,9 +112,7 @@ class Outcome:
         return cls(**json.loads(text))
 
 
-def merged(
-    tables: Sequence[Mapping[str, Mapping[str, Any]]],
-) -> dict[str, dict[str, Any]]:
+def merged(tables: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
     """Tables of options, stage -> key -> value, merged so that later ones override."""
     options: dict[str, dict[str, Any]] = {}
     for table in tables:

@@ -23,13 +23,7 @@ from strainwave.domain.keys import Values
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
-from strainwave.io.results import (
-    NOT_A_RESULT,
-    parameters_of,
-    read_document,
-    result_path,
-    study_of,
-)
+from strainwave.io.results import NOT_A_RESULT, parameters_of, read_document, result_path, study_of
 from strainwave.io.study import read_study
 
 

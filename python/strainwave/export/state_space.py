@@ -57,10 +57,7 @@ def state_space(arm: IdentifiedArm, joint: int) -> Matrices:
     model = two_inertia.state_space(joint_model(arm, joint))
     # the link acceleration is the derivative of the third state
     return Matrices(
-        model.A,
-        model.B,
-        np.vstack([model.C[0], model.A[2]]),
-        np.vstack([np.zeros(2), model.B[2]]),
+        model.A, model.B, np.vstack([model.C[0], model.A[2]]), np.vstack([np.zeros(2), model.B[2]])
     )
 
 

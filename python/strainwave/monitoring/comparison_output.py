@@ -129,12 +129,7 @@ def print_comparison(
         sentence = _describe_test(comparison, comparison.homogeneity)
         console.print(Text(f"all {len(comparison.results)} results, {_ALL_PARAMETERS}: {sentence}"))
     output.print_end(
-        console,
-        "comparison",
-        comparison.headline,
-        comparison.notes,
-        folder,
-        bad=comparison.differs,
+        console, "comparison", comparison.headline, comparison.notes, folder, bad=comparison.differs
     )
 
 

@@ -195,9 +195,7 @@ def _fleet_row(trend: Trend, arm: ArmTrend) -> Row:
     return (
         name,
         Cell(
-            "none" if parameter.is_likely_chance else words,
-            "text",
-            mark="bad" if concerns else "",
+            "none" if parameter.is_likely_chance else words, "text", mark="bad" if concerns else ""
         ),
         *map(number, _test_cells(parameter)),
         number(str(len(concerns))),

@@ -32,10 +32,7 @@ CLAIMS: dict[int, tuple[str, str]] = {
         "Fine tuning brings the simulated step closer to the measured one.",
     ),
     8: ("Validation steps of joint 1", "The tuned model predicts steps of other sizes."),
-    9: (
-        "Frequency responses of joint 2 before and after refinement",
-        "The same holds at joint 2.",
-    ),
+    9: ("Frequency responses of joint 2 before and after refinement", "The same holds at joint 2."),
     10: (
         "Decoupled against motor input only",
         "With the interaction torque as a second input the model has the joint's own "

@@ -112,11 +112,7 @@ def responses(rig: Rig, joint: int, whole_arm: WholeArmEstimate) -> Comparison:
                 ),
             ),
         ),
-        evidence=(
-            models.initial.evidence,
-            models.evidence,
-            *whole_arm.evidence,
-        ),
+        evidence=(models.initial.evidence, models.evidence, *whole_arm.evidence),
         values={**errors, **gear},
         message=f"off by {errors['initial_db']:.2f} dB at first, {errors['modified_db']:.2f} dB "
         f"with the rigid lag, {errors['tuned_db']:.2f} dB tuned (rms, 0.02 to 100 Hz); below 1 Hz "

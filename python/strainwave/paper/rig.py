@@ -51,12 +51,7 @@ STEP_SAMPLE_TIME = 2.5e-4  # [s] of step records
 TUNING_STEPS = (0.0, 40.0, 0.0)  # [rad/s] of the motor
 _SERVOS: tuple[Control, Control] = ("servo", "servo")
 _SENSORS: tuple[Quantity, ...] = ("voltage", "encoder", "accelerometer")
-_TRUTH: tuple[Quantity, ...] = (
-    "motor_angle",
-    "link_angle",
-    "link_velocity",
-    "link_acceleration",
-)
+_TRUTH: tuple[Quantity, ...] = ("motor_angle", "link_angle", "link_velocity", "link_acceleration")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

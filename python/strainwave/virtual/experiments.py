@@ -13,20 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from strainwave import pipeline
-from strainwave.domain import (
-    ArmDescription,
-    Experiment,
-    Identification,
-    Study,
-)
+from strainwave.domain import ArmDescription, Experiment, Identification, Study
 from strainwave.domain.combinations import reported, value_of
 from strainwave.domain.keys import Values
 from strainwave.domain.progress import ProgressEvent
 from strainwave.dynamics.arm import Arm
-from strainwave.dynamics.simulation import (
-    SensorNoise,
-    simulate,
-)
+from strainwave.dynamics.simulation import SensorNoise, simulate
 from strainwave.errors import InvalidInput
 from strainwave.experiment_design.command_table import read_applied
 from strainwave.io import logs

@@ -8,16 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from strainwave.domain import (
-    Control,
-    Experiment,
-    Joint,
-    Prbs,
-    Servo,
-    Spring,
-    Study,
-    Use,
-)
+from strainwave.domain import Control, Experiment, Joint, Prbs, Servo, Spring, Study, Use
 from strainwave.domain.gear_laws import gear_law
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import planar_two_link

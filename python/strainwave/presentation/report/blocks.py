@@ -173,11 +173,7 @@ def paragraph(*parts: str | Span) -> Paragraph:
 
 
 def table(
-    label: str,
-    heads: Iterable[str | Cell],
-    rows: Iterable[Row | Group],
-    *,
-    heading: bool = True,
+    label: str, heads: Iterable[str | Cell], rows: Iterable[Row | Group], *, heading: bool = True
 ) -> Iterator[Table]:
     """Yield a table, or no block if there are no rows. The first cell of a row is its head."""
     cells = tuple(row if isinstance(row, Group) else _cells(row) for row in rows)

@@ -83,11 +83,7 @@ def family_of(table: Mapping[str, Any], path: Path, text: str) -> Family:
         if isinstance(kinds, tuple):
             _check_known(kinds, names, key, reader)
     friction, sensors = family.friction or Friction(), family.sensors or Sensors()
-    ranges = {
-        "payload": family.payload,
-        "friction": friction.coulomb,
-        "sensors": sensors.noise,
-    }
+    ranges = {"payload": family.payload, "friction": friction.coulomb, "sensors": sensors.noise}
     for key, bounds in (*ranges.items(), ("friction", friction.viscous)):
         if bounds is not None and bounds[0] > bounds[1]:
             raise InvalidInput(
