@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -39,9 +39,6 @@ class DrawnCase:
     @property
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         return {} if self.bandwidth_hz is None else {"rigid": {"bandwidth_hz": self.bandwidth_hz}}
-
-    def fields(self) -> dict[str, Any]:
-        return asdict(self)
 
     def hashes(self) -> Hashes:
         return Hashes(f"family, {self.number}", "")

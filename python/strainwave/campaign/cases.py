@@ -57,6 +57,3 @@ class Case(Protocol):
 
         Raises `InvalidInput` if the study or an input is invalid.
         """
-
-    def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case can be created again."""

@@ -60,7 +60,7 @@ def perform(line: str, limits: dict[str, Any], since: str) -> str:
     if recorded and (
         recorded.status != FAILED_STATUS or recorded.started >= datetime.fromisoformat(since)
     ):
-        return Outcome.of(task.run, task.case.name, recorded).to_json()
+        return Outcome.of(recorded._asdict()).to_json()
     if getattr(_thread, "limits", None) != limits:
         _thread.limits, _thread.runner = limits, Runner(Limits(**limits))
     runner: Runner = _thread.runner

@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -27,10 +27,6 @@ class DrawnArm:
     def options(self) -> Mapping[str, Mapping[str, Any]]:
         """No options: the campaign contains the options."""
         return {}
-
-    def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case can be created again."""
-        return asdict(self)
 
     def hashes(self) -> Hashes:
         """Hashes of the family without its number of arms, and of the number of this arm."""

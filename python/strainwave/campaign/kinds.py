@@ -15,7 +15,7 @@ KINDS: dict[str, type] = {StudyFile.kind: StudyFile, DrawnArm.kind: DrawnArm}
 
 def to_json(case: Case) -> dict[str, Any]:
     """A case as plain JSON values."""
-    return {"kind": case.kind, **case.fields()}
+    return {"kind": case.kind, **vars(case)}
 
 
 def from_json(values: Mapping[str, Any]) -> Case:

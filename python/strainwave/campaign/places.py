@@ -26,6 +26,13 @@ def is_url(text: str) -> bool:
     return "://" in text
 
 
+def resolved(path: str, file: str) -> str:
+    """A path or URL that a file names, relative to the folder of the file."""
+    if is_url(path) or Path(path).is_absolute():
+        return path
+    return f"{file.rsplit('/', 1)[0]}/{path}" if is_url(file) else str(Path(file).parent / path)
+
+
 class Place(Protocol):
     """A folder whose files have names with slashes relative to it."""
 

@@ -37,4 +37,4 @@ class Plan:
         recorded = self.store.recorded(task.run)
         if recorded is None or (self.retry_failed and recorded.status == FAILED_STATUS):
             return task
-        return Outcome.of(task.run, case.name, recorded, skipped=True)
+        return Outcome.of(recorded._asdict(), skipped=True)

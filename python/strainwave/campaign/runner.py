@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from strainwave.campaign.rows import failure_of, now, worker_name
 from strainwave.campaign.store import Store
-from strainwave.campaign.tasks import FAILED_STATUS, Limits, Outcome, Task
+from strainwave.campaign.tasks import Limits, Outcome, Task
 from strainwave.errors import InvalidInput
 
 TIMEOUT_EXIT_CODE = 124
@@ -225,27 +225,15 @@ def failed(
 
     `message` is one sentence, `started` in UTC; `store` is that of the task, if already open.
     """
-    store, unrecorded = store or Store.at(task.store), ""
+    store = store or Store.at(task.store)
     recorded = store.recorded(task.run)
     if recorded is not None and recorded.started >= started:
-        return Outcome.of(task.run, task.case.name, recorded)
+        return Outcome.of(recorded._asdict())
     seconds = (now() - started).total_seconds()
     record = failure_of(
         task, message, exit_code=exit_code, started=started, seconds=seconds, worker=worker
     )
-    try:
-        store.write(record)
-    except OSError as error:
-        unrecorded = error.strerror or str(error)
-    return Outcome(
-        run=task.run,
-        study=task.case.name,
-        status=FAILED_STATUS,
-        exit_code=exit_code,
-        message=message,
-        seconds=seconds,
-        unrecorded=unrecorded,
-    )
+    return Outcome.of(record.row, unrecorded=store.try_write(record))
 
 
 def _kill(child: subprocess.Popen[bytes]) -> None:

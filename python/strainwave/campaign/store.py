@@ -36,7 +36,7 @@ _MAX_MERGED_ROWS = {"runs": 20_000, "parameters": 500_000}  # larger parts are n
 _MAX_TRIES = 50  # to read a store that other processes merge
 _N_READERS = 8  # threads that read small files; more do not speed up a local disk
 _SCHEMAS = {"runs": RUNS_SCHEMA, "parameters": PARAMETERS_SCHEMA}
-_KEYS = {"runs": ["run"], "parameters": ["run", "name", "joint"]}
+_ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
 Row = Mapping[str, Any]
 
@@ -44,9 +44,12 @@ Row = Mapping[str, Any]
 class Recorded(NamedTuple):
     """Columns of a run that the driver needs."""
 
+    run: str
+    study: str
     status: str
     exit_code: int
     message: str
+    seconds: float
     started: datetime
 
 
@@ -100,6 +103,14 @@ class Store:
                 self.place.delete(written_files)
             raise
 
+    def try_write(self, record: Record) -> str:
+        """Write a record; the reason if that fails, or ""."""
+        try:
+            self.write(record)
+        except OSError as error:
+            return error.strerror or str(error)
+        return ""
+
     def recorded(self, run: str) -> Recorded | None:
         """Status and start of a recorded run; None if it is not recorded."""
         unmerged = self._of_file(f"runs/{run}.parquet").get(run)
@@ -124,11 +135,10 @@ class Store:
 
     def _of_file(self, name: str) -> dict[str, Recorded]:
         try:
-            table = self._table(name, ["run", *Recorded._fields])
+            rows = self._table(name, Recorded._fields).to_pylist()
         except FileNotFoundError:
             return {}
-        rows = zip(*(table[column].to_pylist() for column in Recorded._fields), strict=True)
-        return dict(zip(table["run"].to_pylist(), map(Recorded._make, rows), strict=True))
+        return {row["run"]: Recorded(**row) for row in rows}
 
     def table(self, kind: str, columns: Sequence[str] | None = None) -> pa.Table:
         """All rows of `runs` or `parameters`, each once: of a repeated run, the last.
@@ -162,9 +172,7 @@ class Store:
         schema = _SCHEMAS[kind]
         if columns is not None:
             schema = pa.schema([schema.field(name) for name in columns])
-        tables = [_cast_to_schema(part, schema) for part in tables]
-        joined = pa.concat_tables([schema.empty_table(), *tables])
-        return _drop_duplicates(joined, kind)
+        return _drop_duplicates(_concatenated(tables, schema), kind)
 
     def _table(self, name: str, columns: Sequence[str] | None = None) -> pa.Table:
         try:
@@ -207,21 +215,17 @@ class Store:
             n for n in names if not _is_part(n) or self._rows(n) < _MAX_MERGED_ROWS[kind]
         ]
         tables = {name: self._table(name) for name in merged_names}
-        merged_runs = pa.concat_tables(
-            [
-                pa.table({"run": pa.array([], pa.string())}),
-                *(t.select(["run"]) for t in tables.values()),
-            ]
-        )["run"]
+        merged_runs = pa.chunked_array(
+            [t["run"].combine_chunks() for t in tables.values()], pa.string()
+        )
         for name in set(names) - set(merged_names):  # a repeated run is also in a large part
             runs = self._table(name, ["run"])["run"]
-            if pc.any(pc.is_in(runs, value_set=merged_runs.combine_chunks())).as_py():
+            if pc.any(pc.is_in(runs, value_set=merged_runs)).as_py():
                 tables[name] = self._table(name)
         if len(tables) < 2:
             return 0
-        schema = _SCHEMAS[kind]
-        ordered = [_cast_to_schema(tables[name], schema) for name in sorted(tables, key=_is_part)]
-        data = _to_parquet(_drop_duplicates(pa.concat_tables(ordered), kind))
+        ordered = [tables[name] for name in sorted(tables, key=_is_part)]
+        data = _to_parquet(_drop_duplicates(_concatenated(ordered, _SCHEMAS[kind]), kind))
         part = f"{kind}/part-{hashlib.sha256(data).hexdigest()[:32]}.parquet"
         self.place.put(part, data)
         self.place.delete(name for name in tables if name != part)
@@ -229,9 +233,6 @@ class Store:
 
     def _rows(self, name: str) -> int:
         return int(pq.read_metadata(pa.BufferReader(self.place.get(name))).num_rows)
-
-
-_ORDER = {"runs": ["run", "started"], "parameters": ["run", "name", "joint"]}
 
 
 def read_runs(store: Path | str) -> pa.Table:
@@ -289,17 +290,10 @@ def _to_parquet(table: pa.Table) -> bytes:
     return out.getvalue()
 
 
-def _cast_to_schema(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """The columns of the present schema; columns that earlier versions lack are null."""
-    if table.schema.equals(schema):
-        return table
-    columns = [
-        table[field.name].cast(field.type)
-        if field.name in table.column_names
-        else pa.nulls(table.num_rows, field.type)
-        for field in schema
-    ]
-    return pa.table(columns, schema=schema)
+def _concatenated(tables: Sequence[pa.Table], schema: pa.Schema) -> pa.Table:
+    """The rows with the columns of a schema; columns that earlier versions lack are null."""
+    joined = pa.concat_tables([schema.empty_table(), *tables], promote_options="permissive")
+    return joined.select(schema.names).cast(schema)
 
 
 def _drop_duplicates(table: pa.Table, kind: str) -> pa.Table:
@@ -313,7 +307,7 @@ def _drop_duplicates(table: pa.Table, kind: str) -> pa.Table:
         last = by_time.group_by("run", use_threads=False).aggregate([("_row", "first")])
         rows = last["_row_first"]
     else:
-        rows = numbered.group_by(_KEYS[kind]).aggregate([("_row", "min")])["_row_min"]
+        rows = numbered.group_by(_ORDER[kind]).aggregate([("_row", "min")])["_row_min"]
     if len(rows) == table.num_rows:
         return table
     values = rows.combine_chunks()

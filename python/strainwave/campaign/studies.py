@@ -12,7 +12,7 @@ from typing import Any
 
 from strainwave.campaign.cases import Case
 from strainwave.campaign.drawn_arms import arms_of
-from strainwave.campaign.places import file_system, is_url
+from strainwave.campaign.places import file_system, is_url, resolved
 from strainwave.campaign.study_files import StudyFile
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.atomic_files import decode, read_bytes
@@ -99,17 +99,10 @@ def _read_table(table: str, data: bytes) -> list[str]:
         paths = [(row["study"] or "").strip() for row in rows]
     else:
         paths = [line.strip() for line in text.splitlines()]
-    folder = table.rsplit("/", 1)[0] if is_url(table) else str(Path(table).parent)
     paths_in_table = [path for path in paths if path and not path.startswith("#")]
     if not paths_in_table:
         raise InvalidInput("lists no studies", where=table, remedy="write one path per line")
-    return [_resolve_path(folder, path) for path in paths_in_table]
-
-
-def _resolve_path(folder: str, path: str) -> str:
-    if is_url(path) or Path(path).is_absolute():
-        return path
-    return f"{folder}/{path}" if is_url(folder) else str(Path(folder) / path)
+    return [resolved(path, table) for path in paths_in_table]
 
 
 @dataclass(frozen=True)
@@ -224,7 +217,7 @@ def _list_studies(table: Any, path: Path) -> list[Case]:
         raise _invalid_key(path, "studies", '[studies] with paths = ["rigs/*/study.toml", ...]')
     if not _is_list_of_text(table["paths"]):
         raise _invalid_key(path, "studies.paths", "a list of paths, folders, globs or URLs")
-    return _collect_studies([_resolve_path(str(path.parent), item) for item in table["paths"]])
+    return _collect_studies([resolved(item, str(path)) for item in table["paths"]])
 
 
 def _is_list_of_text(value: Any) -> bool:

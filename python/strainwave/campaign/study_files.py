@@ -7,12 +7,12 @@ import tempfile
 import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar
 
 from strainwave.campaign.cases import Hashes, Opened
-from strainwave.campaign.places import file_system, is_url
+from strainwave.campaign.places import file_system, is_url, resolved
 from strainwave.errors import InvalidInput
 
 _BLOCK = 2**20  # bytes read at a time, so that large logs need little memory
@@ -31,10 +31,6 @@ class StudyFile:
         """No options: the study file contains the options."""
         return {}
 
-    def fields(self) -> dict[str, Any]:
-        """Plain JSON values from which the case can be created again."""
-        return asdict(self)
-
     def hashes(self) -> Hashes:
         """SHA-256 of the study file and of the contents of its logs.
 
@@ -46,9 +42,7 @@ class StudyFile:
             return Hashes(None, hashlib.sha256().hexdigest())
         inputs = hashlib.sha256()
         for name in _list_inputs(text):
-            inputs.update(
-                f"{name}\0{_fingerprint(_resolve_location(self.location, name))}\0".encode()
-            )
+            inputs.update(f"{name}\0{_fingerprint(resolved(name, self.location))}\0".encode())
         return Hashes(hashlib.sha256(text).hexdigest(), inputs.hexdigest())
 
     @contextmanager
@@ -77,12 +71,6 @@ def _list_inputs(text: bytes) -> list[str]:
         if isinstance(entry, dict)
     ]
     return list(dict.fromkeys(name for name in files if isinstance(name, str) and name))
-
-
-def _resolve_location(location: str, name: str) -> str:
-    if is_url(location):
-        return f"{location.rsplit('/', 1)[0]}/{name}"
-    return str(Path(location).parent / name)
 
 
 def _read(location: str) -> bytes:
@@ -146,7 +134,7 @@ def _copy_study(url: str, folder: Path) -> Path:
                 where=url,
                 remedy="give a name relative to the folder of the study file",
             )
-        system, source = file_system(_resolve_location(url, name))
+        system, source = file_system(resolved(name, url))
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         if system.exists(source):

@@ -11,7 +11,6 @@ from typing import Any
 from strainwave import __version__
 from strainwave.campaign.cases import Case
 from strainwave.campaign.kinds import from_json, to_json
-from strainwave.campaign.store import Recorded
 from strainwave.domain import Stage
 
 FAILED_STATUS = "failed"
@@ -91,16 +90,11 @@ class Outcome:
     unrecorded: str = ""  # reason why it is not in the store
 
     @classmethod
-    def of(cls, run: str, study: str, recorded: Recorded, *, skipped: bool = False) -> Outcome:
-        """The outcome of a recorded run."""
-        return cls(
-            run=run,
-            study=study,
-            status=recorded.status,
-            exit_code=recorded.exit_code,
-            message=recorded.message,
-            skipped=skipped,
-        )
+    def of(cls, row: Mapping[str, Any], *, skipped: bool = False, unrecorded: str = "") -> Outcome:
+        """The outcome of a row of the runs."""
+        columns = ("run", "study", "status", "exit_code", "message", "seconds")
+        values = {name: row[name] for name in columns}
+        return cls(**values, skipped=skipped, unrecorded=unrecorded)
 
     def to_json(self) -> str:
         """One line."""

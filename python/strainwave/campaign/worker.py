@@ -93,21 +93,7 @@ def _sentence(error: Exception) -> str:
 def answer(task: Task, do: Perform = perform) -> Outcome:
     """Perform a task by `do` and write its record to the store."""
     record = do(task)
-    unrecorded = ""
-    try:
-        Store.at(task.store).write(record)
-    except OSError as error:
-        unrecorded = error.strerror or str(error)
-    row = record.row
-    return Outcome(
-        run=record.run,
-        study=task.case.name,
-        status=row["status"],
-        exit_code=row["exit_code"],
-        message=row["message"],
-        seconds=row["seconds"],
-        unrecorded=unrecorded,
-    )
+    return Outcome.of(record.row, unrecorded=Store.at(task.store).try_write(record))
 
 
 def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform = perform) -> None:
