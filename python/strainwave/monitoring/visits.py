@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path, PurePosixPath
@@ -232,12 +232,12 @@ def _group_visits(
 ) -> _GroupedVisits:
     visits: dict[str, list[Visit]] = {}
     sources: Counter[str] = Counter()
-    matcher = _Matcher(conditions)
+    names = {*conditions.values, *conditions.times}
     dropped = unnamed = 0
     for row in rows:
         study = str(row["study"])
         arm, time_text = arm_namer(row)
-        key = matcher(study)
+        key = _find_row(study, names)
         if arm is None:
             unnamed += 1
             continue
@@ -265,21 +265,11 @@ def _group_visits(
     return _GroupedVisits(visits, "started" if "started" in sources else "recorded", dropped)
 
 
-class _Matcher:
-    """Finds the row of the table for a study by its name or the end of its path."""
-
-    def __init__(self, conditions: Conditions) -> None:
-        self._names = {*conditions.values, *conditions.times}
-
-    def __call__(self, study: str) -> str | None:
-        if study in self._names:
-            return study
-        parts = PurePosixPath(study).parts
-        for k in range(1, len(parts)):
-            end = "/".join(parts[k:])
-            if end in self._names:
-                return end
-        return None
+def _find_row(study: str, names: Collection[str]) -> str | None:
+    """The row of the table for a study: its name or the end of its path."""
+    parts = PurePosixPath(study).parts
+    ends = ("/".join(parts[k:]) for k in range(1, len(parts)))
+    return next((name for name in (study, *ends) if name in names), None)
 
 
 def _arm_history(
@@ -304,9 +294,8 @@ def _parameter_histories(
     rows_by_parameter: Mapping[Key, Sequence[tuple[Visit, Row]]], start: datetime
 ) -> Iterator[ParameterHistory]:
     for (name, joint), pairs in rows_by_parameter.items():
-        (stage, unit), _ = Counter((row["stage"], row["unit"]) for _, row in pairs).most_common(1)[
-            0
-        ]
+        sources = Counter((row["stage"], row["unit"]) for _, row in pairs)
+        stage, unit = max(sources, key=sources.__getitem__)
         same_stage = [(v, row) for v, row in pairs if (row["stage"], row["unit"]) == (stage, unit)]
         stage_visits = tuple(visit for visit, _ in same_stage)
         series = Series(

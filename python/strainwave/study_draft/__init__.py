@@ -1,9 +1,8 @@
 """Draft a study file from logs: `strainwave init`.
 
-`inspection` reads the logs. `names`, `signal_features` and `units` classify a column, and `joints`
-assigns it to a joint. `joint_columns`, `axes` and `channels` map columns to channels,
-`experiment_type` proposes the use of each record, and `written` writes the study file with a reason
-for each guess.
+`inspection` reads the logs. `names` and `signal_features` classify a column, `joints` assigns it to
+a joint, and `joint_columns` and `channels` map columns to channels. `experiment_type` proposes the
+use of each record, and `study_text` writes the study file with a reason for each guess.
 """
 
 from __future__ import annotations

@@ -43,6 +43,10 @@ class ExperimentProposal:
     prbs: Prbs | None = None
     has_known_amplitude: bool = True  # False: the user must fill in the voltage scale
 
+    def become(self, use: Use, reason: str) -> None:
+        """Propose another use, with a further reason."""
+        self.use, self.reason = use, self.reason + reason
+
 
 @dataclass(frozen=True, slots=True)
 class _JointInput:
@@ -75,8 +79,7 @@ def _assign_elastic_checks(proposals: list[ExperimentProposal]) -> None:
     for joint in {each.joint for each in proposals if each.use == "tuning"} - checked:
         steps = [each for each in proposals if each.use == "tuning" and each.joint == joint]
         if len(steps) > 1 or joint in excited:
-            steps[-1].use = "check"
-            steps[-1].reason += "; used to validate the elastic model"
+            steps[-1].become("check", "; used to validate the elastic model")
 
 
 def unchecked_joints(proposals: Sequence[ExperimentProposal], joints: int) -> list[int]:
@@ -169,8 +172,7 @@ def _assign_sweeps(proposals: list[ExperimentProposal]) -> None:
         strongest = max(group, key=_amplitude)
         for each in group:
             if _amplitude(each) < 0.95 * _amplitude(strongest):
-                each.use = "sweep"
-                each.reason += f", with a smaller amplitude than in {strongest.record.name}"
+                each.become("sweep", f", with a smaller amplitude than in {strongest.record.name}")
 
 
 def _amplitude(each: ExperimentProposal) -> float:
@@ -181,20 +183,16 @@ def _assign_checks(proposals: list[ExperimentProposal]) -> None:
     """Select validation records: by name, else the shortest of several motion records."""
     for each in proposals:
         if _CHECK_NAME.search(each.record.name) and each.use in ("motion", "tuning"):
-            each.use, each.reason = (
-                "check",
-                f"{each.reason}; a validation record according to its name",
-            )
+            each.become("check", "; a validation record according to its name")
     motions = [each for each in proposals if each.use == "motion"]
     if len(motions) > 1 and not any(e.use == "check" and e.joint is None for e in proposals):
         # of records with equal duration, the last
         shortest = min(reversed(motions), key=lambda each: round(float(np.ptp(each.record.time))))
-        shortest.use = "check"
-        shortest.reason += "; the shortest of several: used for validation"
+        shortest.become("check", "; the shortest of several: used for validation")
     excited = {each.joint for each in proposals if each.use == "frequency"}
     for each in proposals:
         if each.use == "tuning" and each.joint in excited and "servo" not in each.control:
-            each.use, each.reason = "check", f"{each.reason} in open loop; used for validation"
+            each.become("check", " in open loop; used for validation")
     _assign_elastic_checks(proposals)
     if not any(each.use == "motion" for each in proposals):
         motion_checks = [e for e in proposals if e.use == "check" and e.joint is None]

@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 
 from strainwave.domain import FloatArray
-from strainwave.study_draft.axes import chosen_axis, scale_and_reason
 from strainwave.study_draft.candidates import (
     MIN_RELATED_CORRELATION,
     Guess,
@@ -19,16 +18,22 @@ from strainwave.study_draft.candidates import (
 from strainwave.study_draft.inspection import Record
 from strainwave.study_draft.names import COUNTS, LINEAR, UNITS, ParsedName
 from strainwave.study_draft.signal_features import (
+    MAX_UNIT_RATIO_ERROR,
+    UnitPair,
     flat_top,
     levels,
+    nearest_unit,
     proportion,
     quantum,
+    unit_pair,
     usual_counts,
     wraps,
 )
 from strainwave.study_draft.signal_features import relation as relation_of
-from strainwave.study_draft.units import MAX_UNIT_RATIO_ERROR, UnitPair, nearest_unit, unit_pair
 
+_MAX_REVERSED_CORRELATION = -0.5  # correlation below which the sensor's sign is reversed
+_SENSORS = {"acceleration": "a", "gyro": "gyro", "deflection": "deflection"}  # with its channel
+_SENSOR_UNITS = {"acceleration": "m/s^2", "gyro": "rad/s", "deflection": "rad"}
 _COUNTS_SCALE = "2 pi / counts per motor turn [rad]"
 
 
@@ -260,26 +265,39 @@ class JointColumns:
         )
 
     def _sensors(self, motor: str | None) -> None:
-        angle = None if motor is None else self._values(motor)
-        for quantity, channel in (
-            ("acceleration", "a"),
-            ("gyro", "gyro"),
-            ("deflection", "deflection"),
-        ):
-            columns = {name: self._values(name) for name in self._columns_of(quantity)}
-            best_axis = chosen_axis(columns, quantity, angle, self.record.time)
-            if best_axis is None:
+        """Map of each kind of sensor the axis that correlates best with the motor's motion."""
+        for quantity, channel in _SENSORS.items():
+            columns = [n for n in self._columns_of(quantity) if np.ptp(self._values(n)) > 0.0]
+            correlations = {n: self._motion_correlation(n, quantity, motor) for n in columns}
+            column = max(columns, key=lambda name: abs(correlations[name]), default=None)
+            if column is None:
                 continue
-            column, r = best_axis
-            each = self.parsed_names[column]
-            scale, axis_reason = scale_and_reason(each, quantity, r, len(columns))
+            each, r = self.parsed_names[column], correlations[column]
+            scale, reason = UNITS[each.quantity or "gyro"].get(each.unit or "", 1.0), ""
+            n_columns = len(self._columns_of(quantity))
+            if n_columns > 1:
+                reason += f"; of {n_columns} columns the one that correlates with the motor"
+                reason += f" (r = {r:.2f})"
+            if r < _MAX_REVERSED_CORRELATION:
+                scale, reason = -scale, f"{reason}; it points the other way, so the sign is turned"
+            if each.unit is None:
+                reason += f"; assumed unit {_SENSOR_UNITS[quantity]}"
+            if not each.placed:
+                reason += "; no joint in its name: the last joint is assumed"
             sure: Sure = "likely" if each.sure and each.placed else "unsure"
-            placement = "" if each.placed else "; no joint in its name: the last joint is assumed"
-            self._add(channel, column, _evidence(each) + axis_reason + placement, sure, scale=scale)
+            self._add(channel, column, _evidence(each) + reason, sure, scale=scale)
             self.facts.link_sensors.add(channel)
-            for other, values in columns.items():
-                if other != column and np.ptp(values) > 0.0:
+            for other in columns:
+                if other != column:
                     self.mapping.unused[other] = "another axis of the same sensor"
+
+    def _motion_correlation(self, column: str, quantity: str, motor: str | None) -> float:
+        """Correlation with the motor's acceleration or velocity; 0 if that is unknown."""
+        if motor is None or quantity == "deflection":
+            return 0.0
+        angle, values, time = self._values(motor), self._values(column), self.record.time
+        motion = np.gradient(angle, time) if quantity == "acceleration" else angle
+        return relation_of(values - values.mean(), motion, time)[0]
 
 
 def _evidence(each: ParsedName) -> str:

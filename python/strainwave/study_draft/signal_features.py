@@ -1,10 +1,14 @@
-"""Features of a column's data: clocks, derivatives, levels, pseudo-random sequences."""
+"""Features of a column's data: clocks, derivatives, levels, pseudo-random sequences, units."""
 
 from __future__ import annotations
+
+from math import pi
+from typing import NamedTuple
 
 import numpy as np
 
 from strainwave.domain import BoolArray, FloatArray, Prbs
+from strainwave.study_draft.names import UNITS
 
 _MAX_CLOCK_STEP_RATIO = (
     10.0  # maximum ratio of longest to median step of a clock; an angle exceeds it
@@ -18,6 +22,7 @@ _MIN_SATURATED_SHARE = 2e-3  # minimum share of samples at the drive's limit tha
 _COUNTS_TOLERANCE = 2e-3  # relative tolerance to common counts, for rounding in the log and of pi
 # lines per turn of common encoders, times a power of ten
 _ENCODER_LINES = (100, 125, 200, 250, 256, 300, 360, 400, 500, 512, 600, 625, 720, 800, 900)
+MAX_UNIT_RATIO_ERROR = 0.03  # relative tolerance between a measured and a known ratio
 _MAX_SAMPLES = 200_000  # maximum number of samples that levels and quantum use
 
 
@@ -198,3 +203,34 @@ def smooth_share(values: FloatArray, period: float, top_hz: float) -> float:
     frequency = np.fft.rfftfreq(len(values), period)
     total = float(spectrum.sum())
     return float(spectrum[frequency <= top_hz].sum()) / total if total > 0.0 else 1.0
+
+
+class UnitPair(NamedTuple):
+    """Units of an angle and its velocity."""
+
+    ratio: float  # change of the angle per integral of the velocity
+    angle_scale: float  # SI factor
+    text: str
+
+
+_UNIT_PAIRS = (
+    UnitPair(1.0, 1.0, "in matching units"),
+    UnitPair(180.0 / pi, pi / 180.0, "the angle in degrees, the velocity in rad/s"),
+    UnitPair(pi / 180.0, 1.0, "the angle in rad, the velocity in deg/s"),
+    UnitPair(pi / 30.0, 1.0, "the angle in rad, the velocity in rpm"),
+    UnitPair(6.0, pi / 180.0, "the angle in degrees, the velocity in rpm"),
+    UnitPair(0.5 / pi, 2.0 * pi, "the angle in turns, the velocity in rad/s"),
+    UnitPair(1.0 / 60.0, 2.0 * pi, "the angle in turns, the velocity in rpm"),
+)
+
+
+def unit_pair(ratio: float) -> UnitPair | None:
+    """Infer the units of an angle and its velocity; None if no pair of units has this ratio."""
+    matches = (p for p in _UNIT_PAIRS if abs(ratio / p.ratio - 1.0) < MAX_UNIT_RATIO_ERROR)
+    return next(matches, None)
+
+
+def nearest_unit(scale: float) -> float:
+    """Return the known SI factor nearest to a measured factor."""
+    known = {1.0, 1e-3, *UNITS["velocity"].values(), *UNITS["angle"].values()}
+    return min(known, key=lambda each: abs(np.log(scale / each)))

@@ -10,17 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from strainwave.presentation.matplotlib_backend import draw
 from strainwave.presentation.notebook.pictures import certainty, figure_of
-from strainwave.presentation.notebook.tables import html_of
+from strainwave.presentation.notebook.tables import table_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["certainty", "picture_of", "table_of"]
-
-
-def table_of(record: object) -> str:
-    """A record of `strainwave.domain` as an HTML table."""
-    return html_of(record)
 
 
 def picture_of(record: object, **which: Any) -> Figure:

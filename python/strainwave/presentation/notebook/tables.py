@@ -27,8 +27,8 @@ _PARAMETER_HEADS = ("parameter", "joint", "value", "± std", "unit")
 
 
 @singledispatch
-def html_of(record: object) -> str:
-    """The table of a record."""
+def table_of(record: object) -> str:
+    """A record of `strainwave.domain` as an HTML table."""
     raise TypeError(f"a {type(record).__name__} has no table")
 
 
@@ -37,7 +37,7 @@ def table_of_parameters(parameters: Iterable[Parameter], head: str = "") -> str:
     return _html(head, _PARAMETER_HEADS, _rows(parameters), ())
 
 
-@html_of.register
+@table_of.register
 def _(log: Log) -> str:
     rows = [
         (name, f"{values.min():.4g}", f"{values.max():.4g}", f"{values.std():.4g}")
@@ -47,14 +47,14 @@ def _(log: Log) -> str:
     return _html(head, ("channel", "minimum", "maximum", "standard deviation"), rows, log.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(model: RigidModel) -> str:
     head = f"rigid model, {model.status}: {model.n_rows} equations, condition number "
     head += f"{model.condition_number:.3g}, band to {model.bandwidth_hz:.3g} Hz"
     return _html(head, _PARAMETER_HEADS, _rows(model.parameters), model.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(joint: Decoupled) -> str:
     rows = [("pass" if check.passed else "fail", check.message) for check in joint.checks]
     head = f"joint {joint.joint}, decoupled, record {joint.experiment.name}: "
@@ -62,7 +62,7 @@ def _(joint: Decoupled) -> str:
     return _html(head, ("check", "result"), rows, joint.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(joint: JointModel) -> str:
     head = f"joint {joint.joint}, {joint.status}, by {joint.method} from "
     head += ", ".join(joint.experiments)
@@ -70,15 +70,15 @@ def _(joint: JointModel) -> str:
     return _html(head, _PARAMETER_HEADS, rows, joint.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(record: RecordModel) -> str:
     if record.joint_model is not None:
-        return html_of(record.joint_model)
+        return table_of(record.joint_model)
     head = f"joint {record.signals.joint}, record {record.signals.experiment.name}: no model"
     return _html(head, (), (), record.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(response: FrequencyResponse) -> str:
     f = response.frequencies_hz
     _, outputs, inputs = response.response.shape
@@ -91,7 +91,7 @@ def _(response: FrequencyResponse) -> str:
     return _html(head, ("", ""), rows, response.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(sweep: Sweep) -> str:
     rows = [
         (
@@ -105,20 +105,20 @@ def _(sweep: Sweep) -> str:
     return _html(head, ("record", "amplitude", "k [N m/rad]"), rows, ())
 
 
-@html_of.register
+@table_of.register
 def _(arm: ArmModel) -> str:
     head = f"whole-arm fit: {arm.end} after {arm.iterations} evaluations"
     return _html(head, _PARAMETER_HEADS, _rows(arm.parameters), arm.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(prediction: Prediction) -> str:
     rows = [(name, percent(fit)) for name, fit in prediction.fit_percent.items()]
     head = f"prediction of record {prediction.experiment}"
     return _html(head, ("channel", "fit"), rows, prediction.warnings)
 
 
-@html_of.register
+@table_of.register
 def _(result: Identification) -> str:
     head = f"{result.study.path.name}: {result.verdict.status}"
     if result.reason is not None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -105,15 +106,11 @@ def _check_known(kinds: Iterable[Any], known: tuple[Any, ...], key: str, reader:
             )
 
 
-def fields_of(record: Family | Friction | Sensors) -> dict[str, Any]:
-    """Table of a family, or of a part of it, in plain JSON values."""
-    values = {f.name: getattr(record, f.name) for f in fields(record)}
-    return {
-        key: fields_of(value)
-        if isinstance(value, Friction | Sensors)
-        else list(value)
-        if isinstance(value, tuple)
-        else value
-        for key, value in values.items()
-        if value is not None
-    }
+def fields_of(family: Family) -> dict[str, Any]:
+    """Table of a family in plain JSON values."""
+
+    def known(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        return {key: value for key, value in pairs if value is not None}
+
+    table: dict[str, Any] = json.loads(json.dumps(asdict(family, dict_factory=known)))
+    return table
