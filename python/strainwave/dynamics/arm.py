@@ -15,7 +15,7 @@ from strainwave.domain import ArmDescription, FloatArray, Joint
 from strainwave.domain.base_parameters import BaseParameters, base_parameters, link_inertia
 from strainwave.domain.combinations import lumped_inertias, reported, rigid_columns
 from strainwave.domain.core_arm import core_arm, transmission
-from strainwave.domain.effects import RecordEffect, effect_named
+from strainwave.domain.effects import effect_named
 from strainwave.domain.keys import Key, Row, Values
 from strainwave.domain.kinds import RigidColumn
 from strainwave.domain.link_sensors import low_passes
@@ -141,13 +141,10 @@ class Arm(ArmDescription):
         Raises InvalidInput if a required parameter is missing.
         """
         known = self._effects_by_default | complete_values(values, self)
-        missing = [
-            key for key in self.parameter_names if key not in known and not _is_zero_by_default(key)
-        ]
+        missing = [k for k in self.parameter_names if k not in known and not _is_zero_by_default(k)]
         if missing:
-            listed = ", ".join(
-                f"{name} of joint {joint}" if joint else name for name, joint in missing
-            )
+            names = (f"{name} of joint {joint}" if joint else name for name, joint in missing)
+            listed = ", ".join(names)
             raise InvalidInput(
                 f"missing parameters: {listed}",
                 where="--parameters",
@@ -157,27 +154,25 @@ class Arm(ArmDescription):
 
     @property
     def _effects_by_default(self) -> Values:
-        """Default values of parameters of effects; values without effect for record effects."""
-        defaults: Values = {}
-        for number, joint in enumerate(self.joints, start=1):
-            for effect in map(effect_named, joint.named_effects):
-                needs = effect.needs if isinstance(effect, RecordEffect) else effect.defaults
-                defaults |= {(name, number): value for name, value in needs.items()}
-        return defaults
+        """Default values of parameters of effects."""
+        return {
+            (name, number): value
+            for number, joint in enumerate(self.joints, start=1)
+            for effect in map(effect_named, joint.named_effects)
+            for name, value in effect.defaults.items()
+        }
 
     def base_regressor(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Torques of the links per base parameter, (S2): (n_samples, n_joints, n_base)."""
-        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-        return self.core.base_regressor(*motion)
+        return self.core.base_regressor(*_contiguous(angle, velocity, acceleration))
 
     def link_motion(
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Rates, angular accelerations, specific forces of the links: (n_samples, n_joints, 9)."""
-        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-        return self.core.link_motion(*motion)
+        return self.core.link_motion(*_contiguous(angle, velocity, acceleration))
 
     def link_attitudes(self, angle: FloatArray) -> FloatArray:
         """Axes of the base's frame in those of the links: (n_samples, n_joints, 3, 3) columns."""
@@ -192,8 +187,7 @@ class Arm(ArmDescription):
         self, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> list[FloatArray]:
         """Derivatives of `link_motion` by angle, velocity and acceleration of each joint."""
-        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-        return self.core.link_motion_derivatives(*motion)
+        return self.core.link_motion_derivatives(*_contiguous(angle, velocity, acceleration))
 
     def link_torques(
         self,
@@ -301,8 +295,7 @@ class Arm(ArmDescription):
 
         `vector` is the result of `parameter_vector`.
         """
-        motion = (np.ascontiguousarray(x) for x in (angle, velocity, acceleration))
-        return self.core.inverse_dynamics(vector, *motion)
+        return self.core.inverse_dynamics(vector, *_contiguous(angle, velocity, acceleration))
 
     def max_time_step(self, values: Values) -> float:
         """Longest time step [s] of the integrator that resolves the fastest gear resonance.
@@ -321,15 +314,13 @@ class Arm(ArmDescription):
         values do not determine the frequency.
         """
         known, n = complete_values(values, self), self.n_joints
-        numbers = range(1, n + 1)
         if not all(joint.elastic for joint in self.joints):
             return 0.0
         try:
-            laws = [joint.law.of_joint(known, i) for i, joint in enumerate(self.joints, start=1)]
-            pairs = zip(self.joints, laws, strict=True)
-            k = np.diag([joint.law.stiffness_range(values)[1] for joint, values in pairs])
+            joints = [(i, joint.law) for i, joint in enumerate(self.joints, start=1)]
+            k = np.diag([law.stiffness_range(law.of_joint(known, i))[1] for i, law in joints])
             by_links = self.motor_accelerations(np.eye(n))
-            motor = by_links @ np.diag([known["motor_inertia", i] for i in numbers]) @ by_links.T
+            motor = by_links @ np.diag([known["motor_inertia", i] for i, _ in joints]) @ by_links.T
             base = [
                 known.get(key, 0.0) if _is_zero_by_default(key) else known[key]
                 for key in self.base_names
@@ -355,6 +346,11 @@ def _core_effects(joint: Joint) -> list[str]:
     """Names of the core's effects of a joint, without duplicates."""
     known = (effect_named(name).core_name for name in joint.named_effects)
     return list(dict.fromkeys(name for name in known if name is not None))
+
+
+def _contiguous(*motion: FloatArray) -> Iterator[FloatArray]:
+    """Arrays as the core reads them."""
+    return map(np.ascontiguousarray, motion)
 
 
 def _constant(values: list[Any]) -> FloatArray:

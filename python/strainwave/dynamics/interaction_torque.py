@@ -59,9 +59,8 @@ def mean_postures(records: Sequence[LinkSignals]) -> FloatArray:
     for number in range(1, records[0].link_angle.shape[1] + 1):
         own = [r for r in records if r.experiment.joint in (None, number)]
         full = [r for r in own if r.experiment.use == "frequency"]
-        postures.append(
-            np.mean([r.link_angle.mean(axis=0) for r in full or own or records], axis=0)
-        )
+        chosen = full or own or records
+        postures.append(np.mean([r.link_angle.mean(axis=0) for r in chosen], axis=0))
     return np.array(postures)
 
 
@@ -82,12 +81,9 @@ def total_inertias(model: RigidModel, arm: Arm, postures: FloatArray | None = No
     m_L is that of each joint in its posture; None: all angles are zero. Raises NotIdentifiable if
     a parameter is unknown.
     """
-    zero = np.zeros((arm.n_joints, arm.n_joints))
-    at = zero if postures is None else postures
+    at = np.zeros((arm.n_joints, arm.n_joints)) if postures is None else postures
     rows = [total_inertia(arm, joint, posture) for joint, posture in enumerate(at, start=1)]
-    return np.array(
-        [sum(weight * known(model, *key) for key, weight in row.items()) for row in rows]
-    )
+    return np.array([sum(w * known(model, *key) for key, w in row.items()) for row in rows])
 
 
 def known(model: RigidModel, name: str, joint: int | None) -> float:

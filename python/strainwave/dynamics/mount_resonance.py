@@ -63,10 +63,8 @@ class MountResonance:
         A discrete spectrum implies a periodic signal. The motion is therefore extended by a return
         to its start and a pause in which the response decays.
         """
-        decay = min(
-            _DECAY_TIME_CONSTANTS / (math.tau * self.frequency * self.damping), _MAX_PADDING
-        )
-        n, padding = len(motion), math.ceil(decay / sample_time)
+        decay = _DECAY_TIME_CONSTANTS / (math.tau * self.frequency * self.damping)
+        n, padding = len(motion), math.ceil(min(decay, _MAX_PADDING) / sample_time)
         shape = (-1, *(1 for _ in motion.shape[1:]))
         change = motion - motion[:1]
         back = 0.5 + 0.5 * np.cos(np.pi * np.arange(1, padding + 1) / padding).reshape(shape)

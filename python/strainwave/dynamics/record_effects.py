@@ -54,12 +54,10 @@ class RecordInputs:
         """Directions in which the core must differentiate to give derivatives by the parameters."""
         sizes, requested = _sizes(), set(parameters)
         directions = [key for key in parameters if base_name(key[0]) not in sizes]
-        directions += [
-            key
-            for key, row in self.slopes.items()
-            if key not in requested and requested & row.keys()
+        slopes = self.slopes.items()
+        return directions + [
+            k for k, row in slopes if k not in requested and requested & row.keys()
         ]
-        return directions
 
     def by_parameters(
         self, tangent: FloatArray, directions: Sequence[Key], parameters: Sequence[Key]
@@ -94,17 +92,12 @@ def record_inputs(arm: Arm, values: Values, record: str, *, hanging: bool) -> Re
         for change, names in _inputs_of(effect, number, joint.gear_ratio, values, record)
         if not (hanging and change.name == _LINK_ANGLE)
     }
-    parameters = {
-        key: change.value for key, (change, _) in changed.items() if key[0] not in _INITIAL_STATES
-    }
-    offsets = {
-        key: change.value for key, (change, _) in changed.items() if key[0] in _INITIAL_STATES
-    }
-    slopes: dict[Key, dict[Key, float]] = {
-        key: {(names.get(by, by), key[1]): slope for by, slope in change.slopes.items()}
-        for key, (change, names) in changed.items()
-    }
-    return RecordInputs({**values, **parameters}, offsets, slopes)
+    parameters, offsets = dict(values), Values()
+    slopes: dict[Key, dict[Key, float]] = {}
+    for key, (change, names) in changed.items():
+        (offsets if key[0] in _INITIAL_STATES else parameters)[key] = change.value
+        slopes[key] = {(names.get(by, by), key[1]): slope for by, slope in change.slopes.items()}
+    return RecordInputs(parameters, offsets, slopes)
 
 
 def _inputs_of(

@@ -35,9 +35,8 @@ def fit_percent(measured: FloatArray, predicted: FloatArray) -> FloatArray:
     y, y_hat = (np.ascontiguousarray(x.T) for x in (measured, predicted))
     spread = np.linalg.norm(y - y.mean(axis=1, keepdims=True), axis=1)
     error = np.linalg.norm(y - y_hat, axis=1)
-    return np.asarray(
-        100.0 * (1.0 - np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0))
-    )
+    ratio = np.divide(error, spread, out=np.full_like(error, np.nan), where=spread > 0)
+    return np.asarray(100.0 * (1.0 - ratio))
 
 
 def band_fit(
@@ -51,10 +50,8 @@ def band_fit(
 
     Equal to the fit of `band_prediction`, with less memory.
     """
-    torque = predict_torque(
-        arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
-    )
     T = signals.sample_time
+    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), load_friction)
     fits = []
     for i in range(torque.shape[1]):
         column = slice(i, i + 1)
@@ -77,10 +74,8 @@ def band_prediction(
     which the model was estimated. `load_friction` holds the joints whose friction grows with the
     load.
     """
-    torque = predict_torque(
-        arm, solution, signals, _bridge(model_hz, signals.sample_time), load_friction
-    )
     T = signals.sample_time
+    torque = predict_torque(arm, solution, signals, _bridge(model_hz, T), load_friction)
     measured, predicted = (low_pass(x, model_hz, T) for x in (signals.motor_torque, torque))
     inside = _inside(measured, model_hz, T)
     fit = _fit(measured, predicted, signals.direction, model_hz, T)
@@ -97,12 +92,10 @@ def _fit(
 ) -> FloatArray:
     """Fit inside the filter's transients for each joint; NaN for a motor that mostly sticks."""
     inside = _inside(measured, model_hz, T)
-    stiction_share = standing(direction[inside], _bridge(model_hz, T)).mean(axis=0)
-    return np.where(
-        stiction_share > _MAX_STICTION_SHARE,
-        np.nan,
-        fit_percent(measured[inside], torque[inside]),
+    mostly_sticks = (
+        standing(direction[inside], _bridge(model_hz, T)).mean(axis=0) > _MAX_STICTION_SHARE
     )
+    return np.where(mostly_sticks, np.nan, fit_percent(measured[inside], torque[inside]))
 
 
 def _inside(signal: FloatArray, model_hz: float, T: float) -> slice:
@@ -130,41 +123,20 @@ def predict_torque(
         share[(parameter.joint or 1) - 1] = parameter.value or 0.0
     direction = np.column_stack([_bridge_gaps(d) for d in signals.direction.T])
     sticks = standing(signals.direction, longest_bridge)
+    motion = signals.motor_angle, signals.motor_velocity, signals.motor_acceleration
+    friction = solution[arm.n_body :].reshape(arm.n_joints, FRICTION_COLUMNS)
+    viscous, coulomb, offset = friction.T
     torque = np.empty_like(signals.motor_torque)
     for start in range(0, len(torque), _BLOCK_SIZE):
         block = slice(start, start + _BLOCK_SIZE)
-        states = direction[block], sticks[block]
-        torque[block] = _predict_block(arm, solution, share, signals, block, *states)
+        phi = arm.rigid_regressor(*(arm.links_of(x[block]) for x in motion))
+        body = phi @ solution[: arm.n_body]
+        smooth = body + viscous * signals.motor_velocity[block] + offset
+        dry = coulomb + share * np.abs(body)
+        limit = np.abs(dry)
+        sticking = smooth + np.clip(signals.motor_torque[block] - smooth, -limit, limit)
+        torque[block] = np.where(sticks[block], sticking, smooth + dry * direction[block])
     return torque
-
-
-def _predict_block(
-    arm: Arm,
-    solution: FloatArray,
-    load_friction: FloatArray,
-    signals: Signals,
-    block: slice,
-    direction: FloatArray,
-    sticks: BoolArray,
-) -> FloatArray:
-    """Motor torques of a block of samples with their directions and stiction."""
-    first = arm.n_body
-    angle, velocity, acceleration, measured = (
-        x[block]
-        for x in (
-            signals.motor_angle,
-            signals.motor_velocity,
-            signals.motor_acceleration,
-            signals.motor_torque,
-        )
-    )
-    phi = arm.rigid_regressor(*map(arm.links_of, (angle, velocity, acceleration)))
-    viscous, coulomb, offset = solution[first:].reshape(arm.n_joints, FRICTION_COLUMNS).T
-    body = phi @ solution[:first]
-    smooth = body + viscous * velocity + offset
-    dry = coulomb + load_friction * np.abs(body)
-    sticking = smooth + np.clip(measured - smooth, -np.abs(dry), np.abs(dry))
-    return np.where(sticks, sticking, smooth + dry * direction)
 
 
 def standing(direction: FloatArray, longest_bridge: int) -> BoolArray:

@@ -25,9 +25,8 @@ _MIN_SIGNAL_TO_FLOOR = 4.0
 _MIN_SAMPLES = 32  # shortest record for a spectral estimate, and shortest padding
 # periods of the cut-off frequency after which a transient is below rounding
 _SETTLING_PERIODS = 14.0
-_MAX_TRANSFORM_SAMPLES = (
-    1 << 17
-)  # samples per transform; longer transforms do not fit the processor cache
+# samples per transform; longer transforms do not fit the processor cache
+_MAX_TRANSFORM_SAMPLES = 1 << 17
 
 
 def low_pass(
@@ -67,10 +66,8 @@ def low_pass(
     for start in range(0, n, piece):
         low, high = np.searchsorted(kept_indices, (start, start + piece))
         begin = max(0, start - margin)
-        piece_signal = signal[begin : start + piece + margin]
-        filtered[low:high] = _passed(piece_signal, relative, decimated)[
-            kept_indices[low:high] - begin
-        ]
+        passed = _passed(signal[begin : start + piece + margin], relative, decimated)
+        filtered[low:high] = passed[kept_indices[low:high] - begin]
     return filtered
 
 
@@ -79,20 +76,36 @@ def _passed(signal: FloatArray, relative: float, decimated: int) -> FloatArray:
     n = len(signal)
     pad = min(n - 1, int(4.0 / (relative * decimated)))
     extended = _point_reflected(signal, pad)
-    # the filter does not change a straight line; without the line, both ends are equal
-    n_extended = len(extended)
-    slope = (extended[-1] - extended[0]) / (n_extended - 1)
-    line = extended[0] + np.multiply.outer(np.arange(n_extended), slope)
-    size = fast_length(n_extended)
+    size = fast_length(len(extended))
     warped = np.tan(np.pi / decimated * np.fft.rfftfreq(size)[:-1]) / np.tan(np.pi * relative)
     gain = np.zeros(size // 2 + 1)  # zero at the Nyquist frequency
     gain[:-1] = 1.0 / (1.0 + _eighth_power(warped))
+    # the filter does not change a straight line
+    return _filter_about_line(extended, gain, slice(pad, pad + n))[0]
+
+
+def _filter_about_line(
+    extended: FloatArray, response: FloatArray | ComplexArray, inside: slice
+) -> tuple[FloatArray, FloatArray]:
+    """Filter a signal minus the line through its ends, and add the line; the slope of the line.
+
+    Without the line both ends are equal, as a transform requires. `response` (n_frequencies,).
+    """
+    n = len(extended)
+    slope = (extended[-1] - extended[0]) / (n - 1)
+    line = extended[0] + np.multiply.outer(np.arange(n), slope)
     extended -= line
+    size = fast_length(n)
     spectrum = np.fft.rfft(extended, size, axis=0)
-    spectrum *= gain.reshape(-1, *(1,) * (signal.ndim - 1))
-    passed: FloatArray = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
-    passed += line[pad : pad + n]
-    return passed
+    spectrum *= _along_rows(response, extended)
+    passed: FloatArray = np.fft.irfft(spectrum, size, axis=0)[inside]
+    passed += line[inside]
+    return passed, slope
+
+
+def _along_rows(response: FloatArray | ComplexArray, signal: FloatArray) -> ComplexArray:
+    """A response (n_frequencies,) in a shape that multiplies the spectrum of a signal."""
+    return np.asarray(response.reshape(-1, *(1,) * (signal.ndim - 1)))
 
 
 def _point_reflected(signal: FloatArray, pad: int) -> FloatArray:
@@ -195,7 +208,7 @@ def apply_lags(
     n = len(signal)
     response, size = _lag_response(tuple(lags), sample_time, held, n)
     spectrum = np.fft.rfft(signal - signal[:1], size, axis=0)
-    spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
+    spectrum *= _along_rows(response, signal)
     return np.asarray(signal[:1] + np.fft.irfft(spectrum, size, axis=0)[:n])
 
 
@@ -244,17 +257,10 @@ def apply_lags_without_aliases(
     if between == "smooth":
         after = 2.0 * after - signal[-2 : -pad - 2 : -1]
     extended = np.concatenate([before, signal, after])
-    # the response to a straight line is a delayed line; without the line, both ends are equal
-    n_extended = len(extended)
-    slope = (extended[-1] - extended[0]) / (n_extended - 1)
-    line = extended[0] + np.multiply.outer(np.arange(n_extended), slope)
-    size = fast_length(n_extended)
+    size = fast_length(len(extended))
     response, delay = _analog_response(tuple(lags), sample_time, between, size)
-    extended = extended - line
-    spectrum = np.fft.rfft(extended, size, axis=0)
-    spectrum *= response.reshape(-1, *(1,) * (signal.ndim - 1))
-    passed = np.fft.irfft(spectrum, size, axis=0)[pad : pad + n]
-    passed += line[pad : pad + n]
+    passed, slope = _filter_about_line(extended, response, slice(pad, pad + n))
+    # the response to a straight line is a delayed line
     return np.asarray(passed - slope * (delay / sample_time))
 
 
@@ -329,10 +335,7 @@ def band_pass(
     """
 
     def response(f: FloatArray) -> ComplexArray:
-        gain = (2j * np.pi * f) ** -integrals
-        return np.asarray(
-            gain / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
-        )
+        return np.asarray((2j * np.pi * f) ** -integrals * _band_gain(f, low_hz, high_hz))
 
     return by_spectrum(signal, response, sample_time, 3.0 / low_hz)
 
@@ -356,12 +359,18 @@ def band_passes(
     """
     padded = _padded_spectrum(signals, sample_time, 3.0 / low_hz)
     f = padded.frequency
-    gain = 1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
+    gain = _band_gain(f, low_hz, high_hz)
     filtered = np.empty((len(signals), len(requests)))
     for column, (k, integrals) in enumerate(requests):
         response = gain if integrals == 0 else gain * (2j * np.pi * f) ** -integrals
         filtered[:, column] = padded.inverse(response * padded.spectrum[:, k])
     return filtered
+
+
+def _band_gain(f: FloatArray, low_hz: float, high_hz: float) -> FloatArray:
+    return np.asarray(
+        1.0 / ((1.0 + _eighth_power(low_hz / f)) * (1.0 + _eighth_power(f / high_hz)))
+    )
 
 
 def _eighth_power(x: FloatArray) -> FloatArray:
@@ -389,7 +398,7 @@ def by_spectrum(
     gain = response(padded.frequency)
     if gain.ndim == 3:
         return padded.inverse(np.einsum("foi,fi->fo", gain, padded.spectrum))
-    return padded.inverse(padded.spectrum * gain.reshape(-1, *(1,) * (signal.ndim - 1)))
+    return padded.inverse(padded.spectrum * _along_rows(gain, signal))
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,15 +140,12 @@ def run_parallel(jobs: Sequence[Callable[[], Result]]) -> list[Result]:
     parent = _group()
     max_threads = None if parent is None else parent.threads
     if len(jobs) <= 1 or max_threads == 1:  # a thread costs as much as a small job
-        return [_run_sequentially(job) for job in jobs]
-    workers = os.cpu_count() if max_threads is None else min(max_threads, len(jobs))
-    nested_threads = (
-        None if max_threads is None else max(1, max_threads // min(max_threads, len(jobs)))
-    )
-    group = _Group(parent, nested_threads)
+        return [_run(parent, job) for job in jobs]
+    workers = min(max_threads or os.cpu_count() or 1, len(jobs))
+    group = _Group(parent, max_threads and max_threads // workers)
     pool = ThreadPoolExecutor(workers)
     try:
-        results = [pool.submit(_run_in_group, group, job) for job in jobs]
+        results = [pool.submit(_run, group, job) for job in jobs]
         return [each.result() for each in results]
     finally:
         group.stopped = True
@@ -162,12 +159,7 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
     return cast("First", first_result), cast("Second", second_result)
 
 
-def _run_sequentially(job: Callable[[], Result]) -> Result:
-    raise_if_stopped()
-    return job()
-
-
-def _run_in_group(group: _Group, job: Callable[[], Result]) -> Result:
+def _run(group: _Group | None, job: Callable[[], Result]) -> Result:
     _thread.group = group
     raise_if_stopped()
     return job()

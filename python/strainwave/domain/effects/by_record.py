@@ -48,7 +48,7 @@ class DriveGainByRecord(RecordEffect):
     by_record = True
     prior_std = 0.1
     core_name = "drive-gain"  # for a gain error that is the same in all records
-    needs: Mapping[str, float] = {_GAIN: 0.0}
+    defaults: Mapping[str, float] = {_GAIN: 0.0}
     misleads_inertias = True
     description = "a torque per volt that differs from record to record"
     consequence = "torques are scaled by an average gain, which biases inertias and stiffness"

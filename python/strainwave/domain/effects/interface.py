@@ -96,7 +96,7 @@ class Effect:
     """
 
     defaults: Mapping[str, float] = {}
-    """Values of the shapes that may be omitted."""
+    """Values of parameters that may be omitted."""
 
     needs_elastic_gear: bool = False
     """Whether only elastic gears can have the effect."""
@@ -208,9 +208,6 @@ class RecordEffect(Effect, ABC):
 
     core_name: str | None = None
     """Name of the core's effect that it acts through; None if it acts through no effect."""
-
-    needs: Mapping[str, float] = {}
-    """Parameters of the core's effect that it acts through, with the values of no effect."""
 
     @abstractmethod
     def inputs(self, values: Values, gear_ratio: float) -> tuple[Input, ...]:
