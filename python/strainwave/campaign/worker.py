@@ -96,7 +96,7 @@ def answer(task: Task, do: Perform = perform) -> Outcome:
     return Outcome.of(record.row, unrecorded=Store.at(task.store).try_write(record))
 
 
-def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform = perform) -> None:
+def serve(tasks: TextIO, answers: TextIO, time_limit: float, do: Perform) -> None:
     """Perform the tasks of a stream, one JSON line each, until it ends.
 
     The parent kills a run after `time_limit` [s]; without a parent this process ends itself later.

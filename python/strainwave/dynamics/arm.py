@@ -234,7 +234,7 @@ class Arm(ArmDescription):
         """
         return self.base.particular(motor_share)[: len(self.base.links)]
 
-    def motors_of_rigid(self, motor_share: float = 0.0) -> FloatArray:
+    def motors_of_rigid(self, motor_share: float) -> FloatArray:
         """Motor inertias that have given base parameters: (n_joints, n_body)."""
         return self.base.particular(motor_share)[len(self.base.links) :]
 

@@ -44,7 +44,7 @@ def band_fit(
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
-    load_friction: Sequence[Parameter] = (),
+    load_friction: Sequence[Parameter],
 ) -> FloatArray:
     """Fit [%] of a model to a record's torques within its bandwidth: (n_joints,).
 
@@ -66,7 +66,7 @@ def band_prediction(
     solution: FloatArray,
     signals: Signals,
     model_hz: float,
-    load_friction: Sequence[Parameter] = (),
+    load_friction: Sequence[Parameter],
 ) -> FilteredTorques:
     """Predict a record's torques from its motion, within a model's bandwidth.
 
@@ -109,7 +109,7 @@ def predict_torque(
     solution: FloatArray,
     signals: Signals,
     longest_bridge: int,
-    load_friction: Sequence[Parameter] = (),
+    load_friction: Sequence[Parameter],
 ) -> FloatArray:
     """Motor torques of the rigid model for a motion: (n_samples, n_joints) [N m].
 

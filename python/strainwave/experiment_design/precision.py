@@ -18,15 +18,14 @@ from strainwave.identification.whole_arm import predicted_parameters
 
 
 def predicted_precision(
-    study: Study, values: Values, records: Sequence[Planned], *, seed: int = 0
+    study: Study, values: Values, records: Sequence[Planned], *, seed: int
 ) -> tuple[Parameter, ...]:
     """Predict the result of the whole-arm fit of the guessed arm for the planned records.
 
     The prediction uses the voltages at full amplitude and the steps; sweeps add little information
     and take the most time. The sensors are those that the tables of the joints describe and
     [channels] names, without IMUs. `seed` is that of their noise, which determines the compared
-    band. Empty if no record excites a gear
-    enough for a fit.
+    band. Empty if no record excites a gear enough for a fit.
     """
     rng = np.random.default_rng(seed)
     fitted = [r for r in records if r.experiment.use in ("frequency", "tuning")]

@@ -20,12 +20,12 @@ from strainwave.experiment_design.written import HEADER_FILE
 _NAMES = ("gear_stiffness", "gear_damping", "motor_inertia", "link_inertia")
 
 
-def print_design(design: Design, folder: Path, *, console: Console | None = None) -> None:
+def print_design(design: Design, folder: Path) -> None:
     """Print the predicted motion, duration and reasons of each record, and the warnings.
 
     `folder` is where the design was written.
     """
-    console = console or Console(highlight=False)
+    console = Console(highlight=False)
     console.print(_table(design))
     for record in design.records:
         reasons = "; ".join(record.reasons)

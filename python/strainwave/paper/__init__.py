@@ -77,7 +77,7 @@ def compare_seeds(
 ) -> tuple[Tally, ...]:
     """All comparisons over several seeds, with one or several settings.
 
-    `tuned` is the whole-arm fit of the first seed with the default settings, computed here if None.
+    `whole_arm` is the fit of the first seed with the default settings, computed here if None.
     The result is sorted by figure, then by settings; only the first seed has plots.
     """
 

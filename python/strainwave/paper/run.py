@@ -25,8 +25,8 @@ def write_comparisons(
     *,
     seed: int,
     progress: Callable[[str], None],
-    seeds: int = 1,
-    as_published: bool = False,
+    seeds: int,
+    as_published: bool,
 ) -> tuple[Tally, ...]:
     """Test the source's claims on the built-in arm; write comparisons.html, .json and .md.
 

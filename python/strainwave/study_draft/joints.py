@@ -24,11 +24,11 @@ class ColumnAssignment(NamedTuple):
     notes: tuple[str, ...]
 
 
-def assign_columns(record: Record, fullest: Record | None = None) -> ColumnAssignment:
+def assign_columns(record: Record, fullest: Record) -> ColumnAssignment:
     """Assign each column a quantity and a joint number.
 
-    Joints count from 1. `fullest` is the record of the same arm that determines the moving joints;
-    by default `record`. Columns of joints beyond `max_joints` are omitted.
+    Joints count from 1. `fullest` is the record of the same arm that determines the moving joints.
+    Columns of joints beyond `max_joints` are omitted.
     """
     parsed_names = {name: parse(name) for name in record.columns}
     notes: list[str] = []
@@ -37,7 +37,7 @@ def assign_columns(record: Record, fullest: Record | None = None) -> ColumnAssig
         notes.append("no column name indicates an angle: columns were assigned by their data alone")
     numbered = _number_joints(parsed_names)
     joints = sorted({each.number or 1 for each in numbered.values() if each.quantity == "angle"})
-    moving = [j for j in joints if _is_moving(fullest or record, numbered, j)] or joints
+    moving = [j for j in joints if _is_moving(fullest, numbered, j)] or joints
     chosen = sorted(moving[: max_joints()])
     limit = ""
     if len(joints) > len(chosen):

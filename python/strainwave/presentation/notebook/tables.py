@@ -32,9 +32,9 @@ def table_of(record: object) -> str:
     raise TypeError(f"a {type(record).__name__} has no table")
 
 
-def table_of_parameters(parameters: Iterable[Parameter], head: str = "") -> str:
-    """Parameters as a table below a title."""
-    return _html(head, _PARAMETER_HEADS, _rows(parameters), ())
+def table_of_parameters(parameters: Iterable[Parameter]) -> str:
+    """Parameters as a table."""
+    return _html("", _PARAMETER_HEADS, _rows(parameters), ())
 
 
 @table_of.register

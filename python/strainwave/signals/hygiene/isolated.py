@@ -37,20 +37,17 @@ class Jump:
     size: float  # difference from the adjacent increments
 
 
-def classify_jumps(
-    signal: FloatArray, count: float = 0.0
-) -> tuple[list[tuple[int, int]], list[Jump]]:
+def classify_jumps(signal: FloatArray, count: float) -> tuple[list[tuple[int, int]], list[Jump]]:
     """Classify the jumps of a signal, (n_samples,), as spikes or permanent steps.
 
     A signal returns from a spike within `MAX_SPIKE_SAMPLES` samples.
     `count` is the quantization step, or zero if unknown. Returns spikes as (first sample, index
     after the last one), and permanent steps.
     """
-    all_jumps = detect_jumps(signal, count)
     spikes: list[tuple[int, int]] = []
     steps: list[Jump] = []
     last_stop = 0  # end of the last spike
-    for jump in all_jumps:
+    for jump in detect_jumps(signal, count):
         start = jump.sample
         if start <= last_stop:
             continue
@@ -66,7 +63,7 @@ def classify_jumps(
     return spikes, steps
 
 
-def detect_jumps(signal: FloatArray, count: float = 0.0) -> list[Jump]:
+def detect_jumps(signal: FloatArray, count: float) -> list[Jump]:
     """Detect all isolated increments of a signal, (n_samples,), in order of time.
 
     `count` is the quantization step, or zero if unknown.
