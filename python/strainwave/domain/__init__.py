@@ -10,12 +10,15 @@ from strainwave.domain.arm import ArmDescription as ArmDescription
 from strainwave.domain.arm import EffectName as EffectName
 from strainwave.domain.arm import Imu as Imu
 from strainwave.domain.arm import Joint as Joint
+from strainwave.domain.arm import LinkPrior as LinkPrior
 from strainwave.domain.arm import Motion as Motion
 from strainwave.domain.arm import NonNegative as NonNegative
 from strainwave.domain.arm import Origin as Origin
 from strainwave.domain.arm import Positive as Positive
 from strainwave.domain.arm import Servo as Servo
 from strainwave.domain.arm import Spring as Spring
+from strainwave.domain.arm import Transmission as Transmission
+from strainwave.domain.arm import Urdf as Urdf
 from strainwave.domain.arm_model import CONDITION_TEXTS as CONDITION_TEXTS
 from strainwave.domain.arm_model import AgreementTest as AgreementTest
 from strainwave.domain.arm_model import ArmModel as ArmModel

@@ -25,6 +25,7 @@ Spring = str  # name of a gear law
 EffectName = str  # of one of `domain.effects`
 Vector = tuple[float, float, float]
 Matrix = tuple[tuple[float, ...], ...]  # rows
+LinkPrior = tuple[float, ...]  # the ten standard parameters of a link, in the order of the core
 
 _PLANAR_PROGRAMS = ("planar-two-link", "single-joint")  # kinds with a compiled program
 
@@ -127,6 +128,21 @@ class Servo:
 
 
 @dataclass(frozen=True, slots=True)
+class Urdf:
+    """The URDF file that places the joints, and the inertial values in it."""
+
+    file: str  # relative to the study file
+    priors: tuple[LinkPrior, ...]  # of the links from the base
+
+
+@dataclass(frozen=True, slots=True)
+class Transmission:
+    """Coupling between motors and joints: `[transmission]`."""
+
+    coupling: Matrix  # C, (n_joints, n_joints): link angles = C (gear_ratio * motor angles)
+
+
+@dataclass(frozen=True, slots=True)
 class ArmDescription:
     """A serial chain on a fixed base, with its servo.
 
@@ -139,6 +155,7 @@ class ArmDescription:
     gravity: Vector | None = None  # [m/s^2] in the frame of the base; None: without gravity
     coupling: Matrix | None = None  # C, (n_joints, n_joints); None: identity
     servo: Servo | None = None
+    urdf: Urdf | None = None
 
     @property
     def n_joints(self) -> int:

@@ -7,7 +7,7 @@ dependent ones W_d = W_b K, the base parameters are b = pi_b + K pi_d (Gautier, 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -59,6 +59,23 @@ class BaseParameters:
             shift = unit - links_only @ self.rows[:, motor]
             particular[:, groups[0]] += motor_share / self.rows[groups[0], motor] * shift
         return particular
+
+    @cached_property
+    def dependent_links(self) -> tuple[Key, ...]:
+        """Parameters of links that motion does not distinguish from the independent ones.
+
+        Where there are any, only combinations of link parameters are determined: a parameter of a
+        link represents its combination and may have either sign.
+        """
+        kept = {self.links[at] for at in self.independent if at < len(self.links)}
+        return tuple(key for key in self.links if key not in kept)
+
+    @cached_property
+    def represented(self) -> tuple[Key, ...]:
+        """Independent parameters of links where some parameters depend on them; else none."""
+        n_links = len(self.links)
+        kept = (self.links[at] for at in self.independent if at < n_links)
+        return tuple(kept) if self.dependent_links else ()
 
     @cached_property
     def separate_links(self) -> tuple[Key, ...]:
@@ -136,6 +153,22 @@ def link_inertia(arm: ArmDescription, joint: int, posture: FloatArray | None = N
     links = core.parameter_names[: weights.shape[2]]
     pairs = zip(links, weights[0, joint - 1].tolist(), strict=True)
     return {key: weight for key, weight in pairs if weight}
+
+
+def torque_per_parameter(
+    arm: ArmDescription, velocity: Sequence[float], acceleration: Sequence[float]
+) -> FloatArray:
+    """Rms motor torque per base parameter over random motions: (n_joints, n_base).
+
+    `velocity` and `acceleration` of each joint's link are rms values; angles are uniform.
+    """
+    base, core, n = base_parameters(arm), core_arm(arm, ["rigid"] * arm.n_joints), arm.n_joints
+    random = np.random.default_rng(0)
+    angle = random.uniform(-np.pi, np.pi, size=(_SAMPLES, n))
+    rates, changes = (random.normal(size=(_SAMPLES, n)) * size for size in (velocity, acceleration))
+    of_links = core.base_regressor(angle, rates, changes) @ base.particular()[: len(base.links)]
+    torques = np.einsum("kj,skb->sjb", transmission(arm), of_links)
+    return np.asarray(np.sqrt(np.mean(torques**2, axis=0)))
 
 
 def _regressor(arm: ArmDescription) -> tuple[FloatArray, tuple[Key, ...]]:

@@ -95,8 +95,10 @@ def inertias_of_links(arm: ArmDescription) -> tuple[tuple[Key, Row], ...]:
     """Parameters of links that follow from the joints' `link_inertia`, last joint first.
 
     Each row may use the parameters before it and other parameters of links. For two links, beta =
-    m_L2 and alpha = m_L1 - beta - 2 gamma.
+    m_L2 and alpha = m_L1 - beta - 2 gamma. None follow where only combinations are determined.
     """
+    if base_parameters(arm).dependent_links:
+        return ()
     derived: dict[Key, Row] = {}
     for joint in range(arm.n_joints, 0, -1):
         row = dict(link_inertia(arm, joint))

@@ -13,7 +13,11 @@ from dataclasses import dataclass, replace
 
 from strainwave.domain.arm import ArmDescription
 from strainwave.domain.arm_model import ArmModel, contradictions
-from strainwave.domain.base_parameters import base_parameters, link_inertia
+from strainwave.domain.base_parameters import (
+    base_parameters,
+    link_inertia,
+    torque_per_parameter,
+)
 from strainwave.domain.clauses import Clause
 from strainwave.domain.combinations import (
     LINK_INERTIA,
@@ -377,7 +381,8 @@ def _is_negligible(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
 def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -> Iterator[float]:
     """Motor torque per unit of a parameter, over the rms torque, for each joint it acts on."""
     of_link = _motion_per_unit(p, study.arm)
-    for number in [p.joint] if p.joint else sorted(levels):
+    of_chain = _torque_per_base_parameter(p, study.arm, levels)
+    for number in [p.joint] if p.joint and not of_chain else sorted(levels):
         level = levels.get(number)
         if level is None or level.torque <= 0.0:
             continue
@@ -394,6 +399,7 @@ def _torque_shares(p: Parameter, study: Study, levels: Mapping[int, Activity]) -
         if number in of_link:
             reflected = ratio if family_of(p.name) == "gravity" else n2 * level.acceleration
             per_unit = of_link[number] * reflected
+        per_unit = of_chain.get(number, per_unit)
         if per_unit is not None:
             yield per_unit / level.torque
 
@@ -413,3 +419,25 @@ def _motion_per_unit(p: Parameter, arm: ArmDescription) -> dict[int, float]:
     joints = range(1, arm.n_joints + 1)
     weight = max(abs(link_inertia(arm, joint).get(p.key, 0.0)) for joint in joints)
     return dict.fromkeys(joints, weight)
+
+
+def _torque_per_base_parameter(
+    p: Parameter, arm: ArmDescription, levels: Mapping[int, Activity]
+) -> dict[int, float]:
+    """Rms motor torque per unit of a base parameter of a chain, by joint; else nothing.
+
+    The postures are random, and rates and accelerations those of the records.
+    """
+    base = base_parameters(arm)
+    at = {column.key: k for k, column in enumerate(base.columns)}.get(_key(p))
+    if at is None or not base.dependent_links:
+        return {}
+    motion = [
+        [
+            getattr(levels[i], quantity) * abs(arm.joints[i - 1].gear_ratio) if i in levels else 0.0
+            for i in range(1, arm.n_joints + 1)
+        ]
+        for quantity in ("velocity", "acceleration")
+    ]
+    torques = torque_per_parameter(arm, *motion)[:, at]
+    return dict(enumerate(torques.tolist(), start=1))

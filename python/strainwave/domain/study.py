@@ -91,7 +91,7 @@ class Study:
 
 def channel_kinds() -> tuple[str, ...]:
     """Channels of each joint. The channel `t` belongs to the whole record."""
-    return ("u", "torque", "theta_m", "omega_m", *link_channel_kinds(), "ref")
+    return ("u", "torque", "theta_m", "omega_m", *link_channel_kinds(), "ref", "temperature")
 
 
 def channel_names(count: int) -> tuple[str, ...]:

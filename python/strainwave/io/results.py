@@ -35,7 +35,8 @@ from strainwave.domain import (
 )
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.joint_covariance import covariance_document, joint_covariance
+from strainwave.io.base_parameters import base_parameter_entries, standard_parameter_entries
+from strainwave.io.joint_covariance import JointCovariance, covariance_document, joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
 
@@ -50,7 +51,12 @@ _MAX_RESPONSE_LINES = 500  # frequencies of one published response
 _RESPONSE_DIGITS = 6  # significant digits of a published response; its noise exceeds 1e-6
 _INPUTS = ("motor_torque", "interaction_torque")
 _OUTPUTS = ("motor_velocity", "link_velocity")
-_RIG_TABLES = ("arm", "joint", "servo")  # tables of the study file that result.json repeats
+_RIG_TABLES = (
+    "arm",
+    "joint",
+    "transmission",
+    "servo",
+)  # tables of the study file that result.json repeats
 
 
 def to_document(identification: Identification) -> dict[str, Any]:
@@ -70,7 +76,7 @@ def to_document(identification: Identification) -> dict[str, Any]:
         stages["tuned"]["motor_responses"] = [
             _motor_response(each) for each in identification.motor_responses
         ]
-    verdict = identification.verdict
+    verdict, covariance = identification.verdict, joint_covariance(identification)
     document = {
         "schema": SCHEMA,
         "version": identification.version,
@@ -81,7 +87,8 @@ def to_document(identification: Identification) -> dict[str, Any]:
         "reason": "; ".join(verdict.reasons) or None,
         "verdict": _verdict(verdict),
         "parameters": [_parameter(p) for p in identification.parameters],
-        "covariance": covariance_document(joint_covariance(identification)),
+        "covariance": covariance_document(covariance),
+        **_base_parameters(identification, covariance),
         "stages": stages,
         "checks": [
             {"experiment": name, "fit_percent": fits}
@@ -92,6 +99,17 @@ def to_document(identification: Identification) -> dict[str, Any]:
     }
     finite: dict[str, Any] = _finite(document)
     return finite
+
+
+def _base_parameters(
+    identification: Identification, covariance: JointCovariance | None
+) -> dict[str, Any]:
+    """Base and standard parameters of a serial arm; nothing for other arms."""
+    base = base_parameter_entries(identification)
+    if not base:
+        return {}
+    standard = standard_parameter_entries(identification, covariance)
+    return {"base_parameters": base, "standard_parameters": standard}
 
 
 def to_json(document: Mapping[str, Any]) -> bytes:

@@ -23,15 +23,17 @@ class SignalOptions:
 def prepare_motor_signals(log: Log, arm: Arm, options: SignalOptions | None = None) -> Signals:
     """Compute motor torque, angle, velocity and acceleration of one record.
 
-    The default bandwidth is the smallest signal band of all joints, above which encoder noise
-    dominates. It exceeds the range of a rigid model, and `rigid.fit_rigid` reduces it.
+    The default bandwidth is the smallest signal band of the joints that move, above which encoder
+    noise dominates. It exceeds the range of a rigid model, and `rigid.fit_rigid` reduces it.
 
     Raises InvalidInput if a motor angle or torque is missing, or if the record is too short for the
     filter.
     """
     chosen, record = options or SignalOptions(), prepare_record(log, arm)
     T, angle = log.sample_time, record.motor_angle
-    bandwidth = chosen.bandwidth_hz or min(record.bands_hz)
+    moves = record.sliding.any(axis=0)
+    bands = np.array(record.bands_hz)
+    bandwidth = chosen.bandwidth_hz or float(bands[moves if moves.any() else slice(None)].min())
     edge = int(np.ceil(1.0 / (bandwidth * T)))
     check_length(log, edge, bandwidth)
     smooth_angle = low_pass(angle, bandwidth, T)

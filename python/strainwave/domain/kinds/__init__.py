@@ -20,8 +20,9 @@ from strainwave.domain.kinds.single_joint import SingleJoint
 from strainwave.domain.kinds.single_joint import single_joint as single_joint
 from strainwave.domain.registry import Registry
 
-_KINDS = Registry[Kind[Any]]("arm kind", "an", "kind", (PlanarTwoLink(), SingleJoint()))
-_CHAIN = SerialChain()  # study files do not describe it
+_KINDS = Registry[Kind[Any]](
+    "arm kind", "an", "kind", (PlanarTwoLink(), SingleJoint(), SerialChain())
+)
 
 
 kind_named = _KINDS.__getitem__
@@ -39,7 +40,7 @@ unregister = _KINDS.remove
 
 def kind_of(arm: ArmDescription) -> Kind[Any]:
     """Kind of an arm."""
-    return _CHAIN if arm.kind == _CHAIN.name else _KINDS[arm.kind]
+    return _KINDS[arm.kind]
 
 
 def arm_keys(arm: ArmDescription) -> tuple[str, ...]:

@@ -105,6 +105,10 @@ class Kind(ABC, Generic[Table]):
     table: type[Table]
     """Keys of `[arm]`, without `kind`."""
 
+    places_joints: bool = True
+    """Whether the kind places the joints; otherwise their tables or a URDF do, and motors may be
+    coupled."""
+
     gravity_note: str = ""
     """Formula of `effective_gravity`, if it is not the gravity of the study."""
 

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
-from strainwave.domain.kinds.base import Kind
+from strainwave.domain.keys import Key, Values
+from strainwave.domain.kinds.base import Fault, Kind
+from strainwave.domain.kinds.starts import MOTOR_SHARE, StageInertias, is_positive, require_positive
+
+_MAX_JOINTS = 7  # of the compiled core
+# standard deviation of a base parameter at the start, relative to the largest of its unit
+_START_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +22,7 @@ class SerialTable:
     """Keys of `[arm]`."""
 
     gravity: Vector | None = None  # [m/s^2] in the frame of the base
+    urdf: str | None = None  # file that places the joints
 
 
 class SerialChain(Kind[SerialTable]):
@@ -21,6 +30,19 @@ class SerialChain(Kind[SerialTable]):
 
     name = "serial"
     table = SerialTable
+    places_joints = False
+
+    def faults(self, table: SerialTable, joints: Sequence[Joint]) -> Iterator[Fault]:
+        """Too many joints, or an axis of length zero."""
+        if len(joints) > _MAX_JOINTS:
+            yield Fault(
+                f"there are {len(joints)} [[joint]] tables, but a chain has at most {_MAX_JOINTS}",
+                "describe the joints that move",
+                "joint",
+            )
+        for index, joint in enumerate(joints):
+            if not any(joint.axis):
+                yield Fault("the axis has length zero", "set its direction", "joint", index, "axis")
 
     def construct(
         self, table: SerialTable, joints: Sequence[Joint], servo: Servo | None = None
@@ -29,5 +51,39 @@ class SerialChain(Kind[SerialTable]):
         return ArmDescription(self.name, tuple(joints), table.gravity, servo=servo)
 
     def table_of(self, arm: ArmDescription) -> SerialTable:
-        """Gravity."""
-        return SerialTable(arm.gravity)
+        """Gravity, and the file that places the joints."""
+        return SerialTable(arm.gravity, arm.urdf.file if arm.urdf else None)
+
+    def starting_inertias(
+        self, arm: ArmDescription, estimates: StageInertias
+    ) -> tuple[Values, Values]:
+        """Consistent links with the base parameters of the rigid step, motors of the joint models.
+
+        A motor without a usable estimate gets its usual share of the joint's inertia.
+        """
+        from strainwave.domain.base_parameters import base_parameters
+        from strainwave.domain.consistent_links import consistent_links, priors_of
+
+        base, priors = base_parameters(arm), priors_of(arm)
+        n_links = len(base.links)
+        motors, rejected = dict(estimates.motor), Values()
+        for number, joint in enumerate(arm.joints, start=1):
+            if is_positive(motors[number]):
+                continue
+            rejected["motor_inertia", number] = motors[number]
+            link = require_positive("link_inertia", estimates.link[number])
+            motors[number] = MOTOR_SHARE / (1.0 - MOTOR_SHARE) * joint.gear_ratio**2 * link
+        known = [
+            (row, estimates.rigid[column.key], column.unit)
+            for row, column in zip(base.rows, base.columns, strict=True)
+            if estimates.rigid.get(column.key) is not None and row[:n_links].any()
+        ]
+        rows = np.array([row for row, _, _ in known])
+        target = np.array([value for _, value, _ in known], dtype=float)
+        target -= rows[:, n_links:] @ np.array([motors[i + 1] for i in range(arm.n_joints)])
+        units = [unit for _, _, unit in known]
+        largest = {unit: np.abs(target[[u == unit for u in units]]).max() for unit in units}
+        std = _START_TOLERANCE * np.array([largest[unit] for unit in units])
+        links = consistent_links(priors, rows[:, :n_links] / std[:, None], target / std)
+        start: dict[Key, float] = dict(zip(base.links, links.tolist(), strict=True))
+        return start | {("motor_inertia", i): value for i, value in motors.items()}, rejected

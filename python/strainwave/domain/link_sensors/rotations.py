@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain.arrays import FloatArray
 
+_RIGHT_ANGLE = 1e-9  # cosine of a pitch below which roll and yaw turn about the same axis
 _MAX_AXIAL_SHARE = 0.999  # of a direction along the link, as in the core
 
 
@@ -48,9 +49,15 @@ def attitude(rpy: Sequence[float]) -> FloatArray:
 
 
 def angles(matrix: FloatArray) -> FloatArray:
-    """Roll, pitch and yaw (3,) [rad] of a rotation matrix (3, 3)."""
+    """Roll, pitch and yaw (3,) [rad] of a rotation matrix (3, 3).
+
+    The roll is zero where the pitch is a right angle, because only its sum with the yaw counts.
+    """
+    level = np.hypot(matrix[0, 0], matrix[1, 0])
+    pitch = -np.arctan2(matrix[2, 0], level)
+    if level < _RIGHT_ANGLE:
+        return np.array([0.0, pitch, np.arctan2(-matrix[0, 1], matrix[1, 1])])
     roll = np.arctan2(matrix[2, 1], matrix[2, 2])
-    pitch = -np.arcsin(np.clip(matrix[2, 0], -1.0, 1.0))
     return np.array([roll, pitch, np.arctan2(matrix[1, 0], matrix[0, 0])])
 
 

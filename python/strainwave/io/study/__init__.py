@@ -135,10 +135,14 @@ def write_study(study: Study, path: Path) -> None:
 
 def document_of(study: Study) -> dict[str, Any]:
     """A study as tables of a study file, without values that equal their defaults."""
+    places = kind_of(study.arm).places_joints or study.arm.urdf is not None
+    placed = ("origin", "axis") if places else ()
     document: dict[str, Any] = {
         "arm": {"kind": study.arm.kind, **_table(kind_of(study.arm).table_of(study.arm))},
-        "joint": [_table(joint, without=("origin", "axis")) for joint in study.arm.joints],
+        "joint": [_table(joint, without=placed) for joint in study.arm.joints],
     }
+    if study.arm.coupling is not None:
+        document["transmission"] = {"coupling": [list(row) for row in study.arm.coupling]}
     if study.arm.servo is not None:
         document["servo"] = _table(study.arm.servo)
     if study.channels:

@@ -5,11 +5,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from functools import partial
 from typing import Any
 
+import numpy as np
+
 from strainwave.domain import ArmDescription, Study, channel_names
+from strainwave.domain.arm import Matrix
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.link_sensors import optional_constants
@@ -24,6 +28,8 @@ from strainwave.domain.study_limits import (
 )
 from strainwave.errors import InvalidInput, suggest_name
 from strainwave.io.study.reader import Reader
+
+_MAX_CONDITION = 1e6  # of a coupling; those of real wrists are below 10
 
 
 def check_consistency(study: Study, reader: Reader) -> None:
@@ -67,11 +73,28 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
                     where=reader.place("joint", index, "effects"),
                     remedy=f"move '{name}' to the effects of joint 1",
                 )
+    if arm.coupling is not None:
+        _check_coupling(arm.coupling, arm.n_joints, reader.place("transmission", None, "coupling"))
     if arm.servo is not None:
         for key in ("kp", "ki", "position_gain"):
             gains = getattr(arm.servo, key)
             if gains is not None:
                 _check_count(gains, arm.n_joints, reader.place("servo", None, key), key)
+
+
+def _check_coupling(coupling: Matrix, count: int, place: str) -> None:
+    if len(coupling) != count or any(len(row) != count for row in coupling):
+        raise InvalidInput(
+            f"'coupling' is not a matrix of {count} rows and {count} columns",
+            where=place,
+            remedy="write one row per joint: link angles = coupling (gear_ratio motor angles)",
+        )
+    if np.linalg.cond(np.array(coupling)) > _MAX_CONDITION:
+        raise InvalidInput(
+            "'coupling' is singular: some link motion needs no motor",
+            where=place,
+            remedy="correct the matrix; each joint needs its own motor",
+        )
 
 
 def check_options(study: Study, reader: Reader) -> None:
@@ -232,10 +255,12 @@ def _check_record_sizes(
 ) -> None:
     for limit in limits:
         value = getattr(record, limit.key, None)
+        if isinstance(value, tuple):
+            value = math.hypot(*value)
         if value is None or limit.minimum <= abs(value) <= limit.maximum:
             continue
         remedy = f"set a value from {limit.minimum:g} to {limit.maximum:g}"
-        if limit.key == "gear_ratio" and value > limit.maximum:
+        if limit.key == "gear_ratio" and abs(value) > limit.maximum:
             remedy = f"the value is probably inverted: set {1.0 / value:g} {limit.unit}"
         elif limit.other_scale is not None:
             other = value * limit.other_scale

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import Any, TypeVar, cast, get_args, get_type_hints
 
 from strainwave.domain import (
     ArmDescription,
@@ -22,19 +22,24 @@ from strainwave.domain import (
     Servo,
     Study,
     TopicChannel,
+    Transmission,
+    Urdf,
     effects,
     gear_laws,
 )
+from strainwave.domain.arm import Matrix
 from strainwave.domain.kinds import Kind, all_kinds, kind_named
 from strainwave.errors import InvalidInput, suggest_name
+from strainwave.io.urdf import UrdfJoint, read_urdf
 
 T = TypeVar("T")
 
-_PLACEMENT = {"origin": Origin(), "axis": (0.0, 0.0, 1.0)}  # of joints that the kind places
+_PLACED_BY_KIND: Mapping[str, Any] = {"origin": Origin(), "axis": (0.0, 0.0, 1.0)}
 
 _TABLES = {
     "arm": Kind,
     "joint": Joint,
+    "transmission": Transmission,
     "servo": Servo,
     "channels": Channel,
     "experiment": Experiment,
@@ -73,7 +78,7 @@ class Reader:
         return Study(
             path=self.path,
             sha256=sha256,
-            arm=self._arm(arm, joints, self._one(document, "servo")),
+            arm=self._arm(arm, joints, document),
             channels=self._channels(self._one(document, "channels") or {}),
             experiments=tuple(
                 self.record(Experiment, {"control": ["open"] * count} | table, "experiment", i)
@@ -140,20 +145,77 @@ class Reader:
         self,
         arm: Mapping[str, Any],
         joints: Sequence[Mapping[str, Any]],
-        servo: Mapping[str, Any] | None,
+        document: Mapping[str, Any],
     ) -> ArmDescription:
-        """The arm from `[arm]`, its `[[joint]]` tables and `[servo]`."""
+        """The arm from `[arm]`, its `[[joint]]` tables, `[transmission]` and `[servo]`."""
         kind = self._kind(arm)
-        described = tuple(self._joint(joint, i) for i, joint in enumerate(joints))
         table = self.record(kind.table, {k: v for k, v in arm.items() if k != "kind"}, "arm")
+        file: str = getattr(table, "urdf", None) or ""
+        urdf = self._urdf(file, len(joints)) if file else ()
+        described = []
+        for index, joint in enumerate(joints):
+            placed = self._placed(kind, joint, index, urdf)
+            described.append(self._joint(joint, index, placed))
         for fault in kind.faults(table, described):
             raise InvalidInput(
                 fault.problem,
                 where=self.place(fault.table, fault.index, fault.key),
                 remedy=fault.remedy,
             )
-        checked_servo = None if servo is None else self.record(Servo, servo, "servo")
-        return kind.construct(table, described, checked_servo)
+        servo = self._one(document, "servo")
+        description = kind.construct(
+            table, described, None if servo is None else self.record(Servo, servo, "servo")
+        )
+        coupling = self._coupling(kind, self._one(document, "transmission"))
+        return dataclasses.replace(
+            description,
+            coupling=coupling or description.coupling,
+            urdf=Urdf(file, tuple(joint.prior for joint in urdf)) if file else None,
+        )
+
+    def _placed(
+        self, kind: Kind[Any], joint: Mapping[str, Any], index: int, urdf: Sequence[UrdfJoint]
+    ) -> Mapping[str, Any]:
+        """Values of the keys of a joint that its kind or the URDF places."""
+        placed: Mapping[str, Any] = {}
+        if kind.places_joints:
+            placed = _PLACED_BY_KIND
+        elif urdf:
+            placed = {"origin": urdf[index].origin, "axis": urdf[index].axis}
+        for key in placed.keys() & joint.keys():
+            placer = "the URDF" if urdf else f"the kind {kind.name}"
+            raise InvalidInput(
+                f"'{key}' is given, but {placer} places the joint",
+                where=self.place("joint", index, key),
+                remedy=f"remove {key}" if urdf else 'remove it, or use kind = "serial"',
+            )
+        return placed
+
+    def _coupling(self, kind: Kind[Any], table: Mapping[str, Any] | None) -> Matrix | None:
+        """Coupling of `[transmission]`, which kinds that place their joints do not have."""
+        if table is None:
+            return None
+        if kind.places_joints:
+            raise InvalidInput(
+                f"motors of a {kind.name} arm are not coupled",
+                where=self.place("transmission"),
+                remedy='remove [transmission], or describe the arm with kind = "serial"',
+            )
+        return self.record(Transmission, table, "transmission").coupling
+
+    def _urdf(self, file: str, count: int) -> tuple[UrdfJoint, ...]:
+        """The joints of the URDF file, which must be as many as there are `[[joint]]` tables."""
+        joints = read_urdf(self.path.parent / file)
+        if len(joints) != count:
+            names = ", ".join(joint.name for joint in joints)
+            raise InvalidInput(
+                f"{len(joints)} joints move in {file} ({names}), but there are {count} [[joint]] "
+                "tables",
+                where=self.place("arm", None, "urdf"),
+                remedy="write one table for each of them, from the base, or set the types of "
+                'joints that stand still in all logs to "fixed" in the URDF',
+            )
+        return joints
 
     def _kind(self, arm: Mapping[str, Any]) -> Kind[Any]:
         """The kind of the arm. Raises InvalidInput if it is missing or unknown."""
@@ -163,8 +225,11 @@ class Reader:
         self._check_registered([kind], known, kind, "arm", None, "kind")
         return kind_named(kind)
 
-    def _joint(self, table: Mapping[str, Any], index: int) -> Joint:
-        """One `[[joint]]` whose spring and effects are registered."""
+    def _joint(self, table: Mapping[str, Any], index: int, placed: Mapping[str, Any]) -> Joint:
+        """One `[[joint]]` whose spring and effects are registered.
+
+        `placed` has the values of the keys that the kind or a URDF places.
+        """
         spring, names = table.get("spring"), table.get("effects")
         if spring is not None:
             self._check_registered([spring], gear_laws.names(), spring, "joint", index, "spring")
@@ -176,8 +241,8 @@ class Reader:
                 remedy='write a list such as effects = ["stribeck"], or effects = "auto"',
             )
         if isinstance(names, list):
-            self._check_registered(names, effects.names(), names, "joint", index, "effects")
-        return self.record(Joint, table, "joint", index, **_PLACEMENT)
+            self._check_registered(names, effects.names(), names, index, "effects")
+        return self.record(Joint, table, "joint", index, **placed)
 
     def _check_registered(
         self, names: Sequence[Any], known: Sequence[str], value: Any, *place: Any
@@ -196,9 +261,10 @@ class Reader:
     def _value(self, value: Any, hint: Any, name: str, index: int | None, key: str) -> Any:
         from pydantic import ValidationError
 
-        inner: list[type] = [part for part in get_args(hint) if dataclasses.is_dataclass(part)]  # type: ignore[misc]
+        kinds: tuple[Any, ...] = (hint, *get_args(hint))
+        inner = [kind for kind in kinds if dataclasses.is_dataclass(kind)]
         if inner and isinstance(value, dict):
-            return self.record(inner[0], value, name, index)
+            return self.record(cast(type, inner[0]), value, name, index)
         try:
             checked = _adapter(hint).validate_python(_lists_to_tuples(value))
             if isinstance(value, bool) and not isinstance(checked, bool):

@@ -34,7 +34,7 @@ def parameters_of(
     """
     combined = confidence_of(fit).combined
     quantities = [
-        *_unknowns(fit, _identified_curves(fit, combined, arm, largest_torque)),
+        *_unknowns(fit, arm, _identified_curves(fit, combined, arm, largest_torque)),
         *_combinations(fit, arm),
         *_vanished(fit, arm),
         *_mountings(fit),
@@ -57,10 +57,16 @@ class _Quantity:
     slope: FloatArray  # (n_unknowns,)
 
 
-def _unknowns(fit: Fit, identified: Mapping[Key, Key | None]) -> Iterator[_Quantity]:
-    """The unknowns; `identified` maps curve parameters to the unknowns that have their values."""
+def _unknowns(fit: Fit, arm: Arm, identified: Mapping[Key, Key | None]) -> Iterator[_Quantity]:
+    """The unknowns, but not those that stand for a combination of parameters of links.
+
+    `identified` maps curve parameters to the unknowns that have their values.
+    """
     keys, values = fit.space.keys, fit.values
+    combined = {*arm.base.represented} - {*arm.base.separate_links}
     for unknown in fit.space.unknowns:
+        if unknown.key in combined:
+            continue
         source = identified.get(unknown.key, unknown.key)
         slope = combination(keys, {source or unknown.key: 1.0})
         value = None if source is None else values[source]

@@ -9,6 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.keys import Values
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
 from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
@@ -46,11 +47,11 @@ def space_of(
     for i, (joint, voltage) in enumerate(pairs, start=1):
         torque = _MIN_COULOMB_SHARE * voltage * joint.torque_per_command
         start[COULOMB, i] = max(start[COULOMB, i], torque)
-    sizes = reference_sizes(start)
+    sizes = reference_sizes(start) | _link_sizes(start, arm)
     unknowns = []
     for (name, number), value in start.items():
         described = parameter_table()[name]
-        signed = described.range == "any"
+        signed = described.range == "any" or (name, number) in arm.base.represented
         scale = sizes[name, number] or float(signed)
         reach = _FRICTION_LOG_RANGE
         if described.family in ("inertia", "stiffness"):
@@ -58,7 +59,18 @@ def space_of(
         unit = unit_in(arm, (name, number))
         unknowns.append(Unknown(name, number, unit, value, scale, signed, reach))
     keys = [unknown.key for unknown in unknowns]
-    return ParameterSpace(tuple(unknowns), {}, rigid_prior(model, keys, arm, floor))
+    space = ParameterSpace(tuple(unknowns), {}, rigid_prior(model, keys, arm, floor))
+    return space.fix_values({key: start[key] for key in arm.base.dependent_links})
+
+
+def _link_sizes(start: Values, arm: Arm) -> Values:
+    """Sizes of link parameters that stand for combinations: the largest of the same unit."""
+    keys = arm.base.represented
+    units = {key: unit_in(arm, key) for key in keys}
+    return {
+        key: max(abs(start[other]) for other in keys if units[other] == unit)
+        for key, unit in units.items()
+    }
 
 
 def add_stiffness_curves(

@@ -1,0 +1,171 @@
+"""Physically consistent standard parameters of links: the set nearest to a prior.
+
+A rigid body has ten standard parameters: mass, first moments and inertias. They belong to a body if
+and only if its pseudo-inertia, a symmetric matrix (4, 4) that is linear in them, is positive
+definite (Wensing, Kim and Slotine, 2018). Motion determines combinations only. Among the consistent
+sets that have them, the one nearest to a prior in the entropic divergence is unique (Lee, Wensing
+and Park, 2020). It is a representative, not an estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+
+from strainwave.domain.arm import ArmDescription, LinkPrior
+from strainwave.domain.arrays import FloatArray
+from strainwave.errors import NumericalFailure
+
+LINK_PARAMETERS = (
+    "mass",
+    *(f"first_moment_{axis}" for axis in "xyz"),
+    *(f"inertia_{entry}" for entry in ("xx", "xy", "yy", "xz", "yz", "zz")),
+)
+"""Standard parameters of a link in the order of the core, without `link_`."""
+
+_MAX_STEPS = 200
+_TOLERANCE = 1e-12  # expected decrease of the cost
+_MIN_DECREASE = 0.1  # of the cost in a step, relative to the decrease of its quadratic model
+_MIN_SHARE = 1e-8  # of a step
+# of the combinations: a full weight from the start leads along the border of the consistent sets
+_WEIGHTS = np.logspace(-5.0, 0.0, 11)
+_GUESSED_MASS = 3.0  # [kg] of a link without prior
+_GUESSED_LENGTH = 0.2  # [m] of a link that carries no joint
+_GUESSED_RADIUS = 0.4  # radius of gyration over the link's length
+
+
+def consistent_links(
+    priors: Sequence[LinkPrior], rows: FloatArray, target: FloatArray
+) -> FloatArray:
+    """Standard parameters (10 n_links,) of bodies that agree with combinations of them.
+
+    It minimises the divergence from `priors` plus half the squared residual rows @ p - target;
+    `rows`, (n_rows, 10 n_links), and `target` are whitened by the covariance of the combinations.
+    Each prior must belong to a body. Raises NumericalFailure if the search does not converge.
+    """
+    inverses = [np.asarray(np.linalg.inv(_pseudo_inertia(np.array(p)))) for p in priors]
+    pull = np.concatenate([_basis_products(inverse) for inverse in inverses])
+    values = np.concatenate([np.array(prior) for prior in priors])
+    for weight in _WEIGHTS:
+        values = _minimise(values, pull, weight * rows, weight * target)
+    return values
+
+
+def _minimise(
+    values: FloatArray, pull: FloatArray, rows: FloatArray, target: FloatArray
+) -> FloatArray:
+    """Minimum of pull . p - log det P(p) + |rows p - target|^2/2 by Newton's method."""
+
+    def cost(values: FloatArray) -> float:
+        residual = rows @ values - target
+        return float(pull @ values - _log_det(values) + 0.5 * residual @ residual)
+
+    for _ in range(_MAX_STEPS):
+        roots, gradient = _barrier(values)
+        slope = pull + gradient
+        # the step minimises |roots step + roots^-T slope|^2 + |rows step + residual|^2
+        stacked = np.concatenate([roots, rows])
+        right = np.concatenate([-np.linalg.solve(roots.T, slope), target - rows @ values])
+        step = np.linalg.lstsq(stacked, right, rcond=None)[0]
+        decrease = float(np.sum((stacked @ step) ** 2))
+        if decrease < _TOLERANCE:
+            return values
+        share, before = min(1.0, _longest_step(values, step)), cost(values)
+        while cost(values + share * step) > before - _MIN_DECREASE * share * decrease:
+            share *= 0.5
+            if share < _MIN_SHARE:
+                return values  # rounding limits the cost
+        values = values + share * step
+    raise NumericalFailure("no physically consistent links agree with the base parameters")
+
+
+def guessed_priors(arm: ArmDescription) -> tuple[LinkPrior, ...]:
+    """Priors of links without inertial values: a body along the line to the next joint."""
+    ends = [np.array(joint.origin.xyz) for joint in arm.joints[1:]]
+    ends.append(np.zeros(3))
+    return tuple(_body(_GUESSED_MASS, 0.5 * end, _GUESSED_RADIUS * _length(end)) for end in ends)
+
+
+def priors_of(arm: ArmDescription) -> tuple[LinkPrior, ...]:
+    """Priors of the links: those of the URDF, and guesses where it has no consistent ones."""
+    guesses = guessed_priors(arm)
+    given = arm.urdf.priors if arm.urdf else (None,) * arm.n_joints
+    pairs = zip(given, guesses, strict=True)
+    return tuple(prior if prior and is_consistent(prior) else guess for prior, guess in pairs)
+
+
+def is_consistent(link: LinkPrior) -> bool:
+    """Whether ten standard parameters belong to a body."""
+    return bool(np.linalg.eigvalsh(_pseudo_inertia(np.array(link)))[0] > 0.0)
+
+
+def _length(end: FloatArray) -> float:
+    return float(np.linalg.norm(end)) or _GUESSED_LENGTH
+
+
+def _body(mass: float, centre: FloatArray, radius: float) -> LinkPrior:
+    inertia = mass * (radius**2 + centre @ centre) * np.eye(3) - mass * np.outer(centre, centre)
+    rows, columns = (0, 0, 1, 0, 1, 2), (0, 1, 1, 2, 2, 2)
+    return (mass, *(mass * centre).tolist(), *inertia[rows, columns].tolist())
+
+
+@cache
+def _basis() -> FloatArray:
+    """Pseudo-inertia per standard parameter, (10, 4, 4).
+
+    It is [trace(I)/2 E - I, h; h', m] with the inertia I, the first moments h and the mass m.
+    """
+    basis = np.zeros((10, 4, 4))
+    basis[0, 3, 3] = 1.0
+    for axis in range(3):
+        basis[1 + axis, axis, 3] = basis[1 + axis, 3, axis] = 1.0
+    for k, (row, column) in enumerate(((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2)), start=4):
+        if row == column:
+            basis[k, range(3), range(3)] = 0.5
+            basis[k, row, row] = -0.5
+        else:
+            basis[k, row, column] = basis[k, column, row] = -1.0
+    return basis
+
+
+def _pseudo_inertia(link: FloatArray) -> FloatArray:
+    return np.asarray(np.tensordot(link, _basis(), axes=1))
+
+
+def _basis_products(matrix: FloatArray) -> FloatArray:
+    """trace(matrix B_k) for each basis matrix: (10,)."""
+    return np.asarray(np.einsum("ij,kji->k", matrix, _basis()))
+
+
+def _barrier(values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Root R of the Hessian R'R of -log det, block by block, and its gradient."""
+    n = len(values)
+    roots, gradient = np.zeros((n, n)), np.zeros(n)
+    for at in range(0, n, 10):
+        part = slice(at, at + 10)
+        factor = np.linalg.cholesky(_pseudo_inertia(values[part]))
+        inverse = np.linalg.inv(factor)
+        whitened = inverse @ _basis() @ inverse.T  # (10, 4, 4); their products are the Hessian
+        roots[part, part] = np.linalg.qr(whitened.reshape(10, 16).T, mode="r")
+        gradient[part] = -np.trace(whitened, axis1=1, axis2=2)
+    return roots, gradient
+
+
+def _log_det(values: FloatArray) -> float:
+    links = values.reshape(-1, 10)
+    return float(np.sum(np.linalg.slogdet(np.tensordot(links, _basis(), axes=1))[1]))
+
+
+def _longest_step(values: FloatArray, step: FloatArray) -> float:
+    """Share of a step that keeps a tenth of the distance to the first inconsistent set."""
+    longest = np.inf
+    for at in range(0, len(values), 10):
+        factor = np.linalg.cholesky(_pseudo_inertia(values[at : at + 10]))
+        inverse = np.linalg.inv(factor)
+        moved = inverse @ _pseudo_inertia(step[at : at + 10]) @ inverse.T
+        lowest = float(np.linalg.eigvalsh(moved)[0])
+        if lowest < 0.0:
+            longest = min(longest, -0.9 / lowest)
+    return longest

@@ -1,0 +1,268 @@
+"""Read the joints and the inertial values of an arm from a URDF file.
+
+Fixed joints are merged into the link before them; meshes, transmissions and plugins are ignored.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from strainwave.domain import FloatArray, LinkPrior, Motion, Origin
+from strainwave.domain.link_sensors.rotations import angles, attitude
+from strainwave.errors import InvalidInput
+from strainwave.io.atomic_files import decode, read_bytes
+
+_MOTIONS: Mapping[str, Motion] = {
+    "revolute": "revolute",
+    "continuous": "revolute",
+    "prismatic": "prismatic",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfJoint:
+    """A joint that moves, and the link that it carries."""
+
+    name: str
+    motion: Motion
+    origin: Origin  # in the frame of the previous moving joint
+    axis: tuple[float, float, float]
+    prior: LinkPrior  # of everything that is fixed to the joint's link
+    lower: float | None = None  # limits of the position [rad, m]
+    upper: float | None = None
+    velocity: float | None = None  # limit [rad/s, m/s]
+    effort: float | None = None  # limit [N m, N]
+
+
+@dataclass(frozen=True)
+class _Element:
+    """One `<joint>`: its name, type, links and placement."""
+
+    xml: ElementTree.Element
+    name: str
+    kind: str
+    parent: str
+    child: str
+
+    @property
+    def moves(self) -> bool:
+        return self.kind != "fixed"
+
+
+def read_urdf(path: Path) -> tuple[UrdfJoint, ...]:
+    """The moving joints of a URDF file, from the base.
+
+    Raises InvalidInput if the file is not a URDF, or if its joints are not one serial chain.
+    """
+    text = decode(read_bytes(path, "the URDF"), path)
+    if "xacro:" in text:
+        raise InvalidInput(
+            "this file contains xacro macros",
+            where=str(path),
+            remedy=f"expand them: xacro {path.name} > robot.urdf",
+        )
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InvalidInput(
+            f"this is not XML: {error}", where=str(path), remedy="export the URDF again"
+        ) from error
+    if root.tag != "robot":
+        raise InvalidInput(
+            f"the outermost element is <{root.tag}>, not <robot>",
+            where=str(path),
+            remedy="give the URDF of the robot",
+        )
+    return _Reader(path, root).chain()
+
+
+class _Reader:
+    """Walks the links of one file from the base."""
+
+    def __init__(self, path: Path, root: ElementTree.Element) -> None:
+        self._path = path
+        self._links = {link.get("name", ""): link for link in root.findall("link")}
+        self._joints = [self._element(joint) for joint in root.findall("joint")]
+
+    def chain(self) -> tuple[UrdfJoint, ...]:
+        """The moving joints from the base."""
+        link = self._base()
+        frame, joints = np.eye(4), list[UrdfJoint]()
+        self._merged(link, np.eye(4))  # the base has no parameters, but its joints are checked
+        while (found := self._next(link)) is not None:
+            frame, joint = found
+            prior = self._merged(joint.child, np.eye(4))
+            joints.append(self._moving(joint, frame, prior))
+            link = joint.child
+        if not joints:
+            raise self._fault("no joint moves", "set the types of the moving joints")
+        return tuple(joints)
+
+    def _element(self, xml: ElementTree.Element) -> _Element:
+        name, kind = xml.get("name", ""), xml.get("type", "")
+        parent, child = xml.find("parent"), xml.find("child")
+        if parent is None or child is None:
+            raise self._fault(f"joint {name!r} has no parent or child", "name both links")
+        element = _Element(xml, name, kind, parent.get("link", ""), child.get("link", ""))
+        for link in (element.parent, element.child):
+            if link not in self._links:
+                raise self._fault(
+                    f"joint {name!r} names the link {link!r}, which does not exist",
+                    "correct the name",
+                )
+        if xml.find("mimic") is not None:
+            raise self._fault(
+                f"joint {name!r} mimics another joint",
+                'set its type to "fixed", or remove the gripper from the URDF',
+            )
+        if kind not in (*_MOTIONS, "fixed"):
+            raise self._fault(
+                f"joint {name!r} is of type {kind!r}",
+                "use revolute, continuous, prismatic or fixed joints",
+            )
+        return element
+
+    def _base(self) -> str:
+        children: dict[str, str] = {}
+        for joint in self._joints:
+            if joint.child in children:
+                raise self._fault(
+                    f"link {joint.child!r} hangs on the joints {children[joint.child]!r} and "
+                    f"{joint.name!r}: the arm is a closed loop",
+                    "remove one of them; only serial chains can be identified",
+                )
+            children[joint.child] = joint.name
+        bases = [name for name in self._links if name not in children]
+        if len(bases) != 1:
+            listed = ", ".join(map(repr, bases)) or "none"
+            raise self._fault(
+                f"one link must be the base, but the links without a parent are {listed}",
+                "connect all links by joints in one chain",
+            )
+        return bases[0]
+
+    def _below(self, link: str, frame: FloatArray) -> list[tuple[FloatArray, _Element]]:
+        """Joints on a link and on all links fixed to it, with the frames of their parents."""
+        found = []
+        for joint in self._joints:
+            if joint.parent == link:
+                found.append((frame, joint))
+                if not joint.moves:
+                    found += self._below(joint.child, frame @ self._placement(joint.xml))
+        return found
+
+    def _next(self, link: str) -> tuple[FloatArray, _Element] | None:
+        """The joint that moves after a link, and the frame in which it is placed."""
+        moving = [(frame, joint) for frame, joint in self._below(link, np.eye(4)) if joint.moves]
+        if len(moving) > 1:
+            first, second = (joint.name for _, joint in moving[:2])
+            raise self._fault(
+                f"the joints {first!r} and {second!r} both move on link {link!r}: the robot is a "
+                "tree",
+                'set the type of all joints outside one chain to "fixed", or remove them',
+            )
+        return moving[0] if moving else None
+
+    def _moving(self, joint: _Element, frame: FloatArray, prior: LinkPrior) -> UrdfJoint:
+        axis = self._vector(joint.xml.find("axis"), "xyz", (1.0, 0.0, 0.0), joint.name)
+        if not any(axis):
+            raise self._fault(f"the axis of joint {joint.name!r} has length zero", "correct it")
+        limit = joint.xml.find("limit")
+        limits = {
+            key: self._number(limit, key, joint.name)
+            for key in ("lower", "upper", "velocity", "effort")
+        }
+        if joint.kind == "continuous":
+            limits |= {"lower": None, "upper": None}
+        origin = self._origin(joint.xml)
+        if not np.array_equal(frame, np.eye(4)):  # the file's angles are exact otherwise
+            placed = frame @ self._placement(joint.xml)
+            origin = Origin(_vector_of(placed[:3, 3]), _vector_of(angles(placed[:3, :3])))
+        return UrdfJoint(joint.name, _MOTIONS[joint.kind], origin, axis, prior, **limits)
+
+    def _merged(self, link: str, frame: FloatArray) -> LinkPrior:
+        """Inertial values of a link and of all links fixed to it, in the frame of the first."""
+        total = np.array(self._inertial(link, frame))
+        for joint in self._joints:
+            if joint.parent == link and not joint.moves:
+                total += self._merged(joint.child, frame @ self._placement(joint.xml))
+        return tuple(total.tolist())
+
+    def _inertial(self, link: str, frame: FloatArray) -> LinkPrior:
+        """Mass, first moments and inertias of one link about the origin of `frame`'s base."""
+        inertial = self._links[link].find("inertial")
+        if inertial is None:
+            return (0.0,) * 10
+        mass = self._number(inertial.find("mass"), "value", link) or 0.0
+        tensor, entries = inertial.find("inertia"), dict[str, float]()
+        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
+            entries[key] = self._number(tensor, key, link) or 0.0
+        about_centre = np.array(
+            [
+                [entries["ixx"], entries["ixy"], entries["ixz"]],
+                [entries["ixy"], entries["iyy"], entries["iyz"]],
+                [entries["ixz"], entries["iyz"], entries["izz"]],
+            ]
+        )
+        placed = frame @ self._placement(inertial)
+        centre, axes = placed[:3, 3], placed[:3, :3]
+        about = axes @ about_centre @ axes.T
+        about += mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        upper = [about[row, column] for row, column in _ENTRIES]
+        return (mass, *map(float, mass * centre), *map(float, upper))
+
+    def _placement(self, xml: ElementTree.Element) -> FloatArray:
+        """Frame of the `<origin>` of an element, as a matrix (4, 4)."""
+        origin, frame = self._origin(xml), np.eye(4)
+        frame[:3, :3], frame[:3, 3] = attitude(origin.rpy), origin.xyz
+        return frame
+
+    def _origin(self, xml: ElementTree.Element) -> Origin:
+        name, origin, zero = xml.get("name", ""), xml.find("origin"), (0.0, 0.0, 0.0)
+        return Origin(*(self._vector(origin, key, zero, name) for key in ("xyz", "rpy")))
+
+    def _vector(
+        self,
+        xml: ElementTree.Element | None,
+        key: str,
+        default: tuple[float, float, float],
+        name: str,
+    ) -> tuple[float, float, float]:
+        text = None if xml is None else xml.get(key)
+        if text is None:
+            return default
+        try:
+            x, y, z = (float(part) for part in text.split())
+        except ValueError:
+            x = y = z = np.nan
+        if not np.isfinite([x, y, z]).all():
+            raise self._fault(f"{key}={text!r} of {name!r} is not three numbers", "correct it")
+        return x, y, z
+
+    def _number(self, xml: ElementTree.Element | None, key: str, name: str) -> float | None:
+        text = None if xml is None else xml.get(key)
+        if text is None:
+            return None
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise self._fault(f"{key}={text!r} of {name!r} is not a number", "correct it")
+        return value
+
+    def _fault(self, problem: str, remedy: str) -> InvalidInput:
+        return InvalidInput(problem, where=str(self._path), remedy=remedy)
+
+
+_ENTRIES: Sequence[tuple[int, int]] = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+
+
+def _vector_of(values: FloatArray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

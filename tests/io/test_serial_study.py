@@ -1,0 +1,115 @@
+"""Study files of serial arms: tables, URDF, transmission, and refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from strainwave import InvalidInput
+from strainwave.dynamics.arm import Arm
+from strainwave.io.study import read_study, write_study
+
+_ARM = """
+[arm]
+kind = "serial"
+gravity = [0.0, 0.0, -9.81]
+"""
+
+_JOINT = """
+[[joint]]
+origin = { xyz = [0.0, 0.1, 0.3], rpy = [0.2, 0.0, 0.0] }
+axis = [0.0, 1.0, 0.0]
+spring = "linear"
+gear_ratio = -0.01
+torque_per_volt = 0.1
+"""
+
+_COUPLING = """
+[transmission]
+coupling = [[1.0, 0.0], [0.5, 1.0]]
+"""
+
+_RECORD = """
+[[experiment]]
+name = "motion"
+file = "motion.csv"
+use = "motion"
+control = ["servo", "servo"]
+"""
+
+_STUDY = _ARM + 2 * _JOINT + _COUPLING + _RECORD
+
+_URDF = """<robot name="r"><link name="base"/><link name="a"/><link name="b"/>
+<joint name="one" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/></joint>
+<joint name="two" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+<origin xyz="0.2 0 0.1"/></joint></robot>"""
+
+_PLACED_BY_URDF = (
+    _ARM
+    + 'urdf = "robot.urdf"\n'
+    + 2
+    * _JOINT.replace(
+        "origin = { xyz = [0.0, 0.1, 0.3], rpy = [0.2, 0.0, 0.0] }\naxis = [0.0, 1.0, 0.0]\n", ""
+    )
+)
+
+
+def _read(folder: Path, text: str, urdf: str = _URDF) -> Arm:
+    (folder / "robot.urdf").write_text(urdf)
+    (folder / "study.toml").write_text(text)
+    return Arm.of(read_study(folder / "study.toml", logs_exist=False).arm)
+
+
+def test_tables_place_the_joints_and_couple_the_motors(tmp_path: Path) -> None:
+    arm = _read(tmp_path, _STUDY)
+    assert arm.joints[1].origin.xyz == (0.0, 0.1, 0.3)
+    assert arm.gravity == (0.0, 0.0, -9.81)
+    np.testing.assert_allclose(arm.links_of(np.array([100.0, 0.0])), [-1.0, -0.5])
+
+
+def test_a_urdf_places_the_joints(tmp_path: Path) -> None:
+    arm = _read(tmp_path, _PLACED_BY_URDF + _RECORD)
+    assert arm.joints[1].origin.xyz == (0.2, 0.0, 0.1)
+    assert arm.joints[1].axis == (0.0, 1.0, 0.0)
+
+
+@pytest.mark.parametrize("text", [_STUDY, _PLACED_BY_URDF + _RECORD])
+def test_a_written_study_reads_back_equal(tmp_path: Path, text: str) -> None:
+    arm = _read(tmp_path, text)
+    study = read_study(tmp_path / "study.toml", logs_exist=False)
+    write_study(study, tmp_path / "again.toml")
+    assert Arm.of(read_study(tmp_path / "again.toml", logs_exist=False).arm) == arm
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (_STUDY.replace("axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 0.0]"), "length zero"),
+        (_STUDY.replace("[0.5, 1.0]", "[1.0, 0.0]"), "'coupling' is singular"),
+        (_STUDY.replace("[[1.0, 0.0], [0.5, 1.0]]", "[[1.0]]"), "2 rows and 2 columns"),
+        (_STUDY + '[channels]\ntheta_m3 = "q3"\n', "'theta_m3' is not a channel"),
+        (_STUDY.replace("-9.81", "-9810.0"), "if 9810 is in mm/s^2, set 9.81"),
+        (_STUDY.replace("gear_ratio = -0.01", "gear_ratio = -100.0"), "inverted: set -0.01"),
+        (_ARM + 8 * _JOINT + _RECORD, "at most 7"),
+        (_PLACED_BY_URDF + _JOINT + _RECORD, "2 joints move in robot.urdf (one, two)"),
+        (_PLACED_BY_URDF.replace("robot.urdf", "none.urdf") + _RECORD, "none.urdf"),
+        (
+            _PLACED_BY_URDF.replace("[[joint]]", "[[joint]]\naxis = [0.0, 0.0, 1.0]", 1) + _RECORD,
+            "the URDF places the joint",
+        ),
+        (
+            '[arm]\nkind = "planar-two-link"\nlink_length = 0.35\n'
+            + 2 * '[[joint]]\nspring = "linear"\ngear_ratio = 0.01\n'
+            + _COUPLING
+            + _RECORD,
+            "motors of a planar-two-link arm are not coupled",
+        ),
+    ],
+)
+def test_faults_are_named_with_their_place(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InvalidInput) as caught:
+        _read(tmp_path, text)
+    assert message in str(caught.value)
+    assert str(tmp_path) in str(caught.value)
