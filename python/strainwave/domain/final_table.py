@@ -429,7 +429,7 @@ def _torque_per_base_parameter(
     The postures are random, and rates and accelerations those of the records.
     """
     base = base_parameters(arm)
-    at = {column.key: k for k, column in enumerate(base.columns)}.get(_key(p))
+    at = {column.key: k for k, column in enumerate(base.columns)}.get(p.key)
     if at is None or not base.dependent_links:
         return {}
     motion = [
