@@ -207,8 +207,8 @@ Condition = Literal["alone", "others-free", "others-servoed"]
 
 CONDITION_TEXTS: Mapping[Condition, str] = {
     "alone": "on its own",
-    "others-free": "the other joint free",
-    "others-servoed": "the other joint servoed",
+    "others-free": "the other joints free",
+    "others-servoed": "the other joints servoed",
 }
 """Description of each condition."""
 
