@@ -322,9 +322,9 @@ def _propose_amplitudes(evidence: Evidence, name: str) -> Iterator[Cause]:
 
 
 def _propose_gravity(evidence: Evidence) -> Iterator[Cause]:
-    """Gravity stated for a horizontal arm, or missing for a vertical arm."""
-    if "gravity" not in arm_keys(evidence.study.arm):
-        return
+    """Gravity stated for a horizontal planar arm, or missing for a vertical one."""
+    if not evidence.arm.has_planar_program:
+        return  # the size alone does not state the gravity of a chain
     gravity = evidence.study.arm.gravity_size
     if not gravity:
         message = "the link sensors measure gravity, but the study states none: the arm is vertical"
