@@ -30,7 +30,7 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
 from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
-from strainwave.identification.whole_arm.records.gear_torques import (
+from strainwave.identification.whole_arm.records.loads import (
     gear_torque_samples,
     histograms_of,
     largest_of,
