@@ -16,46 +16,51 @@ from typing import TYPE_CHECKING, Any
 from strainwave.display import Display, register
 
 if TYPE_CHECKING:
-    from strainwave.api import Result, compare, identify, read_result, read_study
-    from strainwave.campaign.store import read_parameters, read_runs
-    from strainwave.domain import (
-        ArmDescription,
-        Channel,
-        Experiment,
-        FrequencyOptions,
-        Joint,
-        LinearOptions,
-        LinkOptions,
-        Options,
-        Parameter,
-        PhysicalOptions,
-        Prbs,
-        RigidOptions,
-        Servo,
-        Stage,
-        Study,
-        WholeArmOptions,
-    )
-    from strainwave.domain.progress import ProgressEvent
-    from strainwave.dynamics.arm import Arm
-    from strainwave.errors import Cancelled, InvalidInput, NotIdentifiable, StrainwaveError
-    from strainwave.identification.amplitude_sweep import compare_amplitudes
-    from strainwave.identification.decoupling import decouple
-    from strainwave.identification.frequency import estimate_response
-    from strainwave.identification.joint_model import (
-        fit_linear,
-        identify_joint,
-        identify_record,
-        models_from_motors,
-    )
-    from strainwave.identification.rigid import fit_rigid
-    from strainwave.identification.validation import predict_elastic, predict_rigid
-    from strainwave.identification.whole_arm import fit_whole_arm
-    from strainwave.io.logs import read_logs
-    from strainwave.signals.consistency import check_consistency
-    from strainwave.signals.hygiene import repair_records
-    from strainwave.signals.link_motion import prepare_link_signals
-    from strainwave.signals.motor import prepare_motor_signals
+    from strainwave.api import Result as Result
+    from strainwave.api import compare as compare
+    from strainwave.api import identify as identify
+    from strainwave.api import read_result as read_result
+    from strainwave.api import read_study as read_study
+    from strainwave.campaign.store import read_parameters as read_parameters
+    from strainwave.campaign.store import read_runs as read_runs
+    from strainwave.domain import ArmDescription as ArmDescription
+    from strainwave.domain import Channel as Channel
+    from strainwave.domain import Experiment as Experiment
+    from strainwave.domain import FrequencyOptions as FrequencyOptions
+    from strainwave.domain import Joint as Joint
+    from strainwave.domain import LinearOptions as LinearOptions
+    from strainwave.domain import LinkOptions as LinkOptions
+    from strainwave.domain import Options as Options
+    from strainwave.domain import Parameter as Parameter
+    from strainwave.domain import PhysicalOptions as PhysicalOptions
+    from strainwave.domain import Prbs as Prbs
+    from strainwave.domain import RigidOptions as RigidOptions
+    from strainwave.domain import Servo as Servo
+    from strainwave.domain import Stage as Stage
+    from strainwave.domain import Study as Study
+    from strainwave.domain import WholeArmOptions as WholeArmOptions
+    from strainwave.domain.progress import ProgressEvent as ProgressEvent
+    from strainwave.dynamics.arm import Arm as Arm
+    from strainwave.errors import Cancelled as Cancelled
+    from strainwave.errors import InvalidInput as InvalidInput
+    from strainwave.errors import NotIdentifiable as NotIdentifiable
+    from strainwave.errors import StrainwaveError as StrainwaveError
+    from strainwave.identification.amplitude_sweep import compare_amplitudes as compare_amplitudes
+    from strainwave.identification.decoupling import decouple as decouple
+    from strainwave.identification.frequency import estimate_response as estimate_response
+    from strainwave.identification.joint_model import fit_linear as fit_linear
+    from strainwave.identification.joint_model import identify_joint as identify_joint
+    from strainwave.identification.joint_model import identify_record as identify_record
+    from strainwave.identification.joint_model import models_from_motors as models_from_motors
+    from strainwave.identification.rigid import fit_rigid as fit_rigid
+    from strainwave.identification.validation import predict_elastic as predict_elastic
+    from strainwave.identification.validation import predict_rigid as predict_rigid
+    from strainwave.identification.whole_arm import fit_whole_arm as fit_whole_arm
+    from strainwave.io.logs import read_logs as read_logs
+    from strainwave.signals.consistency import check_consistency as check_consistency
+    from strainwave.signals.hygiene import repair_records as repair_records
+    from strainwave.signals.link_motion import prepare_link_signals as prepare_link_signals
+    from strainwave.signals.motor import prepare_motor_signals as prepare_motor_signals
 
 __version__ = "0.1.0"
 
@@ -86,54 +91,8 @@ _NAMES_OF_MODULE = {
 }
 _MODULE_OF = {name: module for module, names in _NAMES_OF_MODULE.items() for name in names.split()}
 
-__all__ = [
-    "Arm",
-    "ArmDescription",
-    "Cancelled",
-    "Channel",
-    "Experiment",
-    "FrequencyOptions",
-    "InvalidInput",
-    "Joint",
-    "LinearOptions",
-    "LinkOptions",
-    "NotIdentifiable",
-    "Options",
-    "Parameter",
-    "PhysicalOptions",
-    "Prbs",
-    "ProgressEvent",
-    "Result",
-    "RigidOptions",
-    "Servo",
-    "Stage",
-    "StrainwaveError",
-    "Study",
-    "WholeArmOptions",
-    "__version__",
-    "check_consistency",
-    "compare",
-    "compare_amplitudes",
-    "decouple",
-    "estimate_response",
-    "fit_linear",
-    "fit_rigid",
-    "fit_whole_arm",
-    "identify",
-    "identify_joint",
-    "identify_record",
-    "models_from_motors",
-    "predict_elastic",
-    "predict_rigid",
-    "prepare_link_signals",
-    "prepare_motor_signals",
-    "read_logs",
-    "read_parameters",
-    "read_result",
-    "read_runs",
-    "read_study",
-    "repair_records",
-]
+__all__ = ["__version__"]
+__all__ += list(_MODULE_OF)
 
 
 def __getattr__(name: str) -> Any:

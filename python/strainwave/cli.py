@@ -352,8 +352,7 @@ def demo(
         bool, typer.Option("--quick", help="Skip the comparison with the published figures.")
     ] = False,
     seeds: Annotated[
-        int,
-        typer.Option("--seeds", min=1, help="Number of seeds for the published figures."),
+        int, typer.Option("--seeds", min=1, help="Number of seeds for the published figures.")
     ] = 1,
     as_published: Annotated[
         bool,

@@ -54,7 +54,8 @@ def test_every_warning_and_clause_gives_the_values_of_its_template() -> None:
             assert fields_of(template).keys() - {"record"} <= names, (path.name, key)
             used.add(key)
     assert not TEMPLATES.keys() & CLAUSES.keys()
-    assert len(used) > 0.7 * (len(TEMPLATES) + len(CLAUSES))
+    # the keys of the others come from tables
+    assert len(used) > 0.6 * (len(TEMPLATES) + len(CLAUSES))
 
 
 def test_places_are_rendered_by_what_they_have() -> None:

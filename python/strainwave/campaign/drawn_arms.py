@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from strainwave.campaign.cases import Hashes, Opened
@@ -22,11 +23,7 @@ class DrawnArm:
     family: Mapping[str, Any]  # as in `[family]`
     number: int  # from 0
     kind: ClassVar[str] = "drawn-arm"
-
-    @property
-    def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """No options: the campaign contains the options."""
-        return {}
+    options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the campaign contains them
 
     def hashes(self) -> Hashes:
         """Hashes of the family without its number of arms, and of the number of this arm."""

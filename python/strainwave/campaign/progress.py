@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import timedelta
 from typing import Any
 
 from strainwave.campaign.tasks import FAILED_STATUS, Outcome
@@ -70,13 +71,17 @@ class Tally:
         waiting = self.total - self.done - self.skipped
         return waiting / self.rate if self.done else None
 
+    @property
+    def counts(self) -> str:
+        """Number of runs of each status."""
+        return ", ".join(f"{self.by_status[s]} {s}" for s in STATUSES if self.by_status[s])
+
     def line(self) -> str:
         """The counts in one line."""
-        counts = ", ".join(f"{self.by_status[s]} {s}" for s in STATUSES if self.by_status[s])
         skipped = f", {self.skipped} of them recorded before" if self.skipped else ""
         return (
-            f"{self.done + self.skipped} of {self.total} studies{skipped}: {counts or 'none'}; "
-            f"{self.seconds:.1f} s, {self.rate:.2f} runs/s"
+            f"{self.done + self.skipped} of {self.total} studies{skipped}: "
+            f"{self.counts or 'none'}; {self.seconds:.1f} s, {self.rate:.2f} runs/s"
         )
 
     def causes(self) -> list[str]:
@@ -114,18 +119,12 @@ def _display(tally: Tally, dashboard: str | None) -> Any:
 
     ended = tally.done + tally.skipped
     left = tally.seconds_left
-    time_left = "" if left is None else f", {_clock(left)} left"
+    time_left = "" if left is None else f", {timedelta(seconds=round(left))} left"
     lines = [
         Text(f"{ended} of {tally.total} studies, {tally.rate:.2f} runs/s{time_left}"),
-        Text(", ".join(f"{tally.by_status[s]} {s}" for s in STATUSES if tally.by_status[s])),
+        Text(tally.counts),
+        *map(Text, tally.causes()),
     ]
-    lines += [Text(line) for line in tally.causes()]
     if dashboard:
         lines.append(Text(f"Dask: {dashboard}"))
     return Group(ProgressBar(total=max(tally.total, 1), completed=ended), *lines)
-
-
-def _clock(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d}"

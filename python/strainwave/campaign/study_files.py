@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from types import MappingProxyType
 from typing import Any, ClassVar
 
 from strainwave.campaign.cases import Hashes, Opened
@@ -25,11 +26,7 @@ class StudyFile:
     name: str
     location: str  # absolute path, or URL
     kind: ClassVar[str] = "study-file"
-
-    @property
-    def options(self) -> Mapping[str, Mapping[str, Any]]:
-        """No options: the study file contains the options."""
-        return {}
+    options: ClassVar[Mapping[str, Any]] = MappingProxyType({})  # the study file contains them
 
     def hashes(self) -> Hashes:
         """SHA-256 of the study file and of the contents of its logs.

@@ -207,8 +207,8 @@ Condition = Literal["alone", "others-free", "others-servoed"]
 
 CONDITION_TEXTS: Mapping[Condition, str] = {
     "alone": "on its own",
-    "others-free": "the other joint free",
-    "others-servoed": "the other joint servoed",
+    "others-free": "the other joints free",
+    "others-servoed": "the other joints servoed",
 }
 """Description of each condition."""
 
@@ -269,7 +269,6 @@ class ArmModel(Displayed):
     criticism: Criticism | None = None
     gear_loads: tuple[TorqueHistogram, ...] = ()  # one per joint with an elastic gear
     at_bounds: tuple[Key, ...] = ()  # at a bound, or derived from such a parameter
-    differences: tuple[StageDifference, ...] = ()  # from the rigid model, for each value
     agreement: tuple[AgreementTest, ...] = ()  # with the rigid model, all values and groups
     suspects: tuple[SuspectConstant, ...] = ()  # if the stages disagree, most likely first
     sensor_gains: tuple[SensorGain, ...] = ()  # of link sensors that the rig does not have

@@ -61,21 +61,17 @@ class BaseParameters:
         return particular
 
     @cached_property
-    def dependent_links(self) -> tuple[Key, ...]:
-        """Parameters of links that motion does not distinguish from the independent ones.
-
-        Where there are any, only combinations of link parameters are determined: a parameter of a
-        link represents its combination and may have either sign.
-        """
-        kept = {self.links[at] for at in self.independent if at < len(self.links)}
-        return tuple(key for key in self.links if key not in kept)
+    def independent_links(self) -> tuple[Key, ...]:
+        """Parameters of links whose columns are independent."""
+        return tuple(self.links[at] for at in self.independent if at < len(self.links))
 
     @cached_property
-    def represented(self) -> tuple[Key, ...]:
-        """Independent parameters of links where some parameters depend on them; else none."""
-        n_links = len(self.links)
-        kept = (self.links[at] for at in self.independent if at < n_links)
-        return tuple(kept) if self.dependent_links else ()
+    def has_groups(self) -> bool:
+        """Whether motion determines combinations of link parameters only, as in a general chain.
+
+        An independent parameter then stands for its combination and may have either sign.
+        """
+        return len(self.effective) > len(self.independent_links)
 
     @cached_property
     def separate_links(self) -> tuple[Key, ...]:

@@ -97,7 +97,7 @@ def inertias_of_links(arm: ArmDescription) -> tuple[tuple[Key, Row], ...]:
     Each row may use the parameters before it and other parameters of links. For two links, beta =
     m_L2 and alpha = m_L1 - beta - 2 gamma. None follow where only combinations are determined.
     """
-    if base_parameters(arm).dependent_links:
+    if base_parameters(arm).has_groups:
         return ()
     derived: dict[Key, Row] = {}
     for joint in range(arm.n_joints, 0, -1):

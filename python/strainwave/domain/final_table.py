@@ -430,7 +430,7 @@ def _torque_per_base_parameter(
     """
     base = base_parameters(arm)
     at = {column.key: k for k, column in enumerate(base.columns)}.get(p.key)
-    if at is None or not base.dependent_links:
+    if at is None or not base.has_groups:
         return {}
     motion = [
         [

@@ -107,11 +107,7 @@ _EFFECT_PARAMETERS = (
         "any",
     ),
     ParameterDescription(
-        "encoder_zero",
-        "q_0",
-        "joint angle minus encoder reading",
-        ("rad", "m"),
-        "any",
+        "encoder_zero", "q_0", "joint angle minus encoder reading", ("rad", "m"), "any"
     ),
 )
 """Parameters of effects that the core does not simulate."""

@@ -1,4 +1,4 @@
-"""Units of parameters, their names in options, and values that follow from other values."""
+"""Names of parameters in options, and values that follow from other values."""
 
 from __future__ import annotations
 
@@ -7,11 +7,6 @@ from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.gear_laws import STIFFNESS
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import kind_of
-
-__all__ = [
-    "complete_values",
-    "whole_arm_parameter_names",
-]
 
 
 def whole_arm_parameter_names(arm: ArmDescription) -> tuple[str, ...]:

@@ -61,9 +61,8 @@ class Experiment:
     """One log file and its use: `[[experiment]]`."""
 
     name: Annotated[str, MinLen(1)]
-    file: Annotated[
-        str, MinLen(1)
-    ]  # relative to the study file; "" if the data are passed in memory
+    # relative to the study file; "" if the data are passed in memory
+    file: Annotated[str, MinLen(1)]
     use: Use
     control: tuple[Control, ...]  # one per joint
     joint: Annotated[int, Ge(1)] | None = None  # the excited joint, from 1

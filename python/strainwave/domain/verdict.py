@@ -115,7 +115,7 @@ def _required_stages(results: StageResults) -> _Requirements:
         names += [
             name if joint is None else f"{name} {joint}"
             for name, joint in base.effective
-            if (name, joint) not in base.separate_links and not base.dependent_links
+            if (name, joint) not in base.separate_links and not base.has_groups
         ]
     return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
 

@@ -190,11 +190,7 @@ class Arm(ArmDescription):
         return self.core.link_motion_derivatives(*_contiguous(angle, velocity, acceleration))
 
     def link_torques(
-        self,
-        base: FloatArray,
-        angle: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
+        self, base: FloatArray, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Torques of the links, M(q) ddq + c(q, dq) + g(q): (n_samples, n_joints) [N m]."""
         rows = self.base_regressor(angle, velocity, acceleration)
@@ -285,11 +281,7 @@ class Arm(ArmDescription):
         return tuple((torque / self.torque_per_volt).tolist())
 
     def inverse_dynamics(
-        self,
-        vector: FloatArray,
-        angle: FloatArray,
-        velocity: FloatArray,
-        acceleration: FloatArray,
+        self, vector: FloatArray, angle: FloatArray, velocity: FloatArray, acceleration: FloatArray
     ) -> FloatArray:
         """Motor torques of a motion with rigid gears, (5), friction included.
 

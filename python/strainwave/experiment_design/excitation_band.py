@@ -45,7 +45,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> ExcitationBand | None:
     """Band of one joint, from 1, with the others at rest; None if the gear is rigid.
 
     The zeros of (17) give omega_a^2 = k/m_L and the width (d_L + d_G)/m_L with the inertia of the
-    stretched arm; the poles give omega_r. The margin covers the motion of the other joint and the
+    stretched arm; the poles give omega_r. The margin covers the motion of other joints and the
     posture.
     """
     known = complete_values(values, arm)

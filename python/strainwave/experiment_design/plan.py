@@ -122,24 +122,19 @@ def limits_of(
             where="--limit-voltage",
             remedy=f"set it in V, or {ADD_SERVO}",
         )
-    servo_limit = (arm.servo.limit if arm.servo else float("inf"),) * arm.n_joints
-    voltages = (
-        servo_limit if voltage is None else _numbers(voltage, arm.n_joints, "--limit-voltage")
-    )
-    no_limit = (float("inf"),) * arm.n_joints
-    angles = _numbers(angle, arm.n_joints, "--limit-angle")
-    velocities = _numbers(velocity, arm.n_joints, "--limit-velocity")
+    unlimited = (float("inf"),) * arm.n_joints
+
+    def numbers(text: str | None, option: str) -> tuple[float, ...]:
+        return unlimited if text is None else _numbers(text, arm.n_joints, option)
+
+    angles = numbers(angle, "--limit-angle")
+    velocities = numbers(velocity, "--limit-velocity")
     for i, joint in enumerate(arm.joints):
         if joint.motion == "revolute":
             _check_plausible(angles[i], velocities[i], i + 1)
-    return Limits(
-        angle=angles,
-        velocity=velocities,
-        voltage=tuple(min(pair) for pair in zip(voltages, servo_limit, strict=True)),
-        gear_torque=no_limit
-        if gear_torque is None
-        else _numbers(gear_torque, arm.n_joints, "--limit-torque"),
-    )
+    top = arm.servo.limit if arm.servo else float("inf")
+    voltages = tuple(min(each, top) for each in numbers(voltage, "--limit-voltage"))
+    return Limits(angles, velocities, voltages, numbers(gear_torque, "--limit-torque"))
 
 
 def _check_plausible(angle: float, velocity: float, joint: int) -> None:

@@ -11,7 +11,7 @@ from strainwave.domain import Diagnostic, FloatArray, Place
 from strainwave.domain.base_parameters import link_inertia
 from strainwave.domain.keys import Key, label_of
 from strainwave.dynamics import two_inertia
-from strainwave.dynamics.two_inertia import TwoInertia
+from strainwave.dynamics.two_inertia import NAMES, TwoInertia, joint_of
 from strainwave.errors import InvalidInput
 from strainwave.export.omissions import Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
@@ -70,26 +70,23 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
             where=str(arm.study.path),
             remedy="export to mjcf, urdf, json or c",
         )
-    return TwoInertia(
-        motor_inertia=arm.need("motor_inertia", joint),
-        motor_viscous_friction=arm.need("motor_viscous_friction", joint),
-        link_inertia=_link_inertia(arm, joint),
-        link_viscous_friction=arm.need("link_viscous_friction", joint),
-        gear_stiffness=arm.need(drive.law.linearised_by, joint),
-        gear_damping=arm.need("gear_damping", joint),
-        gear_ratio=drive.gear_ratio,
-    )
+    values = [
+        sum(weight * arm.need(*key) for key, weight in row.items())
+        for row in _parameter_rows(arm, joint)
+    ]
+    return joint_of(np.array(values), drive.gear_ratio)
 
 
-def link_inertia_row(arm: IdentifiedArm, joint: int) -> dict[Key, float]:
-    """m_L as a linear combination of parameters (3): (name, joint) -> weight."""
-    key = ("link_inertia", joint)
-    return {key: 1.0} if key in arm.values else dict(link_inertia(arm.study.arm, joint))
+def _parameter_rows(arm: IdentifiedArm, joint: int) -> list[dict[Key, float]]:
+    """The six parameters of `joint_model` as linear combinations of those of the arm.
 
-
-def _link_inertia(arm: IdentifiedArm, joint: int) -> float:
-    row = link_inertia_row(arm, joint)
-    return sum(weight * arm.need(*key) for key, weight in row.items())
+    The link inertia follows from (3) if it is not a parameter.
+    """
+    rows: list[dict[Key, float]] = [{(name, joint): 1.0} for name in NAMES]
+    rows[NAMES.index("gear_stiffness")] = {(arm.joint(joint).law.linearised_by, joint): 1.0}
+    if ("link_inertia", joint) not in arm.values:
+        rows[NAMES.index("link_inertia")] = dict(link_inertia(arm.study.arm, joint))
+    return rows
 
 
 def joint_model_covariance(
@@ -100,15 +97,7 @@ def joint_model_covariance(
     Parameters outside the joint covariance enter with their standard deviations, uncorrelated. None
     if a parameter has neither.
     """
-    law = arm.joint(joint).law
-    keys: list[dict[Key, float]] = [
-        {("motor_inertia", joint): 1.0},
-        {("motor_viscous_friction", joint): 1.0},
-        link_inertia_row(arm, joint),
-        {("link_viscous_friction", joint): 1.0},
-        {(law.linearised_by, joint): 1.0},
-        {("gear_damping", joint): 1.0},
-    ]
+    keys = _parameter_rows(arm, joint)
     std = {p.label: p.std for p in arm.parameters}
     known = () if covariance is None else covariance.names
     rows: dict[str, FloatArray] = {}

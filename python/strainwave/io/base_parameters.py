@@ -39,7 +39,7 @@ def base_parameter_entries(identification: Identification) -> list[dict[str, Any
     """The entry `base_parameters`; empty unless the arm's parameters are those of its links."""
     arm = identification.study.arm
     base = base_parameters(arm)
-    if not base.dependent_links:
+    if not base.has_groups:
         return []
     keys: list[Key] = [*base.links, *((MOTOR_INERTIA, i + 1) for i in range(arm.n_joints))]
     final = {(p.name, p.joint): p for p in identification.parameters}
@@ -70,7 +70,7 @@ def standard_parameter_entries(
     None unless every motor inertia and at least one base parameter have a covariance.
     """
     arm = identification.study.arm
-    if covariance is None or not base_parameters(arm).dependent_links:
+    if covariance is None or not base_parameters(arm).has_groups:
         return None
     values = {p.label: p.value for p in identification.parameters}
     links = links_near_prior(arm, values, covariance)

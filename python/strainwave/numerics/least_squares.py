@@ -72,10 +72,8 @@ class Factor:
     @property
     def deviation(self) -> FloatArray:
         """Standard deviations of the parameters for white errors of unit variance."""
-        scaled_directions = (
-            self.directions[self.is_resolved] / self.singular[self.is_resolved, None]
-        )
-        return np.asarray(np.sqrt(np.sum(scaled_directions**2, axis=0)) / self.scale)
+        scaled = self.directions[self.is_resolved] / self.singular[self.is_resolved, None]
+        return np.asarray(np.linalg.norm(scaled, axis=0) / self.scale)
 
     @property
     def condition_number(self) -> float:
@@ -208,25 +206,25 @@ def _eliminate(Z: Banded, right: FloatArray, *, leverage: bool) -> _Elimination:
     return _Elimination(*_core.eliminate(Z.first, Z.entries, Z.n_columns, right, leverage))
 
 
-def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
-    """Each local part with its regressors for parameters of unit standard deviation."""
+def _parts(equations: Equations) -> Iterator[tuple[Local, slice]]:
+    """Each local part with its nuisance parameters."""
     first = 0
     for part in equations.local:
-        n = part.columns.n_columns
-        std = equations.local_deviation[first : first + n]
-        yield part, part.columns.scaled(root[part.rows], std)
-        first += n
+        yield part, slice(first, first := first + part.columns.n_columns)
+
+
+def _weighted_parts(equations: Equations, root: FloatArray) -> Iterator[tuple[Local, Banded]]:
+    """Each local part with its regressors for parameters of unit standard deviation."""
+    for part, own in _parts(equations):
+        yield part, part.columns.scaled(root[part.rows], equations.local_deviation[own])
 
 
 def residual_of(equations: Equations, factor: Factor) -> FloatArray:
     """Residual (n_rows,) of the equations."""
     residual = equations.target - equations.shared @ factor.value
     residual -= equations.common @ factor.common
-    first = 0
-    for part in equations.local:
-        n = part.columns.n_columns
-        residual[part.rows] -= part.columns @ factor.local[first : first + n]
-        first += n
+    for part, own in _parts(equations):
+        residual[part.rows] -= part.columns @ factor.local[own]
     return np.asarray(residual)
 
 
@@ -244,9 +242,8 @@ def root_weights(equations: Equations, factor: Factor) -> FloatArray:
         rows = equations.group == g
         informative = rows & (residual_share > _MIN_RESIDUAL_SHARE)
         informative = informative if informative.any() else rows
-        size = np.abs(residual[informative]) / np.sqrt(
-            np.clip(residual_share[informative], _MIN_RESIDUAL_SHARE, None)
-        )
+        shares = np.maximum(residual_share[informative], _MIN_RESIDUAL_SHARE)
+        size = np.abs(residual[informative]) / np.sqrt(shares)
         # for an exact model, the residuals are rounding errors: keep the weights finite
         rms = float(np.sqrt(np.mean(equations.target[rows] ** 2)))
         std = max(STD_PER_MEDIAN * float(np.median(size)), 1e-6 * rms, 1e-300)
@@ -380,6 +377,5 @@ def companions(factor: Factor, unknown: int) -> list[int]:
     """Parameters that are correlated with one parameter in the weakest direction it belongs to."""
     belongs = np.abs(factor.directions[:, unknown]) > _MIN_DIRECTION_COMPONENT
     weakest = factor.directions[np.flatnonzero(belongs)[-1]]
-    return [
-        int(k) for k in np.flatnonzero(np.abs(weakest) > _MIN_DIRECTION_COMPONENT) if k != unknown
-    ]
+    correlated = np.flatnonzero(np.abs(weakest) > _MIN_DIRECTION_COMPONENT).tolist()
+    return [k for k in correlated if k != unknown]

@@ -40,11 +40,7 @@ def window_spectra(
 
 
 def cross_spectral_densities(
-    columns: FloatArray,
-    sample_time: float,
-    segment: int,
-    *,
-    trend: Trend = "mean",
+    columns: FloatArray, sample_time: float, segment: int, *, trend: Trend = "mean"
 ) -> tuple[FloatArray, ComplexArray]:
     """One-sided cross-spectral densities by Welch's method with half-overlapping Hann windows.
 

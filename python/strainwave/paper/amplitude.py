@@ -15,7 +15,7 @@ import numpy as np
 from strainwave.domain import Comparison, Criterion, Evidence, FloatArray, JointModel, Mode
 from strainwave.dynamics.two_inertia import NAMES, TwoInertia, anti_resonance, jacobian, joint_of
 from strainwave.identification.joint_model.agreement import vector_of
-from strainwave.paper.claims import comparison_of
+from strainwave.paper.claims import comparison_of, criterion_of
 from strainwave.paper.joint_estimates import (
     JointEstimate,
     curve,
@@ -32,8 +32,6 @@ PAYLOAD = 3  # [kg]
 _STARTS = (0, 256, 512, 768)  # clocks of the PRBS at which the records start
 _MAX_EXCESS_STD = 2.0  # standard deviations of a value beyond a bound
 _MAX_RELATIVE_EXCESS = 0.02  # of a value without a standard deviation
-_MIN_K3_SHARE = 0.9  # of the squared anti-resonance with K3
-_STICTION = "at low amplitudes friction holds the motor for much of the time"
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,14 +102,12 @@ def squares(levels_by_joint: LevelsByJoint) -> Comparison:
         plots.append(_scatter(joint, levels))
         criteria += [
             _rises(f"joint {joint}, squared anti-resonance", [level.square for level in levels]),
-            Criterion(
-                f"joint {joint}, amplitudes outside K1 to K3",
+            criterion_of(
+                "outside",
                 float(sum(not _inside(level) for level in levels)),
-                "at most",
-                0.0,
-                f"{_MAX_EXCESS_STD:g} standard deviations, or {100.0 * _MAX_RELATIVE_EXCESS:g} % "
-                "if the standard deviation is unknown",
-                _STICTION,
+                joint=joint,
+                stds=_MAX_EXCESS_STD,
+                percent=100.0 * _MAX_RELATIVE_EXCESS,
             ),
         ]
         for level in levels:
@@ -142,18 +138,7 @@ def stiffest(levels_by_joint: LevelsByJoint) -> Comparison:
     }
     return comparison_of(
         2,
-        criteria=[
-            Criterion(
-                f"joint {joint}, squared anti-resonance over that with K3",
-                share,
-                "at least",
-                _MIN_K3_SHARE,
-                "a stiffness counts as well known to 10 %",
-                "each swing passes the softer range twice, and a linear estimate is a mean over "
-                "the swing",
-            )
-            for joint, share in shares.items()
-        ],
+        criteria=[criterion_of("k3-share", share, joint=joint) for joint, share in shares.items()],
         evidence=[e for levels in levels_by_joint.values() for e in levels[-1].evidence],
         message="; ".join(
             f"joint {joint}: {100.0 * share:.0f} % of K3's" for joint, share in shares.items()
@@ -163,14 +148,7 @@ def stiffest(levels_by_joint: LevelsByJoint) -> Comparison:
 
 def _rises(name: str, values: Sequence[float]) -> Criterion:
     falls = float(np.sum(~(np.diff(values) > 0.0)))
-    return Criterion(
-        f"{name}, steps of the amplitude at which it does not rise",
-        falls,
-        "at most",
-        0.0,
-        "the source's curves rise at every step",
-        _STICTION,
-    )
+    return criterion_of("rises", falls, what=name)
 
 
 def _inside(level: Level) -> bool:

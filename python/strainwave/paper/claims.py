@@ -1,4 +1,4 @@
-"""Comparisons with the figures of the source, whose titles and claims are in claims.toml."""
+"""Comparisons with the figures of the source; claims.toml lists claims and criteria."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from strainwave.domain import Comparison, Criterion, Evidence
 from strainwave.errors import StrainwaveError
@@ -22,7 +23,7 @@ def comparison_of(
     plots: Sequence[Figure] = (),
 ) -> Comparison:
     """Comparison of one figure with its title and claim."""
-    claim = _claims()[str(figure)]
+    claim = _table()["figures"][str(figure)]
     return Comparison(
         figure=figure,
         title=claim["title"],
@@ -41,6 +42,14 @@ def failed_comparison(figure: int, error: StrainwaveError) -> Comparison:
     return comparison_of(figure, criteria=(), message="the estimation failed", evidence=(evidence,))
 
 
+def criterion_of(key: str, value: float, otherwise: str = "", **names: Any) -> Criterion:
+    """Criterion of claims.toml; `names` fill its texts, `otherwise` explains a failure."""
+    entry = _table()["criteria"][key]
+    name, reason = entry["name"].format(**names), entry["reason"].format(**names)
+    otherwise = otherwise or entry.get("otherwise", "")
+    return Criterion(name, value, entry["bound"], entry["limit"], reason, otherwise)
+
+
 @cache
-def _claims() -> dict[str, dict[str, str]]:
+def _table() -> dict[str, dict[str, Any]]:
     return tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))

@@ -9,7 +9,7 @@ import numpy as np
 from strainwave.domain import Comparison, Control, Criterion, FloatArray
 from strainwave.dynamics.interaction_torque import interaction_torques
 from strainwave.numerics.filters import apply_lags
-from strainwave.paper.claims import comparison_of
+from strainwave.paper.claims import comparison_of, criterion_of
 from strainwave.paper.rig import CLOCK_PERIOD, MAX_AMPLITUDE, PRBS_ORDER, Rig, Run
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, lines, spectrum
@@ -17,11 +17,6 @@ from strainwave.presentation.figures.curves import Series, lines, spectrum
 PRBS_PERIOD = (2**PRBS_ORDER - 1) * CLOCK_PERIOD  # [s]
 _PLOTTED_DURATION = 0.3  # [s]
 _MAX_SERVO_HZ = 5.0  # below the anti-resonance, where the servo holds the joint
-_MAX_RIPPLE_DB = 3.0  # half the power
-_MIN_TORQUE_FIT = 95.0  # [%] of the computed torque
-_MIN_BAND_SHARE = 0.8  # in which the torque exceeds its noise
-_MIN_COSINE = 0.999  # of joint 2's angle, for a constant inertia
-_MAX_SERVO_POWER_DB = -3.0  # relative to the free joint
 
 
 def prbs(rig: Rig) -> Comparison:
@@ -36,14 +31,8 @@ def prbs(rig: Rig) -> Comparison:
     return comparison_of(
         4,
         criteria=(
-            Criterion("levels", float(len(levels)), "at most", 2.0, "a binary sequence has two"),
-            Criterion(
-                "ripple of the density from 1 to 100 Hz [dB]",
-                ripple,
-                "at most",
-                _MAX_RIPPLE_DB,
-                "half the power, the usual edge of a band",
-            ),
+            criterion_of("levels", float(len(levels))),
+            criterion_of("ripple", ripple),
         ),
         values={"amplitude_v": float(np.abs(voltage).max())},
         message=f"{len(levels)} levels of ±{MAX_AMPLITUDE:g} V; the density varies by "
@@ -68,13 +57,7 @@ def free(rig: Rig) -> Comparison:
     return comparison_of(
         5,
         criteria=(
-            Criterion(
-                "share of the band in which the torque is above its noise",
-                spectrum_check.value,
-                "at least",
-                _MIN_BAND_SHARE,
-                "below it, identify warns of a poor second input",
-            ),
+            criterion_of("band-share", spectrum_check.value),
             *torque.criteria(),
         ),
         values={"rms_n_m": float(torque.computed.std())},
@@ -95,13 +78,7 @@ def servoed(rig: Rig) -> Comparison:
     return comparison_of(
         12,
         criteria=(
-            Criterion(
-                f"power from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint [dB]",
-                drop,
-                "at most",
-                _MAX_SERVO_POWER_DB,
-                "half the power",
-            ),
+            criterion_of("servo-power", drop, hz=_MAX_SERVO_HZ),
             *torque.criteria(),
         ),
         message=f"{drop:+.1f} dB from 1 to {_MAX_SERVO_HZ:g} Hz against the free joint; "
@@ -143,23 +120,8 @@ class _InteractionTorque:
 
     def criteria(self) -> tuple[Criterion, Criterion]:
         """A constant inertia, and a torque that is computed correctly."""
-        return (
-            Criterion(
-                "least cosine of the angle of joint 2",
-                self.cosine,
-                "at least",
-                _MIN_COSINE,
-                "limit of the source for a constant inertia",
-                "in open loop this arm swings further than that of the source",
-            ),
-            Criterion(
-                "fit of the computed to the true torque [%]",
-                self.fit_percent,
-                "at least",
-                _MIN_TORQUE_FIT,
-                "errors of 5 % in the base parameters change the link inertia by 2.4 %",
-            ),
-        )
+        fit = criterion_of("torque-fit", self.fit_percent)
+        return criterion_of("cosine", self.cosine), fit
 
     def describe(self) -> str:
         """Both criteria in a clause."""

@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from strainwave.domain import Comparison, Criterion, FloatArray
+from strainwave.domain import Comparison, FloatArray
 from strainwave.domain.keys import Values
 from strainwave.identification.closed_loop import restrict_to_values
 from strainwave.numerics.filters import band_pass, low_pass
-from strainwave.paper.claims import comparison_of
+from strainwave.paper.claims import comparison_of, criterion_of
 from strainwave.paper.rig import TUNING_STEPS, Rig, WholeArmEstimate, ideal_log, run_steps
 from strainwave.presentation.figures import Figure
 from strainwave.presentation.figures.curves import Series, pair
@@ -19,8 +19,6 @@ from strainwave.signals.link_motion import prepare_link_signals
 _VALIDATION_STEPS = ((0.0, 60.0, 0.0), (0.0, 20.0, -20.0))  # [rad/s] of the motor
 _MAX_SIGNAL_HZ = 100.0  # above, the velocity is noise
 _VIBRATION_HZ = (5.0, 60.0)  # band of the gears' vibration, above that of the servo
-_MIN_FIT = 97.0  # [%]
-_MIN_FIT_REASON = "a smaller difference is not visible in a printed plot"
 
 
 def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Comparison:
@@ -35,16 +33,7 @@ def tuning(rig: Rig, before: WholeArmEstimate, after: WholeArmEstimate) -> Compa
     ]
     return comparison_of(
         7,
-        criteria=(
-            Criterion(
-                "fit of the link velocity after tuning, less that before [%]",
-                fits[1] - fits[0],
-                "at least",
-                0.0,
-                "the source claims an improvement without a size",
-                rig.settings.why_not_better,
-            ),
-        ),
+        criteria=(criterion_of("tuned-fit", fits[1] - fits[0], rig.settings.why_not_better),),
         evidence=(*before.evidence, *after.evidence),
         values={
             "vibration fit before [%]": vibration_fits[0],
@@ -67,15 +56,7 @@ def validation(rig: Rig, whole_arm: WholeArmEstimate) -> Comparison:
         plots.append(step.plot(f"Reference {level_list} rad/s of the motor"))
     return comparison_of(
         8,
-        criteria=(
-            Criterion(
-                "least fit of the link velocity [%]",
-                min(fits),
-                "at least",
-                _MIN_FIT,
-                _MIN_FIT_REASON,
-            ),
-        ),
+        criteria=(criterion_of("validation-fit", min(fits)),),
         evidence=whole_arm.evidence,
         message="fits of the link velocity " + " and ".join(f"{fit:.1f} %" for fit in fits),
         plots=tuple(plots),

@@ -83,17 +83,14 @@ def fit_elastic_joints(
             stage = _fit_alternatives(inputs, fit, rigid_model)
         else:
             try:
+                postures = mean_postures(sides)
                 decouple = partial(
-                    decoupling.decouple,
-                    model=rigid_model,
-                    arm=placed_arm,
-                    postures=mean_postures(sides),
+                    decoupling.decouple, model=rigid_model, arm=placed_arm, postures=postures
                 )
                 joints = run_parallel([partial(decouple, side) for side in sides])
             except NotIdentifiable as failure:
-                return JointStage(
-                    delays=removed, warnings=tuple(warnings), failures=(str(failure),)
-                )
+                failures = (str(failure),)
+                return JointStage(delays=removed, warnings=tuple(warnings), failures=failures)
             decoupled_records = list(zip(excited, sides, joints, strict=True))
             for log, side, parts in decoupled_records:
                 warnings += side.warnings
@@ -137,9 +134,7 @@ def _fit_alternatives(
 
 
 def _fit_joints(
-    inputs: Inputs,
-    model: RigidModel | None,
-    decoupled_records: Sequence[_DecoupledRecord],
+    inputs: Inputs, model: RigidModel | None, decoupled_records: Sequence[_DecoupledRecord]
 ) -> JointStage:
     """Fit each joint excited at full amplitude to all its records at once.
 
@@ -159,12 +154,11 @@ def _fit_joints(
     ) -> tuple[physical.JointFit | JointModel | Diagnostic, FrequencyResponse | None]:
         response = _response([parts[joint - 1] for parts in at_full], options.responses)
         records = records_by_joint[joint]
+        decoupled = [d for _, d in records]
         try:
             if options.physical.route == "equations":
                 return physical.fit_joint(records, model, arm, options.physical), response
-            return physical.joint_by_transfer(
-                [d for _, d in records], model, arm, record_options
-            ), response
+            return physical.joint_by_transfer(decoupled, model, arm, record_options), response
         except (NotIdentifiable, np.linalg.LinAlgError) as failure:
             place, reason = Place(joint=joint), str(failure)
             return Diagnostic("not-identifiable", place, "reason", reason=reason), response

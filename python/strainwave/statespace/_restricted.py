@@ -67,11 +67,10 @@ def _change_of_coordinates(matrices: Matrices, T: FloatArray) -> FloatArray:
     dual = np.linalg.inv(T).T
     parts = [np.kron(T, dual), np.kron(T, np.eye(m)), np.kron(np.eye(p), dual), np.eye(p * m)]
     parts += [np.kron(T, np.eye(p)), np.kron(np.eye(len(matrices.initial_states)), T)]
-    size = sum(len(part) for part in parts)
-    jacobian, start = np.zeros((size, size)), 0
-    for part in parts:
-        jacobian[start : start + len(part), start : start + len(part)] = part
-        start += len(part)
+    block = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    jacobian = np.zeros((len(block), len(block)))
+    for k, part in enumerate(parts):
+        jacobian[np.ix_(block == k, block == k)] = part
     return jacobian
 
 
@@ -113,9 +112,8 @@ def _gradient(evaluator: Evaluator, matrices: Matrices, covariance: FloatArray) 
             step *= 0.5  # near the stability limit, the predictor diverges on one side
     # A change of state coordinates also moves K; the gradient along A, B and C compensates for it.
     rows = np.vstack([Q.T, scaled_directions.T])
-    targets = np.concatenate(
-        [np.zeros(Q.shape[1]), -coordinate_directions[n_plant:].T @ slope[n_plant:states]]
-    )
+    of_gain = coordinate_directions[n_plant:].T @ slope[n_plant:states]
+    targets = np.concatenate([np.zeros(Q.shape[1]), -of_gain])
     slope[nonzero] = np.linalg.lstsq(rows, targets, rcond=1e-10)[0] / std[nonzero]
     return slope
 
@@ -153,9 +151,8 @@ class _Information:
                 remaining -= length
         # only the last record is truncated, so the rows are contiguous
         rows = slice(0, sum(lengths))
-        used = replace(
-            data, inputs=data.inputs[rows], outputs=data.outputs[rows], lengths=tuple(lengths)
-        )
+        inputs, outputs = data.inputs[rows], data.outputs[rows]
+        used = replace(data, inputs=inputs, outputs=outputs, lengths=tuple(lengths))
         n_values = states + matrices.order * len(lengths)
         whitener = evaluator.whitener(matrices)
         return _Information(Evaluator(used, matrices.order), whitener, basis, states, n_values)

@@ -65,9 +65,8 @@ def _directions(covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
     is_significant = values > MIN_EIGENVALUE_RATIO * values[-1]
     factor = np.zeros((len(covariance), int(is_significant.sum())))
-    factor[nonzero] = (
-        std[nonzero, None] * vectors[:, is_significant] * np.sqrt(values[is_significant])
-    )
+    roots = np.sqrt(values[is_significant])
+    factor[nonzero] = std[nonzero, None] * vectors[:, is_significant] * roots
     return factor
 
 

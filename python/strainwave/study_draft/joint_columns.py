@@ -229,19 +229,22 @@ class JointColumns:
     def _input(self) -> None:
         for quantity, channel in (("torque", "torque"), ("voltage", "u"), ("current", "torque")):
             for column in self._columns_of(quantity):
-                mapped_inputs = {f"torque{self.number}", f"u{self.number}"} & set(
-                    self.mapping.guesses
-                )
-                if mapped_inputs:
-                    other = self.mapping.guesses[mapped_inputs.pop()].column
+                other = self._mapped_input()
+                if other is not None:
                     reason = f"a {quantity} according to its name; {other!r} is used. If both act: "
                     self.mapping.unused[column] = reason + "see `add` in docs/study.md"
                     continue
                 self._add_input(column, quantity, channel)
-        if not {f"torque{self.number}", f"u{self.number}"} & set(self.mapping.guesses):
+        if self._mapped_input() is None:
             self.mapping.missing[f"u{self.number}"] = (
                 "the drive voltage [V]; for a torque, map torque instead"
             )
+
+    def _mapped_input(self) -> str | None:
+        """The column of the drive's torque or voltage."""
+        channels = (f"torque{self.number}", f"u{self.number}")
+        guesses = (self.mapping.guesses[c] for c in channels if c in self.mapping.guesses)
+        return next((guess.column for guess in guesses), None)
 
     def _add_input(self, column: str, quantity: str, channel: str) -> None:
         each = self.parsed_names[column]

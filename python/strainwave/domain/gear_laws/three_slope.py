@@ -97,11 +97,9 @@ class ThreeSlope(GearLaw):
 
     def starts(self, stiffness: float, largest_torque: float) -> Values:
         """A stiffening curve with its knees well within the range of torques."""
-        slopes = {
-            name: share * stiffness for name, share in zip(SLOPES, _STARTING_SLOPES, strict=True)
-        }
-        knees = {n: share * largest_torque for n, share in zip(KNEES, _STARTING_KNEES, strict=True)}
-        return slopes | knees
+        slopes = (share * stiffness for share in _STARTING_SLOPES)
+        knees = (share * largest_torque for share in _STARTING_KNEES)
+        return dict(zip(self.names, (*slopes, *knees), strict=True))
 
     def restarts(self, values: Mapping[str, float], largest_torque: float) -> Iterator[Values]:
         """Curves with three slopes near a curve with one knee or none.
@@ -120,9 +118,8 @@ class ThreeSlope(GearLaw):
             between, beyond = float(np.sqrt(low * high)), 0.5 * (knee + largest_torque)
             starts.append(([low, between, high], [below * knee, min(above * knee, beyond)]))
             starts.append(([low, high, _RESTART_SLOPE_RATIO * high], [knee, beyond]))
-            starts.append(
-                ([low / _RESTART_SLOPE_RATIO, low, high], [_RESTART_LOWER_KNEE * knee, knee])
-            )
+            lower = low / _RESTART_SLOPE_RATIO
+            starts.append(([lower, low, high], [_RESTART_LOWER_KNEE * knee, knee]))
         else:
             start = [slopes[0] / _RESTART_SLOPE_RATIO, slopes[0], slopes[0] * _RESTART_SLOPE_RATIO]
             for shares in _RESTART_KNEES:

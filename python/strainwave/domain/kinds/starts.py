@@ -34,7 +34,7 @@ class StageInertias:
         if value is None:
             raise NotIdentifiable(
                 f"the whole-arm fit needs {name}, which the motion records do not identify: record"
-                ' both joints moving together with use = "motion"'
+                ' all joints moving together with use = "motion"'
             )
         return value
 

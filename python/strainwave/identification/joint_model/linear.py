@@ -94,7 +94,7 @@ def state_space_of(
     """Estimate the state-space model of one joint from one or several of its records.
 
     The model describes the filtered signals and is not valid below the band. The noise model is
-    estimated together with the plant, so feedback through a servo or the other joint causes no
+    estimated together with the plant, so feedback through a servo or another joint causes no
     bias. `near` is a model of the same records in another band, the starting value of the fit.
 
     Raises `InvalidInput` for records of different joints or sampling rates, `NotIdentifiable` if no

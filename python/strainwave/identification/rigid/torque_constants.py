@@ -7,7 +7,7 @@ determine the ratio of their torque constants. A common factor of all joints is 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,14 +24,6 @@ _PRIOR_STD = 3.0  # prior standard deviation of the relative change, practically
 _MAX_RELATIVE_STD = 0.5  # relative standard deviation above which a ratio is not identifiable
 
 
-@dataclass(frozen=True, slots=True)
-class _Ratios:
-    """Torques of the joints over those that joint 1 and the symmetry of M(q) imply."""
-
-    value: FloatArray  # (n_joints - 1,) of joints 2 and further; NaN if not identifiable
-    variance: FloatArray  # (n_joints - 1,)
-
-
 def torque_ratios(trials: Sequence[Trial], best: Trial) -> dict[int, tuple[float, float]]:
     """Torque of joint 1 over that of each further joint, relative to the study, by joint.
 
@@ -40,22 +32,25 @@ def torque_ratios(trials: Sequence[Trial], best: Trial) -> dict[int, tuple[float
     """
     if best.arm.n_joints < 2:
         return {}
-    estimate = _ratios_at(best)
-    if np.isnan(estimate.value).all():
+    values, variances = _ratios_at(best)
+    if np.isnan(values).all():
         return {}
     others = [_ratios_at(trial) for trial in neighbours(trials, best)]
     ratios = {}
-    for k, value in enumerate(estimate.value.tolist()):
+    for k, value in enumerate(values.tolist()):
         if np.isnan(value):
             continue
-        pairs = [(o.value[k], o.variance[k]) for o in others if np.isfinite(o.value[k])]
-        variance = estimate.variance[k] + float(excess_variance(value, pairs))
+        pairs = [(other[k], error[k]) for other, error in others if np.isfinite(other[k])]
+        variance = variances[k] + float(excess_variance(value, pairs))
         ratios[k + 2] = 1.0 / value, float(np.sqrt(variance)) / value**2
     return ratios
 
 
-def _ratios_at(trial: Trial) -> _Ratios:
-    """Ratios at one bandwidth.
+def _ratios_at(trial: Trial) -> tuple[FloatArray, FloatArray]:
+    """Torques of joints 2 and further over those that joint 1 and the symmetry of M(q) imply.
+
+    Returns the ratios at one bandwidth, NaN if not identifiable, and their variances, both
+    (n_joints - 1,).
 
     The rows of joint i have the additional unknown r_i: B_i (r_i theta) + F_i phi_i = tau_i, with
     theta shared by all joints and r_1 = 1. Gauss-Newton solves for theta and all r_i. The column of
@@ -64,7 +59,7 @@ def _ratios_at(trial: Trial) -> _Ratios:
     equations, root = trial.equations, trial.factor.root
     n = trial.arm.n_joints - 1
     ratios = np.ones(n)
-    unknown = _Ratios(np.full(n, np.nan), np.full(n, np.nan))
+    unknown = np.full(n, np.nan), np.full(n, np.nan)
     factor = ls.factorise(equations, root)
     for _ in range(_MAX_ITERATIONS):
         scaled = _scale(trial, factor.value, ratios)
@@ -75,7 +70,7 @@ def _ratios_at(trial: Trial) -> _Ratios:
         if np.all(np.abs(step) < _TOLERANCE):
             variance = ls.jackknife(scaled, factor)[1][-n:]
             is_identified = variance < (_MAX_RELATIVE_STD * ratios) ** 2
-            return _Ratios(np.where(is_identified, ratios * (1.0 + step), np.nan), variance)
+            return np.where(is_identified, ratios * (1.0 + step), np.nan), variance
         ratios = ratios * np.clip(1.0 + step, 1.0 / _MAX_FACTOR, _MAX_FACTOR)
         root = ls.root_weights(scaled, factor)
     return unknown

@@ -30,7 +30,7 @@ from strainwave.identification.whole_arm.inference.residual_analysis import (
 from strainwave.identification.whole_arm.inference.score_tests import score_tests_of
 from strainwave.identification.whole_arm.inference.sensor_gains import sensor_gains
 from strainwave.identification.whole_arm.problem.effect_unknowns import warn_removed_effects
-from strainwave.identification.whole_arm.records.gear_torques import (
+from strainwave.identification.whole_arm.records.loads import (
     gear_torque_samples,
     histograms_of,
     largest_of,
@@ -62,7 +62,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
     largest_torque = largest_of(gear_loads).tolist()
     parameters, covariance = parameters_of(fit, arm, largest_torque)
     keys_at_bounds = tuple(parameters_at_bounds(fit, arm))
-    differences, agreement = stage_differences(fit, arm), agreement_tests(fit)
+    agreement = agreement_tests(fit)
     score_tests = score_tests_of(fit, arm)
     refits = fit_missing_effects(fit, score_tests, arm, selection.options)
     criticism = Criticism(
@@ -91,7 +91,7 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
             *start.rejected,
             *warnings_of(fit, at_bounds(fit), parameters),
             *motor_side_limits(fit, arm, parameters, keys_at_bounds),
-            *disagreement(differences, agreement, suspects),
+            *disagreement(stage_differences(fit, arm), agreement, suspects),
             *warn_removed_effects(fit.space, arm),
             *warn_added_effects(fit, arm),
             *sensor_warnings(parameters),
@@ -102,7 +102,6 @@ def arm_model(fit: Fit, start: Start, selection: Selection) -> ArmModel:
         criticism=criticism,
         gear_loads=histograms_of(gear_loads),
         at_bounds=keys_at_bounds,
-        differences=differences,
         agreement=agreement,
         suspects=suspects,
         sensor_gains=tuple(sensor_gains(fit, arm, parameters)) if fit.end.is_minimum else (),

@@ -16,11 +16,7 @@ from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE
 from strainwave.domain.link_sensors.link_encoder import LinkEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput, NotIdentifiable, NumericalFailure
-from strainwave.identification.closed_loop import keep_known_effects, velocity_band
-from strainwave.identification.whole_arm.inference.predicted_precision import (
-    CUTOFF_TO_RESONANCE,
-    MAX_CUTOFF_TO_SAMPLING_RATE,
-)
+from strainwave.identification.closed_loop import keep_known_effects
 from strainwave.identification.whole_arm.problem.arm_unknowns import add_stiffness_curves, space_of
 from strainwave.identification.whole_arm.problem.objective import Objective
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
@@ -33,10 +29,11 @@ from strainwave.identification.whole_arm.problem.starting_values import (
     warn_rejected_starts,
 )
 from strainwave.identification.whole_arm.records.dataset import Dataset
-from strainwave.identification.whole_arm.records.gear_torques import gear_torques
+from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.records.preparation import (
     STEPS_PER_PERIOD,
     coarsen_steps,
+    cutoff_of,
     dataset_of,
     select_usable_records,
 )
@@ -166,7 +163,8 @@ def _records(
     used: Sequence[Log], joints: Sequence[JointModel], arm: Arm, options: WholeArmOptions
 ) -> _Records:
     """Prepare the records in the band of the joints' resonances."""
-    cutoff = options.cutoff_hz or _cutoff(used, joints, arm)
+    resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
+    cutoff = options.cutoff_hz or cutoff_of(used, arm, max(resonances, default=None))
     plain = keep_known_effects(arm, ())
     records = tuple(dataset_of(log, plain, cutoff, closed_loop=options.closed_loop) for log in used)
     for record in records:
@@ -204,17 +202,6 @@ def _check_link_encoders(record: Dataset, arm: Arm) -> None:
                     where=record.log.name,
                     remedy=f"log an accelerometer on that link, or remove the effect '{effect}'",
                 )
-
-
-def _cutoff(used: Sequence[Log], joints: Sequence[JointModel], arm: Arm) -> float:
-    """Cut-off [Hz] above the highest resonance, within the signal band of the motor velocities."""
-    signal_hz = min(velocity_band(log, arm) for log in used)
-    resonances = [joint.resonance.frequency_hz for joint in joints if joint.resonance]
-    sampling_limit = MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in used)
-    return min(
-        [signal_hz, sampling_limit]
-        + ([CUTOFF_TO_RESONANCE * max(resonances)] if resonances else [])
-    )
 
 
 def _space(

@@ -36,10 +36,7 @@ _COMMAND_PREFIXES = ("u", "ref")  # prefixes of commands, constant between the t
 
 
 def read_logs(
-    study: Study,
-    experiments: Sequence[Experiment] | None = None,
-    *,
-    data: Data | None = None,
+    study: Study, experiments: Sequence[Experiment] | None = None, *, data: Data | None = None
 ) -> tuple[Log, ...]:
     """Read the logs of several experiments; all experiments by default.
 

@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from strainwave.domain import ArmDescription, Study, channel_names
+from strainwave.domain import ArmDescription, Study, channel_names, channel_parts
 from strainwave.domain.arm import Matrix
 from strainwave.domain.effects import effect_named
 from strainwave.domain.kinds import kind_of
-from strainwave.domain.link_sensors import optional_constants
+from strainwave.domain.link_sensors import optional_constants, sensor_of
 from strainwave.domain.parameters import whole_arm_parameter_names
 from strainwave.domain.study_limits import (
     ARM_LIMITS,
@@ -58,7 +58,7 @@ def _check_joints(arm: ArmDescription, reader: Reader) -> None:
             raise InvalidInput(
                 "an IMU on a prismatic joint is not supported",
                 where=reader.place("joint", index, "imu"),
-                remedy="map the axis along the joint to the channel a1 and remove the other axes",
+                remedy=f"map the axis along the joint to a{index + 1} and remove the other axes",
             )
         for name in joint.named_effects:
             if effect_named(name).needs_elastic_gear and not joint.elastic:
@@ -180,8 +180,11 @@ def _check_channels(study: Study, reader: Reader) -> None:
 
 def _moving_encoders(arm: ArmDescription, channel: str) -> Iterator[str]:
     """Named effects that move the link encoder of a channel."""
-    for number, joint in enumerate(arm.joints, start=1):
-        if channel in (f"theta_l{number}", f"deflection{number}"):
+    kind, number = channel_parts(channel)
+    if 0 < number <= arm.n_joints:
+        joint = arm.joints[number - 1]
+        sensor = sensor_of(joint, kind)
+        if sensor is not None and sensor.reads_angle:
             yield from (e for e in joint.named_effects if effect_named(e).moves_link_encoder)
 
 

@@ -300,9 +300,7 @@ class Reader:
         table = document.get(name)
         if table is not None and not isinstance(table, dict):
             raise InvalidInput(
-                f"[{name}] must be one table",
-                where=self.place(name),
-                remedy=f"write [{name}]",
+                f"[{name}] must be one table", where=self.place(name), remedy=f"write [{name}]"
             )
         return table
 

@@ -67,23 +67,17 @@ class StiffnessCurve:
 def stiffness_curves(identification: Identification) -> list[StiffnessCurve]:
     """The curve of every elastic gear: of the whole-arm fit, else of the joint model."""
     whole_arm = identification.whole_arm
+    loads = {h.joint: h for h in whole_arm.gear_loads} if whole_arm else {}
+    fits = [(whole_arm.parameters, whole_arm.covariance)] if whole_arm else []
+    for model in identification.joints:
+        size = len(model.parameters)
+        fits.append((model.parameters, model.covariance[:size, :size]))
     curves = []
     for number, joint in enumerate(identification.study.arm.joints, start=1):
         if not joint.elastic:
             continue
-        loads = next(
-            (h for h in (whole_arm.gear_loads if whole_arm else ()) if h.joint == number), None
-        )
-        curve = None
-        if whole_arm is not None:
-            curve = _stiffness_curve(
-                number, joint.law, whole_arm.parameters, whole_arm.covariance, loads
-            )
-        for model in identification.joints:
-            if curve is None and model.joint == number:
-                size = len(model.parameters)
-                covariance = model.covariance[:size, :size]
-                curve = _stiffness_curve(number, joint.law, model.parameters, covariance, loads)
+        candidates = (_stiffness_curve(number, joint.law, *fit, loads.get(number)) for fit in fits)
+        curve = next(filter(None, candidates), None)
         if curve is not None:
             is_equivalent = joint.law.is_curved and not curve.is_nonlinear
             is_prismatic = joint.motion == "prismatic"

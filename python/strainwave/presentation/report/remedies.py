@@ -45,7 +45,7 @@ _RESULT = {
     ),
     "torques-contradict": Advice(
         "The named effect biases the rigid model. The intervals are widened.",
-        "Add the effect to the joint's effects, and check torque_per_volt of both joints.",
+        "Add the effect to the joint's effects, and check torque_per_volt of all joints.",
     ),
     "rejected": Advice(
         "The value is null in the table of parameters and is not exported.",
@@ -205,15 +205,15 @@ _DATA = {
     ),
     "interaction-amplitude": Advice(
         "The response to the interaction torque is not identifiable.",
-        "Leave the other joint free, or excite it as well.",
+        "Leave the other joints free, or excite them as well.",
     ),
     "interaction-spectrum": Advice(
         "The response to the interaction torque is not identifiable in that band.",
-        "Raise the amplitude, and leave the other joint free.",
+        "Raise the amplitude, and leave the other joints free.",
     ),
     "input-richness": Advice(
         "The two columns of the frequency response are correlated.",
-        "Excite both joints at once with different sequences.",
+        "Excite all joints at once with different sequences.",
     ),
     "inertia-mismatch": Advice(
         "Rigid model or joint model is biased.",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -96,9 +97,9 @@ def propose_causes(evidence: Evidence, contradictions: Sequence[Observation]) ->
     yield from _propose_sensor_delays(evidence, contradictions)
     joints = {o.joint for o in contradictions if o.joint is not None}
     if any(o.kind == "torque-ratio" for o in contradictions):
-        joints |= {1, 2}
-    elif joints and max(joints) > 1:
-        joints.add(1)  # The readings of link 2 depend on joint 1.
+        joints = set(range(1, evidence.arm.n_joints + 1))
+    elif joints:
+        joints |= set(range(1, max(joints)))  # readings depend on the joints before a link
     estimated_causes: list[Cause] = []
     for joint in sorted(joints):
         for cause in _propose_joint_causes(evidence, contradictions, joint):
@@ -321,9 +322,9 @@ def _propose_amplitudes(evidence: Evidence, name: str) -> Iterator[Cause]:
 
 
 def _propose_gravity(evidence: Evidence) -> Iterator[Cause]:
-    """Gravity stated for a horizontal arm, or missing for a vertical arm."""
-    if "gravity" not in arm_keys(evidence.study.arm):
-        return
+    """Gravity stated for a horizontal planar arm, or missing for a vertical one."""
+    if not evidence.arm.has_planar_program:
+        return  # the size alone does not state the gravity of a chain
     gravity = evidence.study.arm.gravity_size
     if not gravity:
         message = "the link sensors measure gravity, but the study states none: the arm is vertical"
@@ -340,29 +341,35 @@ def _propose_gravity(evidence: Evidence) -> Iterator[Cause]:
 def _propose_exchanges(
     evidence: Evidence, contradictions: Sequence[Observation]
 ) -> Iterator[Cause]:
-    """Exchanged columns of the two joints: all kinds, one side, one kind, or all kinds but one."""
-    kinds = [k for k in _PAIRED if {f"{k}1", f"{k}2"} <= evidence.channels]
-    if evidence.arm.n_joints != 2 or not kinds:
-        return
+    """Exchanged columns of two joints, of which one has contradictions if any joint has."""
+    suspected = {o.joint for o in contradictions if o.joint is not None}
+    for pair in combinations(range(1, evidence.arm.n_joints + 1), 2):
+        if not suspected or suspected.intersection(pair):
+            yield from _propose_exchange(evidence, *pair)
+
+
+def _propose_exchange(evidence: Evidence, first: int, second: int) -> Iterator[Cause]:
+    """Exchanged columns of a pair: all kinds, one side, one kind, or all kinds but one."""
+    kinds = [k for k in _PAIRED if {f"{k}{first}", f"{k}{second}"} <= evidence.channels]
     motors = [k for k in kinds if k in _MOTOR_SIDE]
     groups = [kinds, motors, [k for k in kinds if k not in motors], *([k] for k in kinds)]
     groups += [[k for k in kinds if k != left] for left in kinds]
     for group in dict.fromkeys(tuple(group) for group in groups if group):
         corrections = []
         for kind in group:
-            for name, other in ((f"{kind}1", f"{kind}2"), (f"{kind}2", f"{kind}1")):
+            for name, other in permutations((f"{kind}{first}", f"{kind}{second}")):
                 source = evidence.channel(other)
                 corrections.append(Correction("channels", name, "column", source.column))
                 corrections.append(Correction("channels", name, "scale", source.scale))
                 corrections.append(Correction("channels", name, "offset", source.offset))
-        pairs = [f"{kind}1, {kind}2" for kind in group]
-        paired = [f"{kind}{joint}" for kind in group for joint in (1, 2)]
-        message = f"{join_names(pairs)}: the channels of the two joints are exchanged"
+        pairs = [f"{kind}{first}, {kind}{second}" for kind in group]
+        paired = [f"{kind}{joint}" for kind in group for joint in (first, second)]
+        message = f"{join_names(pairs)}: the channels of joints {first} and {second} are exchanged"
         if len(group) == 1:
             kind = group[0]
             message = (
-                f"{kind}1 follows joint 2, and {kind}2 follows joint 1: the two channels are "
-                "exchanged"
+                f"{kind}{first} follows joint {second}, and {kind}{second} follows joint {first}: "
+                "the two channels are exchanged"
             )
         yield _build_cause(evidence, "swapped-channels", _channels_at(paired), message, corrections)
 
@@ -374,7 +381,7 @@ def _propose_angle_units(
     names = [f"theta_m{i}" for i in range(1, evidence.arm.n_joints + 1)]
     if len(names) < 2 or not any(o.joint is not None for o in contradictions):
         return
-    rates = [f"{k}{i}" for k in ("omega_m", "ref") for i in (1, 2)]
+    rates = [f"{k}{i}" for k in ("omega_m", "ref") for i in range(1, len(names) + 1)]
     rates = [name for name in rates if name in evidence.channels]
     for unit in _angle_scales(evidence, names[0]):
         scales = [_angle_scales(evidence, name).get(unit, 0.0) for name in names]

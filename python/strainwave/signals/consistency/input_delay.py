@@ -34,8 +34,9 @@ _BAND_SHARE = 0.5
 _BAND_RATIOS = (2.0, 5.0)
 # Powers of 1/s in the expansion of the spring reaction.
 _SPRING_ORDERS = (0, 1, 2, 3, 4)
-# Minimum number of spectral lines; a two-joint regression has about 14 coefficients.
+# Minimum number of spectral lines, and per coefficient of the regression.
 _MIN_LINES = 60
+_MIN_LINES_PER_COEFFICIENT = 4
 # Minimum explained share of the command. Random fault-free arms below it had errors of 8 ms.
 _MIN_EXPLAINED = 0.95
 # Minimum decrease of the unexplained share, as a factor. On random arms, noise gave up to 1.7.
@@ -111,7 +112,7 @@ def _band_profile(
     filtered = band_passes(signals, derivatives, *band, T)[edge:-edge]
     frequency = np.fft.rfftfreq(len(filtered), T)
     inside = (frequency >= band[0]) & (frequency <= band[1])
-    if inside.sum() < _MIN_LINES:
+    if inside.sum() < max(_MIN_LINES, _MIN_LINES_PER_COEFFICIENT * len(derivatives)):
         return None
     lines = np.fft.rfft(np.hanning(len(filtered))[:, None] * filtered, axis=0)[inside]
     columns = _stack_real_imaginary(lines[:, 1:])

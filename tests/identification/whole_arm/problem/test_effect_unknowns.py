@@ -26,7 +26,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 )
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.prior import Prior
-from strainwave.identification.whole_arm.records.largest_loads import Loads
+from strainwave.identification.whole_arm.records.loads import Loads
 from strainwave.identification.whole_arm.records.preparation import dataset_of
 from tuning_runs import linear_search, truth
 

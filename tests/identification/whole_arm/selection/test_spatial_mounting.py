@@ -21,7 +21,7 @@ from strainwave.domain import (
 from strainwave.domain.keys import Key, Values
 from strainwave.domain.link_sensors import mounted_axes, unknowns_of
 from strainwave.domain.link_sensors.imu import IMU_START_ATTITUDE, attitude_of
-from strainwave.domain.link_sensors.rotations import attitude
+from strainwave.domain.link_sensors.rotations import attitude, axes_about
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
 from strainwave.identification.whole_arm.problem.objective import Objective
@@ -32,9 +32,11 @@ from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.selection.mountings import select_mountings
 from strainwave.identification.whole_arm.selection.sensor_constants import add_sensor_constants
 from strainwave.numerics.filters import low_pass
+from strainwave.signals.imu_attitude import estimate_imu_starts, mirror_mounting
 from strainwave.signals.link_readings import JointMotion, read_accelerometer
 from strainwave.signals.mounting_start import (
     estimate_mounting_starts,
+    link_quantities,
     substitute_equivalent_sensors,
 )
 
@@ -149,6 +151,32 @@ def test_the_linear_start_finds_the_mounting(channels: tuple[str, ...]) -> None:
     position, angle = errors(estimate_mounting_starts([record(channels)], arm))
     assert position < 0.02
     assert angle < np.radians(2.0)
+
+
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.3, -0.8, 0.5)])
+def test_a_mounting_about_one_axis_of_any_direction(axis: tuple[float, float, float]) -> None:
+    """All identifiable factors of ideal readings; the mirror image has those of f_y and alpha."""
+    arm = Arm.of(hanging_chain(Imu()).with_joint(1, axis=axis, imu=Imu()))
+    t = np.linspace(0.0, 6.0, 600)[:, None]
+    motion = JointMotion(
+        *(f * np.ones((1, 3)) for f in (np.sin(2 * t), 2 * np.cos(2 * t), -4 * np.sin(2 * t)))
+    )
+    unknown = mounted_axes(arm, 1, [f"{name}1" for name in NAMES])
+    true = mounted_axes(arm.with_joint(1, imu=Imu(XYZ, RPY)), 1, [axis.channel for axis in unknown])
+    tables = []
+    for each in true:
+        parts = link_quantities(each, arm, motion)
+        rows = np.column_stack([parts, parts @ each.weights({})])
+        tables.append(rows - rows.mean(axis=0))
+    starts = estimate_imu_starts(unknown, tables)
+    mirrored = mirror_mounting(starts, unknown[0])
+    across = axes_about(axis)[1]
+    for each, rows in zip(unknown, tables, strict=True):
+        readings = rows[:, :-1] @ each.weights(starts)
+        np.testing.assert_allclose(readings, rows[:, -1], atol=1e-5)
+        if each.channel[0] == "a":
+            forces, other = (each.weights(values)[:3] for values in (starts, mirrored))
+            assert across @ forces == pytest.approx(across @ other)
 
 
 def test_short_searches_refine_the_mounting() -> None:

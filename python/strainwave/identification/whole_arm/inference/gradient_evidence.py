@@ -9,8 +9,8 @@ import numpy as np
 
 from strainwave.domain import FloatArray, IntArray
 from strainwave.identification.whole_arm.problem.error_correlation import (
+    noise_autocovariances,
     spectrum_and_autocovariance,
-    white_noise_autocovariance,
 )
 from strainwave.identification.whole_arm.problem.objective import BLOCKS_PER_RECORD
 from strainwave.identification.whole_arm.problem.weighted_rows import Rows
@@ -55,12 +55,9 @@ def evidence_of(record: Dataset, rows: Rows, block: IntArray, noise: FloatArray)
     scaled = shared / robust_scale.reshape(-1, 1)
     columns = shared.reshape(-1, width, n) * (rows.root * robust_scale)[..., None]
     steady, of_noise, rows_in = np.zeros((n, n)), np.zeros((n, n)), len(columns)
-    for k, channel in enumerate(record.channels):
+    for k, lags in enumerate(noise_autocovariances(record)):
         errors = _autocovariance(rows.residual[:, k], float(noise[k]))
-        own_noise = np.zeros_like(errors)
-        filtered = white_noise_autocovariance(
-            record.kernels.taps(rate=channel.rate), record.kernels.step
-        )[:rows_in]
+        own_noise, filtered = np.zeros_like(errors), lags[:rows_in]
         share = noise[k] ** 2 / max(float(np.var(rows.residual[:, k])), noise[k] ** 2, 1e-300)
         own_noise[: len(filtered)] = (
             errors[0] * share * _loss_autocorrelation(filtered / filtered[0])

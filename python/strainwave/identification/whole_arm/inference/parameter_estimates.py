@@ -63,9 +63,9 @@ def _unknowns(fit: Fit, arm: Arm, identified: Mapping[Key, Key | None]) -> Itera
     `identified` maps curve parameters to the unknowns that have their values.
     """
     keys, values = fit.space.keys, fit.values
-    combined = {*arm.base.represented} - {*arm.base.separate_links}
+    combined = {*arm.base.independent_links} - {*arm.base.separate_links}
     for unknown in fit.space.unknowns:
-        if unknown.key in combined:
+        if arm.base.has_groups and unknown.key in combined:
             continue
         source = identified.get(unknown.key, unknown.key)
         slope = combination(keys, {source or unknown.key: 1.0})

@@ -14,7 +14,6 @@ from strainwave.domain.parameter_table import OFFSET, SETTLING
 from strainwave.domain.parameters import complete_values
 from strainwave.domain.units import unit_in
 from strainwave.dynamics.arm import Arm
-from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.inference.covariance import (
     MIN_VARIANCE_SHARE,
     inverse_information,
@@ -22,22 +21,18 @@ from strainwave.identification.whole_arm.inference.covariance import (
 from strainwave.identification.whole_arm.inference.gradient_evidence import gradient_covariances
 from strainwave.identification.whole_arm.problem.error_correlation import (
     filtered_rows_per_error,
-    white_noise_autocovariance,
+    noise_autocovariances,
 )
 from strainwave.identification.whole_arm.problem.objective import MIN_ERROR_SHARE
 from strainwave.identification.whole_arm.problem.prior import combination, reference_sizes
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.identification.whole_arm.records.preparation import (
+    cutoff_of,
     dataset_of,
     select_usable_records,
 )
 from strainwave.numerics.linalg import triangular_factor
 from strainwave.numerics.parallel import one_blas_thread, run_parallel
-
-CUTOFF_TO_RESONANCE = 5.0
-"""Cut-off of the low-pass over the highest resonance; gear motion is negligible above it."""
-MAX_CUTOFF_TO_SAMPLING_RATE = 0.1
-"""Maximum cut-off of the low-pass, as a share of the sampling rate."""
 
 _RIGID_RELATIVE_STD = 0.002  # relative standard deviation of rigid-step estimates, as in a fit
 _MEAN_CURVATURE = 0.565  # mean curvature (1 + r^2)^(-3/2) of the soft L1 loss, r standard normal
@@ -63,10 +58,7 @@ def predicted_parameters(logs: Sequence[Log], arm: Arm, values: Values) -> tuple
 
 
 def _predicted(used: Sequence[Log], arm: Arm, known: Values) -> tuple[Parameter, ...]:
-    signal_hz = min(velocity_band(log, arm) for log in used)
-    sampling_limit = MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in used)
-    fastest = arm.fastest_resonance(known)
-    cutoff = min([signal_hz, sampling_limit] + ([CUTOFF_TO_RESONANCE * fastest] if fastest else []))
+    cutoff = cutoff_of(used, arm, arm.fastest_resonance(known))
     keys: list[Key] = [  # all but settling times, as in a fit
         key
         for key in arm.core.parameter_names
@@ -112,11 +104,8 @@ def _information_of(
         shared = columns
     R = triangular_factor(np.ascontiguousarray(shared).reshape(-1, n))
     covariance = np.zeros((n, n))
-    for k, channel in enumerate(record.channels):
-        lags = np.zeros(n_rows)
-        noise_lags = white_noise_autocovariance(
-            record.kernels.taps(rate=channel.rate), record.kernels.step
-        )[:n_rows]
+    for k, filtered in enumerate(noise_autocovariances(record)):
+        lags, noise_lags = np.zeros(n_rows), filtered[:n_rows]
         # the gradient is a product of rows and errors, both divided by sqrt(repetitions)
         lags[: len(noise_lags)] = noise_lags / noise_lags[0] * _MEAN_SQUARE_SLOPE / repeats[k]
         covariance += gradient_covariances(shared[:, k], (lags,))[0]

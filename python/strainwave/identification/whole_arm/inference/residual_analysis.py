@@ -15,7 +15,7 @@ from strainwave.identification.whole_arm.problem.error_correlation import (
     spectrum_and_autocovariance,
 )
 from strainwave.identification.whole_arm.problem.objective import Objective
-from strainwave.identification.whole_arm.problem.weighted_rows import Rows, Weights
+from strainwave.identification.whole_arm.problem.weighted_rows import Rows
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.correlations import correlate_residuals
 from strainwave.numerics.parallel import run_parallel
@@ -36,18 +36,13 @@ def residual_tests(objective: Objective, z: FloatArray) -> tuple[ResidualTest, .
     `z`, (n_unknowns,), is the final iterate of the fit.
     """
 
-    def tested(record: Dataset, rows: Rows, weights: Weights) -> list[ResidualTest]:
-        physical_residual = rows.residual * weights.stds
+    def tested(record: Dataset, rows: Rows) -> list[ResidualTest]:
         inputs = record.kernels.rows(record.drive.voltage[: len(record.log)], rate=False)
-        return [
-            _test_channel(record, k, physical_residual[:, k], inputs)
-            for k in range(len(record.channels))
-        ]
+        errors = rows.errors.T
+        return [_test_channel(record, k, column, inputs) for k, column in enumerate(errors)]
 
-    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
-    return tuple(
-        chain.from_iterable(run_parallel([partial(tested, *arguments) for arguments in each]))
-    )
+    each = zip(objective.records, objective.rows(z), strict=True)
+    return tuple(chain.from_iterable(run_parallel([partial(tested, *pair) for pair in each])))
 
 
 def _test_channel(
@@ -180,9 +175,8 @@ def channels_above_noise(objective: Objective, z: FloatArray) -> list[BoolArray]
     `z`, (n_unknowns,), is the final iterate of the fit.
     """
     exceeding = []
-    each = zip(objective.records, objective.rows(z), objective.weights, strict=True)
-    for record, rows, weights in each:
-        stds = np.std(rows.residual * weights.stds, axis=0)
+    for record, rows in zip(objective.records, objective.rows(z), strict=True):
+        stds = np.std(rows.errors, axis=0)
         exceeding.append((stds >= _MIN_NOISE_RATIO * record.noise) & (record.noise > 0.0))
     return exceeding
 
@@ -197,11 +191,10 @@ def residual_warnings(tests: Sequence[ResidualTest], *, explained: bool) -> Iter
         worst = max(candidates, key=lambda test: test.deviation / test.noise, default=None)
         if worst is None or worst.deviation < _MIN_WARNING_RATIO * worst.noise:
             continue
+        dependence = Clause("follows-no-input")
         if worst.input_probability < _SIGNIFICANCE_LEVEL:
             joint, delay = worst.input_joint, worst.input_delay
             dependence = Clause("follows-input", joint=joint, delay=delay)
-        else:
-            dependence = Clause("follows-no-input")
         yield Diagnostic(
             "residual-not-noise",
             Place.in_records(worst.experiment),

@@ -33,7 +33,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     effects_in,
     known_joint,
 )
-from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 
 FALSE_ALARMS = 1e-4

@@ -147,10 +147,9 @@ def _information(fit: Fit, arm: Arm, candidates: Sequence[_Candidate]) -> list[l
     def one(record: Dataset, rows: Rows) -> list[FloatArray]:
         extended = _with_candidates(record, arm, candidates)
         n_begin, n_own = len(record.initial_states), len(rows.step)
-        initial_states = (rows.evaluated.record_parameters + rows.step)[:n_begin]
-        readings, tangent = extended.linearise(
-            values, initial_states, [keys[k] for k in parameter_places]
-        )
+        simulated = [keys[k] for k in parameter_places]
+        initial = rows.record_parameters[:n_begin]
+        readings, tangent = extended.linearise(values, initial, simulated)
         scale = np.sqrt(_MEAN_ROBUST_WEIGHT / filtered_rows_per_error(extended))
         scale = scale / np.maximum(extended.noise, MIN_ERROR_SHARE * np.std(readings, axis=0))
         columns = rows.evaluated.columns * (rows.root / rows.stds)[..., None]

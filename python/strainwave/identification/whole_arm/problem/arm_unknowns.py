@@ -9,7 +9,7 @@ import numpy as np
 
 from strainwave.domain import FloatArray, Joint, JointModel, RigidModel
 from strainwave.domain.gear_laws import STIFFNESS
-from strainwave.domain.keys import Values
+from strainwave.domain.keys import Key, Values
 from strainwave.domain.parameter_table import COULOMB, SETTLING, parameter_table
 from strainwave.domain.units import unit_in, unit_of
 from strainwave.dynamics.arm import Arm
@@ -47,11 +47,12 @@ def space_of(
     for i, (joint, voltage) in enumerate(pairs, start=1):
         torque = _MIN_COULOMB_SHARE * voltage * joint.torque_per_command
         start[COULOMB, i] = max(start[COULOMB, i], torque)
-    sizes = reference_sizes(start) | _link_sizes(start, arm)
+    grouped = arm.base.independent_links if arm.base.has_groups else ()
+    sizes = reference_sizes(start) | _link_sizes(start, grouped, arm)
     unknowns = []
     for (name, number), value in start.items():
         described = parameter_table()[name]
-        signed = described.range == "any" or (name, number) in arm.base.represented
+        signed = described.range == "any" or (name, number) in grouped
         scale = sizes[name, number] or float(signed)
         reach = _FRICTION_LOG_RANGE
         if described.family in ("inertia", "stiffness"):
@@ -60,12 +61,12 @@ def space_of(
         unknowns.append(Unknown(name, number, unit, value, scale, signed, reach))
     keys = [unknown.key for unknown in unknowns]
     space = ParameterSpace(tuple(unknowns), {}, rigid_prior(model, keys, arm, floor))
-    return space.fix_values({key: start[key] for key in arm.base.dependent_links})
+    dependent = set(arm.base.links) - set(arm.base.independent_links)
+    return space.fix_values({key: value for key, value in start.items() if key in dependent})
 
 
-def _link_sizes(start: Values, arm: Arm) -> Values:
+def _link_sizes(start: Values, keys: Sequence[Key], arm: Arm) -> Values:
     """Sizes of link parameters that stand for combinations: the largest of the same unit."""
-    keys = arm.base.represented
     units = {key: unit_in(arm, key) for key in keys}
     return {
         key: max(abs(start[other]) for other in keys if units[other] == unit)

@@ -32,12 +32,15 @@ def white_noise_autocovariance(taps: FloatArray, step: int) -> FloatArray:
     return np.array([taps[: len(taps) - k] @ taps[k:] for k in range(0, len(taps), step)])
 
 
+def noise_autocovariances(record: Dataset) -> list[FloatArray]:
+    """Autocovariance (n_lags,) of each channel's noise for white sensor noise of unit variance."""
+    taps = (record.kernels.taps(rate=channel.rate) for channel in record.channels)
+    return [white_noise_autocovariance(one, record.kernels.step) for one in taps]
+
+
 def filtered_rows_per_error(record: Dataset) -> FloatArray:
     """Rows per independent error (n_channels,) of filtered white noise."""
-    kernels = [record.kernels.taps(rate=channel.rate) for channel in record.channels]
-    return np.array(
-        [rows_per_error(white_noise_autocovariance(k, record.kernels.step)) for k in kernels]
-    )
+    return np.array([rows_per_error(lags) for lags in noise_autocovariances(record)])
 
 
 def rows_per_error(covariance: FloatArray) -> float:

@@ -103,8 +103,8 @@ class Objective:
 
         def linearised(k: int, evaluated: Evaluation) -> tuple[Rows, Linearised]:
             rows, begin = evaluated.weigh(self.weights[k]), self.initial_states(k)
-            biases = (evaluated.record_parameters + rows.step)[len(begin) :]
             # the biases are the start of the next search
+            biases = rows.record_parameters[len(begin) :]
             self.memory.record_parameters[k] = np.concatenate([begin, biases])
             return rows, Linearised(rows.cost(self.weights[k]), rows.factor(min_curvature_ratio))
 
@@ -137,13 +137,11 @@ class Objective:
     def update_weights(self, z: FloatArray) -> Objective:
         """Update the weights from the residuals at z."""
         weights = []
-        for record, rows, old in zip(self.records, self.rows(z), self.weights, strict=True):
-            errors = rows.residual * old.stds
+        for record, rows in zip(self.records, self.rows(z), strict=True):
             minimum = np.maximum(record.noise, MIN_ERROR_SHARE * np.std(record.measured, axis=0))
-            stds = np.maximum(_robust_std(errors), minimum)
-            weights.append(
-                Weights(stds, np.array([estimate_rows_per_error(column) for column in errors.T]))
-            )
+            stds = np.maximum(_robust_std(rows.errors), minimum)
+            repeats = [estimate_rows_per_error(column) for column in rows.errors.T]
+            weights.append(Weights(stds, np.array(repeats)))
         return replace(self, weights=tuple(weights), has_initial_weights=False)
 
     def replace_unknowns(self, space: ParameterSpace) -> Objective:
@@ -191,12 +189,12 @@ class Objective:
         if cached is not None and cached[0] == z.tobytes() and cached[1] is self.weights:
             return cached[2]
         rows = self.rows(z)
-        record_parameters = [row.evaluated.record_parameters + row.step for row in rows]
+        record_parameters = [row.record_parameters for row in rows]
 
         def lengthened(k: int, record: Dataset) -> tuple[Dataset, Evaluation]:
             long = lengthen_steps(record)
             n_rows = len(long.time)
-            residual = (rows[k].residual * self.weights[k].stds)[:n_rows]
+            residual = rows[k].errors[:n_rows]
             counted = None if record.is_counted is None else record.is_counted[:n_rows]
             long = replace(long, step_error_correction=np.zeros_like(residual), is_counted=counted)
             evaluated = self._evaluate_from(long, z, record_parameters[k])
@@ -241,9 +239,8 @@ class Objective:
         It is NaN for a channel that hardly exceeds its noise.
         """
         percentages = {}
-        for record, rows, weights in zip(self.records, self.rows(z), self.weights, strict=True):
-            residual = rows.residual * weights.stds
-            fits = fit_percent(record.measured, record.measured + residual)
+        for record, rows in zip(self.records, self.rows(z), strict=True):
+            fits = fit_percent(record.measured, record.measured + rows.errors)
             std = np.std(record.measured, axis=0)
             fits[std < MIN_SIGNAL_TO_NOISE * record.noise] = np.nan
             names = record.channel_names

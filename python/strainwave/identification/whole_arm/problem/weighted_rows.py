@@ -88,6 +88,16 @@ class Rows:
     stds: FloatArray  # (n_channels,)
     step: FloatArray  # (n_own,) of the record parameters to their optimum
 
+    @property
+    def errors(self) -> FloatArray:
+        """Residuals (n_rows, n_channels) in the units of the channels."""
+        return self.residual * self.stds
+
+    @property
+    def record_parameters(self) -> FloatArray:
+        """Optimal record parameters (n_own,)."""
+        return self.evaluated.record_parameters + self.step
+
     def factor(self, min_curvature_ratio: float) -> FloatArray:
         """R of [shared, residual] after elimination of the record parameters.
 

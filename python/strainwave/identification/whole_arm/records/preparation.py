@@ -14,6 +14,7 @@ from strainwave.domain.link_sensors.motor_encoder import MotorEncoder
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive
 from strainwave.errors import InvalidInput
+from strainwave.identification.closed_loop import velocity_band
 from strainwave.identification.whole_arm.records.dataset import (
     INITIAL_INTERVAL,
     Dataset,
@@ -36,6 +37,9 @@ STEPS_PER_PERIOD = 8.0
 """Integrator steps per period of the cut-off if the step error is corrected or acceptable."""
 _STEP_TOLERANCE_FACTOR = 1.0 + 1e-9  # tolerance of step comparisons, for rounding
 _ACCELERATION_SPACING = 0.002  # [s] spacing of the second differences that estimate accelerations
+# cut-off of the low-pass over the highest resonance; gear motion is negligible above it
+_CUTOFF_TO_RESONANCE = 5.0
+_MAX_CUTOFF_TO_SAMPLING_RATE = 0.1  # maximum cut-off of the low-pass over the sampling rate
 
 
 def select_usable_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
@@ -44,6 +48,13 @@ def select_usable_records(logs: Sequence[Log], arm: Arm) -> list[Log]:
     return [
         log for log in logs if log.experiment.use in uses and not missing_motor_signal(arm, log)
     ]
+
+
+def cutoff_of(logs: Sequence[Log], arm: Arm, highest_resonance_hz: float | None) -> float:
+    """Cut-off [Hz] above the highest resonance, within the signal band of the motor velocities."""
+    resonance_limit = _CUTOFF_TO_RESONANCE * (highest_resonance_hz or np.inf)
+    sampling_limit = _MAX_CUTOFF_TO_SAMPLING_RATE / max(log.sample_time for log in logs)
+    return min(resonance_limit, sampling_limit, *(velocity_band(log, arm) for log in logs))
 
 
 def dataset_of(log: Log, arm: Arm, cutoff_hz: float, *, closed_loop: bool = False) -> Dataset:

@@ -42,8 +42,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
     named_effects,
     with_effects,
 )
-from strainwave.identification.whole_arm.records.gear_torques import gear_torques
-from strainwave.identification.whole_arm.records.largest_loads import Loads, loads_of
+from strainwave.identification.whole_arm.records.loads import Loads, gear_torques, loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection

@@ -81,4 +81,4 @@ def _estimate_initial_motion(
         return None  # the arm cannot be simulated from such initial states
     cost = rows.cost(weights)
     is_evident = rest - cost > _MIN_COST_REDUCTION and cost < _MIN_EXPLAINED_SHARE * rest
-    return rows.evaluated.record_parameters + rows.step if is_evident else None
+    return rows.record_parameters if is_evident else None

@@ -16,7 +16,7 @@ from strainwave.identification.whole_arm.problem.effect_unknowns import (
 )
 from strainwave.identification.whole_arm.problem.parameter_space import ParameterSpace
 from strainwave.identification.whole_arm.problem.prior import Prior
-from strainwave.identification.whole_arm.records.largest_loads import loads_of
+from strainwave.identification.whole_arm.records.loads import loads_of
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search, search_minimum
 from strainwave.identification.whole_arm.selection.candidate import Selection, select_better

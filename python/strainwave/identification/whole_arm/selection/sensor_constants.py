@@ -248,14 +248,13 @@ def _significant_drifts(fit: Fit, options: WholeArmOptions) -> dict[Key, float]:
     therefore follows from the residuals minus the drift.
     """
     objective, rates = fit.objective, {}
-    evaluated = zip(objective.records, objective.weights, objective.rows(fit.z), strict=True)
-    for record, weights, rows in evaluated:
+    for record, rows in zip(objective.records, objective.rows(fit.z), strict=True):
         time = record.since_middle
-        residuals = rows.residual * weights.stds
-        for channel, residual in zip(record.channels, residuals.T, strict=True):
+        for channel, residual in zip(record.channels, rows.errors.T, strict=True):
             key = channel.key(ConstantKind.DRIFT, record.log.name)
-            is_candidate = channel.shifted and key is not None and not is_held(key, options)
-            if key is None or not is_candidate or key in objective.space.keys:
+            if key is None or not channel.shifted or key in objective.space.keys:
+                continue
+            if is_held(key, options):
                 continue
             rate = float(-time @ residual / (time @ time))
             remaining = residual + rate * time

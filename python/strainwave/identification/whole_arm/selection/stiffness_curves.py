@@ -12,7 +12,7 @@ from strainwave.domain.gear_laws import GearLaw
 from strainwave.domain.keys import Key, Values
 from strainwave.errors import NotIdentifiable
 from strainwave.identification.whole_arm.inference.covariance import confidence_of
-from strainwave.identification.whole_arm.records.gear_torques import gear_torques
+from strainwave.identification.whole_arm.records.loads import gear_torques
 from strainwave.identification.whole_arm.search.fit import Fit
 from strainwave.identification.whole_arm.search.solver import fine_search
 from strainwave.identification.whole_arm.selection.candidate import (

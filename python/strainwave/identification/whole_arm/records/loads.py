@@ -1,8 +1,9 @@
-"""Torques of the gears in the records, by simulation."""
+"""Loads of the joints in the records: torques of the gears, by simulation, and voltages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -11,6 +12,7 @@ from strainwave.domain import FloatArray, TorqueHistogram
 from strainwave.domain.keys import Key
 from strainwave.identification.whole_arm.records.dataset import Dataset
 from strainwave.numerics.parallel import run_parallel
+from strainwave.signals.prepared_record import prepare_record
 
 HISTOGRAM_BINS = 60
 
@@ -27,6 +29,20 @@ def gear_torque_samples(records: Sequence[Dataset], values: dict[Key, float]) ->
         return np.abs(record.run(values, record.start(), ["gear_torque"])["gear_torque"])
 
     return run_parallel([partial(of_record, r) for r in records])
+
+
+@dataclass(frozen=True, slots=True)
+class Loads:
+    """Largest absolute values over all records, one entry per joint."""
+
+    torque: Sequence[float]  # [N m] of the gear, 99.9 % quantile
+    voltage: Sequence[float]  # [V] of the drive
+
+
+def loads_of(records: Sequence[Dataset], values: dict[Key, float]) -> Loads:
+    """Largest gear torque and voltage of each joint over all records."""
+    voltages = [np.abs(prepare_record(r.log, r.arm).voltage).max(axis=0) for r in records]
+    return Loads(gear_torques(records, values).tolist(), np.max(voltages, axis=0).tolist())
 
 
 def largest_of(gear_loads: Sequence[FloatArray]) -> FloatArray:
