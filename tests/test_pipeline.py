@@ -112,7 +112,7 @@ def test_a_flexible_joint_without_motion_records(shared_data: Path) -> None:
     identification = pipeline.identify(shared_data / "real" / "ist-flexible-arm" / "study.toml")
     # an effect that the model lacks would move the motor's inertia by more than 5 %
     assert identification.verdict.status == "partly-determined"
-    assert "motor_inertia 1" in identification.verdict.rejected
+    assert ("motor_inertia", 1) in identification.verdict.rejected
     assert identification.rigid is None
     (record,) = identification.records
     assert record.modes is not None

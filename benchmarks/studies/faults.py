@@ -79,8 +79,8 @@ def _largest_error(identified: Any, parameters: Any, true_values: Values) -> tup
     """Largest error of an identified value outside its interval, and the parameter."""
     largest, label = 0.0, ""
     for p in parameters:
-        true = true_values.get((p.name, p.joint))
-        if p.label not in identified or p.value is None or not true or p.ci95 is None:
+        true = true_values.get(p.key)
+        if p.key not in identified or p.value is None or not true or p.ci95 is None:
             continue
         if not p.ci95[0] <= true <= p.ci95[1] and abs(p.value / true - 1.0) > largest:
             largest, label = abs(p.value / true - 1.0), p.label

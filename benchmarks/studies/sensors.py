@@ -150,7 +150,7 @@ def evaluate(path: Path, values: Values, *, engine: bool = False) -> dict[str, A
     reported["wrong"] = [
         f"{name} {joint or ''}".strip()
         for name, joint, error, std, _ in rows
-        if f"{name} {joint or ''}".strip() in verdict.identified
+        if (name, joint or None) in verdict.identified
         and abs(error) > MIN_WRONG_STD
         and abs(error) * std > MIN_WRONG_ERROR
         and parameter_kind(name) not in _SECONDARY

@@ -253,15 +253,15 @@ def test_every_verdict_is_consistent_with_its_decisions(
         if motor is not None and link is not None:
             assert total == pytest.approx(motor + N**2 * link)
     groups = (verdict.identified, verdict.not_identified, verdict.rejected)
-    labels = [label for group in groups for label in group]
-    assert len(set(labels)) == len(labels)
-    assert {p.label for p in parameters} <= set(labels)
+    keys = [key for group in groups for key in group]
+    assert len(set(keys)) == len(keys)
+    assert {p.key for p in parameters} <= set(keys)
     for decision in identification.decisions:
         if decision.identified:
             assert decision.parameter.value is not None
             assert half_width(decision.parameter) is not None
         else:
-            assert decision.parameter.label not in verdict.identified
+            assert decision.parameter.key not in verdict.identified
         assert not decision.rejected or decision.parameter.value is None
     assert (verdict.exit_code == 0) == (verdict.status == "determined")
     assert (verdict.status == "determined") == (not verdict.reasons)
@@ -278,7 +278,7 @@ def test_a_parameter_that_the_whole_arm_fit_does_not_identify_is_not_identified(
     )  # the parts of viscous friction are not primary parameters
     result = run(whole_arm={("gear_damping", 2): None})
     assert result.verdict.status == "partly-determined"
-    assert result.verdict.not_identified == ("gear_damping 2",)
+    assert result.verdict.not_identified == (("gear_damping", 2),)
     assert result.reason == "not identified: gear_damping 2"
 
 
@@ -289,7 +289,7 @@ def test_a_fit_with_an_impossible_value_is_rejected() -> None:
     assert row(result, "total_viscous_friction", 2).stage == "rigid"
     for name in ("gear_stiffness", "gear_damping", "link_inertia"):
         assert row(result, name, 2).value is None
-        assert f"{name} 2" in result.verdict.rejected
+        assert (name, 2) in result.verdict.rejected
     assert row(result, "gear_stiffness", 1).value is not None
     (warning,) = [w for w in result.warnings if w.code == "rejected"]
     assert warning.where == "joint 2"
@@ -325,7 +325,7 @@ def test_a_friction_with_a_negligible_interval_is_identified() -> None:
             )
             others = [p for p in result.rigid.parameters if (p.name, p.joint) != (name, 1)]
             result = replace(result, rigid=rigid_of((*others, uncertain)))
-            assert (f"{name} 1" in result.verdict.identified) == counts
+            assert ((name, 1) in result.verdict.identified) == counts
             p = row(result, name, 1)
             if value < 0.0:
                 assert p.value == (0.0 if counts else None)
@@ -334,7 +334,7 @@ def test_a_friction_with_a_negligible_interval_is_identified() -> None:
 
 def test_an_indefinite_inertia_matrix_is_rejected() -> None:
     result = run(whole_arm={("gamma", None): 1.3})  # gamma^2 > alpha beta
-    assert result.verdict.rejected == ("gamma",)
+    assert result.verdict.rejected == (("gamma", None),)
     assert result.verdict.status == "partly-determined"
 
 
@@ -343,7 +343,7 @@ def test_values_at_a_bound_are_rejected() -> None:
     assert result.whole_arm is not None
     bounded = replace(result.whole_arm, end=SearchEnd.BOUND, at_bounds=(("gear_damping", 1),))
     result = replace(result, whole_arm=bounded)
-    assert result.verdict.rejected == ("gear_damping 1",)
+    assert result.verdict.rejected == (("gear_damping", 1),)
     secondary = replace(bounded, at_bounds=(("link_viscous_friction", 1),))
     assert replace(result, whole_arm=secondary).verdict.status == "determined"
 
@@ -375,7 +375,7 @@ def test_contradicting_stages_reject_the_affected_values() -> None:
     tests = (AgreementTest("all", None, 60.0, 9, 6.0), replace(friction_test, deviations=3.5))
     contradicted = replace(result, whole_arm=replace(result.whole_arm, agreement=tests))
     assert contradicted.verdict.status == "partly-determined"
-    assert contradicted.verdict.rejected[-1] == "motor_coulomb_friction 2"
+    assert contradicted.verdict.rejected[-1] == ("motor_coulomb_friction", 2)
     assert contradicted.verdict.reasons[0].startswith(
         "the stages disagree by 3.5 standard deviations on joint 2's friction"
     )
@@ -405,7 +405,7 @@ def test_a_value_that_a_likely_effect_shifts_is_rejected(
     with_cause = replace(
         result, whole_arm=replace(result.whole_arm, criticism=Criticism((), (), (cause,)))
     )
-    assert with_cause.verdict.rejected == (("gear_stiffness 2",) if rejected else ())
+    assert with_cause.verdict.rejected == ((("gear_stiffness", 2),) if rejected else ())
     assert (with_cause.verdict.status == "determined") != rejected
     if rejected:
         (warning,) = [w for w in with_cause.warnings if w.code == "rejected"]
@@ -527,7 +527,8 @@ def test_a_torque_constant_in_another_unit_excludes_determined() -> None:
 def test_a_fault_rejects_the_values_of_the_stages_that_it_affects(
     place: Place, code: str, accepted_stages: set[str]
 ) -> None:
-    fault = Suspicion(code=code, places=(place,), message="m", remedy="r")
+    text = Clause("text", text="m")
+    fault = Suspicion(code=code, places=(place,), clause=text, remedy_clause=text)
     result = replace(run(), suspected=(fault,))
     assert {p.stage for p in result.parameters if p.value is not None} == accepted_stages
     verdict = result.verdict
@@ -548,12 +549,12 @@ def test_required_parameters_depend_on_springs_and_stages() -> None:
     assert drive.verdict.status == "determined"
     assert replace(drive, rigid=None).verdict.status == "not-determined"
     with_gravity = replace(drive, study=rigid_drive(9.81))
-    assert with_gravity.verdict.not_identified == ("gravity_torque_1",)
+    assert with_gravity.verdict.not_identified == (("gravity_torque_1", None),)
     curved = scara.study(ELASTIC.path, "three-slope")
     assert run(study=curved, stages=("rigid", "decoupled")).verdict.status == "determined"
     missing = run(study=curved).verdict.not_identified
-    assert {name for name in missing if name.startswith("gear")} == {
-        f"{name} {j}"
+    assert {key for key in missing if key[0].startswith("gear")} == {
+        (name, j)
         for j in (1, 2)
         for name in (
             *(f"gear_stiffness_k{k}" for k in (1, 2, 3)),
@@ -569,7 +570,7 @@ def test_stages_that_were_not_reached_are_reported() -> None:
     assert result.verdict.reasons == ("the whole-arm fit was not reached",)
     result = replace(result, joints=result.joints[:1])
     assert "the decoupled stage gave no model of joint 2" in result.verdict.reasons
-    assert "gear_stiffness 2" in result.verdict.not_identified
+    assert ("gear_stiffness", 2) in result.verdict.not_identified
 
 
 def test_warnings_of_several_records_with_one_cause_are_merged() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -160,3 +161,12 @@ def test_rigid_gears_and_unknown_joints_are_refused(tmp_path: Path) -> None:
     for number in (0, 3):
         with pytest.raises(InvalidInput, match=f"there is no joint {number}"):
             state_space(arm, number)
+
+
+def test_coupled_joints_are_refused(tmp_path: Path) -> None:
+    study = exports.two_links(tmp_path)
+    coupled = replace(study.arm, coupling=((1.0, 0.0), (-0.8, 1.0)))
+    arm = exports.arm_of(study, exports.values_of(study))
+    arm = replace(arm, study=replace(arm.study, arm=coupled))
+    with pytest.raises(InvalidInput, match="the transmission couples joint 1 with others"):
+        state_space(arm, 1)

@@ -12,7 +12,15 @@ import pytest
 from elastic_results import elastic_identification, joint_model
 from results import arm_model, identification
 from strainwave import pipeline
-from strainwave.domain import Parameter, RigidModel, SearchEnd
+from strainwave.domain import (
+    Clause,
+    Correction,
+    Parameter,
+    Place,
+    RigidModel,
+    SearchEnd,
+    Suspicion,
+)
 from strainwave.errors import InvalidInput
 from strainwave.io import results as result
 from strainwave.presentation import report
@@ -53,6 +61,29 @@ def test_keys_of_the_contract() -> None:
     assert document["verdict"]["not_identified"][:2] == ["friction_offset 1", "rigid_inertia 1"]
     assert document["verdict"]["validated"] == {"rigid": True, "elastic": False}
     assert document["verdict"]["rejected"] == document["verdict"]["suspected"] == []
+
+
+def test_a_verdict_is_read_back_with_its_texts() -> None:
+    fault = Suspicion(
+        code="wrong-gear-ratio",
+        places=(Place(joint=2, key="gear_ratio"),),
+        clause=Clause("wrong-gear-ratio", joint=2, factor=0.5, stated=0.01, ratio=0.005),
+        remedy_clause=Clause("remedy", steps=(Clause("step/remove", key="k", table="[arm]"),)),
+        factor=2.0,
+        corrections=(Correction("joint", "2", "gear_ratio", 0.005),),
+    )
+    verdict = replace(identification(), suspected=(fault,)).verdict
+    document = result.to_document(replace(identification(), suspected=(fault,)))
+    (entry,) = document["verdict"]["suspected"]
+    assert list(entry) == ["code", "where", "message", "remedy", "factor", "corrections"]
+    assert (entry["where"], entry["remedy"]) == ("joint 2 gear_ratio", "Remove k from [arm]")
+    again = result.verdict_of(json.loads(result.to_json(document)))
+    assert (again.identified, again.not_identified) == (verdict.identified, verdict.not_identified)
+    assert again.reasons == verdict.reasons
+    (read,) = again.suspected
+    texts = (read.where, read.message, read.remedy)
+    assert texts == (fault.where, fault.message, fault.remedy)
+    assert (read.factor, read.delay_s, read.corrections) == (2.0, None, fault.corrections)
 
 
 def test_the_rig_is_read_back() -> None:

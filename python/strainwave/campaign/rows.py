@@ -7,6 +7,7 @@ import os
 import socket
 from collections.abc import Mapping
 from datetime import UTC, datetime
+from itertools import starmap
 from typing import Any
 
 from strainwave.campaign.cases import Opened
@@ -14,7 +15,7 @@ from strainwave.campaign.schema import TIMED_PARTS
 from strainwave.campaign.store import Record
 from strainwave.campaign.tasks import FAILED_STATUS, Task
 from strainwave.domain import Identification, Parameter
-from strainwave.domain.keys import Key
+from strainwave.domain.keys import Key, label_of
 from strainwave.io.results import to_document, to_json
 
 
@@ -42,9 +43,9 @@ def record_of(
         "seconds": seconds,
         "worker": worker_name(),
         "result": f"results/{task.run}/result.json",
-        "identified": list(verdict.identified),
-        "not_identified": list(verdict.not_identified),
-        "rejected": list(verdict.rejected),
+        "identified": [*starmap(label_of, verdict.identified)],
+        "not_identified": [*starmap(label_of, verdict.not_identified)],
+        "rejected": [*starmap(label_of, verdict.rejected)],
         "validated_rigid": verdict.validated.rigid,
         "validated_elastic": verdict.validated.elastic,
         "suspected": [entry.code for entry in verdict.suspected],

@@ -1,12 +1,12 @@
-"""Changes to a study or to its logs that make the input consistent, as data and as text."""
+"""Changes to a study or to its logs that make the input consistent, and their instructions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import groupby
 from typing import Literal
 
+from strainwave.domain.clauses import Clause
 from strainwave.domain.kinds import change_arm_keys
 from strainwave.domain.study import Channel, Experiment, Study
 
@@ -52,44 +52,26 @@ def _correct_experiment(experiment: Experiment, correction: Correction) -> Exper
     return replace(experiment, **{correction.key: correction.value})  # type: ignore[arg-type]
 
 
-def correction_text(study: Study, corrections: Sequence[Correction]) -> str:
-    """Instruction for the corrections, with the corrected lines of study.toml."""
+def steps_of(study: Study, corrections: Sequence[Correction]) -> tuple[Clause, ...]:
+    """Instructions for the corrections, with the corrected lines of study.toml."""
     after = apply_corrections(study, corrections)
-    places = groupby(corrections, key=lambda correction: (correction.table, correction.entry))
-    steps = [
-        _describe_changes(after, table, entry, tuple(group)) for (table, entry), group in places
-    ]
-    return "; ".join(steps)
+    return tuple(dict.fromkeys(_step(after, correction) for correction in corrections))
 
 
-def _describe_changes(
-    after: Study, table: str, entry: str, corrections: Sequence[Correction]
-) -> str:
-    if table == "channels":
-        return f"set {channel_line(after, entry)}"
-    place = {"arm": "[arm]", "joint": f"[[joint]] {entry}"}.get(table, f"[[experiment]] {entry}")
-    steps = []
-    for correction in corrections:
-        if table == "log":
-            steps.append(_describe_log_change(entry, correction))
-        elif correction.value is None:
-            steps.append(f"remove {correction.key} from {place}")
-        else:
-            spec = ".7g" if isinstance(correction.value, float) else ""
-            steps.append(f"set {correction.key} = {correction.value:{spec}} in {place}")
-    return ", ".join(steps)
-
-
-def _describe_log_change(channel: str, correction: Correction) -> str:
-    value = float(correction.value or 0.0)
-    if correction.key == "delay_s":
-        side = "earlier" if value > 0.0 else "later"
-        return f"shift {channel} by {1e3 * abs(value):.3g} ms to {side} times in every log"
-    if correction.key == "clock":
-        return f"resample {channel} at {1.0 + value:.7g} times its spacing in every log"
-    if correction.key == "high_pass_hz":
-        return f"couple the amplifier of {channel} to DC, or remove its column from the logs"
-    return f"remove or rename the column of {channel} in the logs to exclude it"
+def _step(after: Study, correction: Correction) -> Clause:
+    entry, key, value = correction.entry, correction.key, correction.value
+    if correction.table == "channels":
+        return Clause("step/channel", line=channel_line(after, entry))
+    if correction.table == "log":
+        change = float(value or 0.0)
+        side = "earlier" if change > 0.0 else "later"
+        step = f"step/{key}"
+        return Clause(step, channel=entry, delay=abs(change), side=side, spacing=1.0 + change)
+    table = Clause(f"table/{correction.table}", entry=entry)
+    if value is None:
+        return Clause("step/remove", key=key, table=table)
+    step = "step/set" if isinstance(value, float) else "step/set-count"
+    return Clause(step, key=key, value=value, table=table)
 
 
 def channel_line(study: Study, name: str) -> str:

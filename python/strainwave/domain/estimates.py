@@ -92,18 +92,28 @@ class Suspicion:
     """Possible cause of a contradiction between channels, or between a channel and the study."""
 
     code: str  # one of the input faults of docs/troubleshooting.md: "wrong-unit", "wrong-sign", ...
-    places: tuple[Place, ...] = field(default=(), compare=False)  # empty if read from a result
-    where: str = ""  # text of the places: "a1", "joint 2 gear_ratio"
-    message: str  # one sentence, with the measured value
-    remedy: str  # line of study.toml, or action at the rig, that corrects it
+    places: tuple[Place, ...]
+    clause: Clause  # observation, with the measured value
+    remedy_clause: Clause  # lines of study.toml, or action at the rig, that correct it
     factor: float | None = None  # ratio of the data to the value that the study implies
     delay_s: float | None = None  # delay of the channel [s]
     corrections: tuple[Correction, ...] = ()  # machine-readable remedy; empty if unknown
 
-    def __post_init__(self) -> None:
-        """Render the text of the places."""
-        if self.places:
-            object.__setattr__(self, "where", places_text(self.places))
+    @property
+    def where(self) -> str:
+        """Text of the places: "a1", "joint 2 gear_ratio"."""
+        return places_text(self.places)
+
+    @property
+    def message(self) -> str:
+        """The observation in one sentence."""
+        return text_of(self.clause)
+
+    @property
+    def remedy(self) -> str:
+        """What corrects the fault, as a sentence."""
+        text = text_of(self.remedy_clause)
+        return text[:1].upper() + text[1:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,10 +125,7 @@ class Consistency:
     @property
     def motors_agree(self) -> bool:
         """Whether all suspected faults concern link sensors, their positions or the link length."""
-        return all(
-            suspicion.places and all(_is_on_link(place) for place in suspicion.places)
-            for suspicion in self.suspected
-        )
+        return all(_is_on_link(place) for suspicion in self.suspected for place in suspicion.places)
 
 
 def _is_on_link(place: Place) -> bool:

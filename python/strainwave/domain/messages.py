@@ -1,8 +1,9 @@
 """Text of warnings and places: a template for each code, or for each variant of a code.
 
 A template is a format string. Conversions: `!p` per cent, `!m` thousandths, `!u` millionths, `!a`
-a list with "and", `!o` with ", or ", `!e` with ", and ". `|` ends the observation of a warning and
-is not part of the text.
+a list with commas and "and", `!o` with ", or ", `!e` with ", and ", `!s` with semicolons. `|` ends
+the observation of a warning and is not part of the text. `domain.fault_messages` has the templates
+of suspected faults.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import PurePath
 from string import Formatter
 
 from strainwave.domain.clauses import Clause, Place, Span, Value
+from strainwave.domain.fault_messages import FAULTS
 
 _RECORD_ALL_JOINTS = (
     "record all joints moving together, in both directions, at varied speeds and postures"
@@ -274,6 +276,7 @@ TEMPLATES: Mapping[str, str] = {
 """Messages of warnings, by code or "code/variant"."""
 
 CLAUSES: Mapping[str, str] = {
+    "text": "{text}",
     "topic": "{name} ({rate_hz:.4g} Hz)",
     "topic/once": "{name} (once)",
     "spikes-count/one": "a spike",
@@ -335,6 +338,13 @@ CLAUSES: Mapping[str, str] = {
     " it out of its interval and by more than {limit!p:.0f} %",
     "reason/gamma": "gamma^2 = {square:.3g} is not below alpha beta = {product:.3g}",
     "reason/impossible": "{value:.3g} {unit} is physically impossible",
+    "no-rigid-stage": "the rigid stage was not reached",
+    "no-decoupled-model": "the decoupled stage gave no model of joint {joints}",
+    "no-whole-arm-fit": "the whole-arm fit was not reached",
+    "not-converged": "the whole-arm fit did not converge",
+    "defect": "{places}: {defect}",
+    "primary/rejected": "rejected: {parameters}",
+    "primary/not-identified": "not identified: {parameters}",
     "disagreement": "the stages disagree by {deviations:.2g} standard deviations on"
     " {subject}{causes}",
     "sized-value": "{label} = {value:.4g} {unit} (robot joints: {minimum:.2g} to {maximum:.2g})",
@@ -346,18 +356,20 @@ CLAUSES: Mapping[str, str] = {
 }
 """Parts of messages."""
 
-_CONJUNCTIONS = {"a": " and ", "o": ", or ", "e": ", and "}
+_ALL_TEMPLATES = {**TEMPLATES, **CLAUSES, **FAULTS}
+_LINKS = {"a": (", ", " and "), "o": (", or ",) * 2, "e": (", and ",) * 2, "s": ("; ",) * 2}
 _SCALES = {"p": 100.0, "m": 1e3, "u": 1e6}
 
 
 def text_of(clause: Clause, **more: Value) -> str:
     """Text of a clause or a message; `more` has values that it may lack."""
-    return _render(_template_of(clause), more | dict(clause.values))
+    return _render(_ALL_TEMPLATES[clause.template], more | dict(clause.values))
 
 
 def observation_of(clause: Clause, **more: Value) -> str:
     """The part of a warning's message that says what was observed."""
-    return _render(_template_of(clause).partition("|")[0], more | dict(clause.values))
+    observation = _ALL_TEMPLATES[clause.template].partition("|")[0]
+    return _render(observation, more | dict(clause.values))
 
 
 def place_text(place: Place) -> str:
@@ -389,10 +401,6 @@ def short_place(places: Sequence[Place]) -> str:
     return ", ".join(files) or places_text(places)
 
 
-def _template_of(clause: Clause) -> str:
-    return TEMPLATES.get(clause.template) or CLAUSES[clause.template]
-
-
 def _render(template: str, values: Mapping[str, Value]) -> str:
     return _Rendering().vformat(template.replace("|", ""), (), values)
 
@@ -401,17 +409,20 @@ class _Rendering(Formatter):
     """Format strings whose values are clauses, places and lists of these."""
 
     def convert_field(self, value: Value, conversion: str | None) -> Value | _List:
-        if conversion in _CONJUNCTIONS:
-            return _List(value if isinstance(value, tuple) else (value,), _CONJUNCTIONS[conversion])
+        if conversion in _LINKS:
+            items = value if isinstance(value, tuple) else (value,)
+            return _List(items, *_LINKS[conversion])
         scale = _SCALES.get(conversion or "", 1.0)
         if isinstance(value, Span):
             return Span(scale * value.low, scale * value.high)
         return scale * value if conversion and isinstance(value, float | int) else value
 
     def format_field(self, value: Value | _List, format_spec: str) -> str:
-        if isinstance(value, _List | tuple):
-            items, link = (value.items, value.link) if isinstance(value, _List) else (value, ", ")
-            return link.join(self.format_field(item, format_spec) for item in items)
+        if isinstance(value, tuple):
+            value = _List(value)
+        if isinstance(value, _List):
+            texts = [self.format_field(item, format_spec) for item in value.items]
+            return value.last_link.join(filter(None, [value.link.join(texts[:-1]), *texts[-1:]]))
         if isinstance(value, Clause):
             return text_of(value)
         if isinstance(value, Place):
@@ -422,4 +433,5 @@ class _Rendering(Formatter):
 @dataclass(frozen=True, slots=True)
 class _List:
     items: tuple[Value, ...]
-    link: str
+    link: str = ", "
+    last_link: str = ", "

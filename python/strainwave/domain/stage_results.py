@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from strainwave.domain.arm_model import ArmModel, MotorResponse
+from strainwave.domain.clauses import Clause
 from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.joint_models import JointModel, RecordModel, Sweep
 from strainwave.domain.linear_models import FrequencyResponse
@@ -32,7 +33,7 @@ class StageResults:
     whole_arm: ArmModel | None = None
     suspected: tuple[Suspicion, ...] = ()  # faults of the input
     stage_warnings: tuple[Diagnostic, ...] = ()  # of all stages
-    failures: tuple[str, ...] = ()  # reasons why stages failed, one sentence each
+    failures: tuple[Clause, ...] = ()  # why stages failed
     motor_responses: tuple[MotorResponse, ...] = ()  # of fast records, if the arm was fitted
     activity: tuple[Activity, ...] = ()  # for each joint in the fitted records
     logs: tuple[Log, ...] = ()  # as read

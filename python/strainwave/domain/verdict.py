@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import starmap
 from typing import Literal
 
 from strainwave.domain.arm_model import ArmModel, ResidualTest, contradictions
@@ -14,6 +15,7 @@ from strainwave.domain.combinations import is_uncoupled, viscous_friction
 from strainwave.domain.estimates import Diagnostic, Prediction, Suspicion
 from strainwave.domain.final_table import Decision
 from strainwave.domain.gear_laws import STIFFNESS
+from strainwave.domain.keys import Key, label_of
 from strainwave.domain.messages import text_of
 from strainwave.domain.ranges import implausible_joints
 from strainwave.domain.stage_results import StageResults
@@ -34,17 +36,21 @@ class Validation:
 class Verdict:
     """Verdict on a run, as defined in docs/result.md.
 
-    Parameters are listed by name and joint, as in "gear_stiffness 1". Parameters of the whole arm
-    have no number.
+    Reasons say why the status is not "determined", the most important first.
     """
 
     status: Status
-    identified: tuple[str, ...]
-    not_identified: tuple[str, ...]  # null, or with too wide an interval
-    rejected: tuple[str, ...]  # null because the estimate is invalid
+    identified: tuple[Key, ...]
+    not_identified: tuple[Key, ...]  # null, or with too wide an interval
+    rejected: tuple[Key, ...]  # null because the estimate is invalid
     validated: Validation
     suspected: tuple[Suspicion, ...] = ()
-    reasons: tuple[str, ...] = ()  # why the status is not "determined", most important first
+    reason_clauses: tuple[Clause, ...] = ()
+
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """Text of the reasons."""
+        return tuple(map(text_of, self.reason_clauses))
 
     @property
     def exit_code(self) -> int:
@@ -57,32 +63,30 @@ class _Requirements:
     """Stages and parameters that the requested stages and the study require."""
 
     stages: tuple[Stage, ...]
-    primary: tuple[str, ...]  # labels, as in the verdict
+    primary: tuple[Key, ...]
 
 
 def compute_verdict(results: StageResults, decisions: Sequence[Decision]) -> Verdict:
     """Compute the verdict on a run, as defined in docs/result.md."""
     required = _required_stages(results)
-    labels = {d.parameter.label for d in decisions}
-    identified = tuple(d.parameter.label for d in decisions if d.identified)
-    rejected = tuple(d.parameter.label for d in decisions if d.rejected)
-    undecided = [d.parameter.label for d in decisions if not d.identified and not d.rejected]
-    not_identified = (*undecided, *(label for label in required.primary if label not in labels))
+    keys = {d.parameter.key for d in decisions}
+    identified = tuple(d.parameter.key for d in decisions if d.identified)
+    rejected = tuple(d.parameter.key for d in decisions if d.rejected)
+    undecided = [d.parameter.key for d in decisions if not d.identified and not d.rejected]
     reasons = tuple(_failure_reasons(results, decisions, required))
-    primary = [label for label in required.primary if label in identified]
     status: Status = "partly-determined" if reasons else "determined"
-    if not primary:
+    if set(identified).isdisjoint(required.primary):
         status = "not-determined"
     if results.suspected:
         status = "inconsistent-input"
     return Verdict(
         status=status,
         identified=identified,
-        not_identified=not_identified,
+        not_identified=(*undecided, *(key for key in required.primary if key not in keys)),
         rejected=rejected,
         validated=_validate_models(results),
         suspected=results.suspected,
-        reasons=reasons,
+        reason_clauses=reasons,
     )
 
 
@@ -95,68 +99,62 @@ def _required_stages(results: StageResults) -> _Requirements:
     is_independent = is_uncoupled(arm) and bool(elastic)
     has_decoupled = bool(elastic) and "decoupled" in results.stages
     stages: list[Stage] = ["rigid"] if has_motion or not (is_independent and has_decoupled) else []
-    names: list[str] = []
+    keys: list[Key] = []
     if stages:
-        names += [column.label for column in base.columns]
+        keys += [column.key for column in base.columns]
     viscous = viscous_friction(arm)
     for number in range(1, arm.n_joints + 1):
-        names += [f"{viscous} {number}", f"motor_coulomb_friction {number}"]
+        keys += [(viscous, number), ("motor_coulomb_friction", number)]
     has_whole_arm = "tuned" in results.stages and len(elastic) == arm.n_joints
     is_excited = any(e.use in ("frequency", "sweep") for e in study.experiments)
     if has_decoupled and (is_excited or not has_whole_arm):
         stages.append("decoupled")
     if has_decoupled:
         for number in elastic:
-            inertias = [f"motor_inertia {number}", f"link_inertia {number}"]
             gear = arm.joints[number - 1].law.names if has_whole_arm else (STIFFNESS,)
-            names += inertias + [f"{name} {number}" for name in (*gear, "gear_damping")]
+            names = ("motor_inertia", "link_inertia", *gear, "gear_damping")
+            keys += [(name, number) for name in names]
     if has_whole_arm:
         stages.append("tuned")
-        names += [
-            name if joint is None else f"{name} {joint}"
-            for name, joint in base.effective
-            if (name, joint) not in base.separate_links and not base.has_groups
-        ]
-    return _Requirements(tuple(stages), tuple(dict.fromkeys(names)))
+    if has_whole_arm and not base.has_groups:
+        keys += [key for key in base.effective if key not in base.separate_links]
+    return _Requirements(tuple(stages), tuple(dict.fromkeys(keys)))
 
 
 def _failure_reasons(
     results: StageResults, decisions: Sequence[Decision], required: _Requirements
-) -> Iterator[str]:
+) -> Iterator[Clause]:
     """Yield the reasons why a run is not determined, most important first."""
     if results.suspected:  # all other failures may follow from these
-        yield from (suspicion.message for suspicion in results.suspected)
+        yield from (suspicion.clause for suspicion in results.suspected)
         return
     yield from results.failures
     yield from _missing_stages(results, required)
-    yield from (f"{defect.where}: {defect.message}" for defect in model_defects(results))
+    for defect in model_defects(results):
+        yield Clause("defect", places=defect.places, defect=defect.clause)
     parameters = [decision.parameter for decision in decisions]
     sizes = implausible_joints(results.study.arm, parameters)
-    yield from (size.warning.message for size in sizes)
+    yield from (size.warning.clause for size in sizes)
     if results.whole_arm is not None:
         yield from _contradiction_reasons(results.whole_arm)
-    by_label = {decision.parameter.label: decision for decision in decisions}
-    primary = {label: by_label.get(label) for label in required.primary}
-    rejected_primary = [label for label, row in primary.items() if row and row.rejected]
+    rejected = {d.parameter.key for d in decisions if d.rejected}
+    decided = rejected.union(d.parameter.key for d in decisions if d.identified)
+    rejected_primary = [key for key in required.primary if key in rejected]
     if rejected_primary:
-        yield f"rejected: {', '.join(rejected_primary)}"
-    missing = [
-        label for label, row in primary.items() if not (row and (row.identified or row.rejected))
-    ]
+        yield Clause("primary/rejected", parameters=tuple(starmap(label_of, rejected_primary)))
+    missing = [key for key in required.primary if key not in decided]
     if missing:
-        yield f"not identified: {', '.join(missing)}"
+        yield Clause("primary/not-identified", parameters=tuple(starmap(label_of, missing)))
 
 
-def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[str]:
+def _contradiction_reasons(whole_arm: ArmModel) -> Iterator[Clause]:
     """Yield the disagreements of the stages, with likely causes and experiments to test them."""
     for test in contradictions(whole_arm.agreement):
-        yield text_of(
-            Clause(
-                "disagreement",
-                deviations=test.deviations,
-                subject=test.subject,
-                causes=_likely_causes(whole_arm),
-            )
+        yield Clause(
+            "disagreement",
+            deviations=test.deviations,
+            subject=test.subject,
+            causes=_likely_causes(whole_arm),
         )
 
 
@@ -166,20 +164,19 @@ def _likely_causes(whole_arm: ArmModel | None) -> Clause:
     return Clause("suspects", causes=causes) if causes else Clause("suspects/none")
 
 
-def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[str]:
+def _missing_stages(results: StageResults, required: _Requirements) -> Iterator[Clause]:
     elastic = [n for n, j in enumerate(results.study.arm.joints, start=1) if j.elastic]
     fitted = {joint.joint for joint in results.joints}
     if results.failures:
         return  # failures are reported separately; later stages depend on them
     if "rigid" in required.stages and results.rigid is None:
-        yield "the rigid stage was not reached"
+        yield Clause("no-rigid-stage")
     if "decoupled" in required.stages and not fitted.issuperset(elastic):
-        names = ", ".join(str(n) for n in elastic if n not in fitted)
-        yield f"the decoupled stage gave no model of joint {names}"
+        yield Clause("no-decoupled-model", joints=tuple(n for n in elastic if n not in fitted))
     if "tuned" in required.stages and results.whole_arm is None:
-        yield "the whole-arm fit was not reached"
+        yield Clause("no-whole-arm-fit")
     if "tuned" in required.stages and results.whole_arm and not results.whole_arm.end.is_minimum:
-        yield "the whole-arm fit did not converge"
+        yield Clause("not-converged")
 
 
 MIN_STIFFNESS_EFFECT = 0.05

@@ -60,7 +60,7 @@ def band_of(arm: Arm, values: Values, joint: int) -> ExcitationBand | None:
             link_viscous_friction=known["link_viscous_friction", joint],
             gear_stiffness=stiffness,
             gear_damping=known["gear_damping", joint],
-            gear_ratio=drive.gear_ratio,
+            gear_ratio=float(arm.gear_ratios[joint - 1]),
         )
         for stiffness in drive.law.stiffness_range(drive.law.of_joint(known, joint))
     )

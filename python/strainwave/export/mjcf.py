@@ -14,6 +14,7 @@ from functools import partial
 from xml.etree import ElementTree as ET
 
 from strainwave.domain import Diagnostic, Joint, Place
+from strainwave.domain.core_arm import transmission
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.domain.link_sensors import Axis, installed_axes
@@ -164,8 +165,9 @@ def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
         fixed.set("springlength", numbers(-slack, slack) if slack else "0")
         if part == 1:
             fixed.set("damping", numbers(arm.need("gear_damping", number)))
-        ratio = arm.joint(number).gear_ratio
-        ET.SubElement(fixed, "joint", joint=f"motor_joint{number}", coef=numbers(ratio))
+        for motor, ratio in enumerate(transmission(arm.study.arm)[number - 1].tolist(), start=1):
+            if ratio:
+                ET.SubElement(fixed, "joint", joint=f"motor_joint{motor}", coef=numbers(ratio))
         ET.SubElement(fixed, "joint", joint=f"joint{number}", coef="-1")
 
 

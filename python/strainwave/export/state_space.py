@@ -52,7 +52,8 @@ def state_space(arm: IdentifiedArm, joint: int) -> Matrices:
     motor torque minus Coulomb friction, interaction torque at the link (13) [N m]. Outputs: motor
     velocity [rad/s], link acceleration [rad/s^2]. The link has its inertia at q2 = 0, the gear the
     stiffness of `GearLaw.linearised_by`; gravity is neglected. Raises `InvalidInput` if there is no
-    such joint, its gear is rigid, or a parameter is missing or not physical.
+    such joint, its gear is rigid, the transmission couples joints, or a parameter is missing or not
+    physical.
     """
     model = two_inertia.state_space(joint_model(arm, joint))
     # the link acceleration is the derivative of the third state
@@ -69,6 +70,12 @@ def joint_model(arm: IdentifiedArm, joint: int) -> TwoInertia:
             f"joint {joint} has a rigid gear, so it is not a model of two inertias and a spring",
             where=str(arm.study.path),
             remedy="export to mjcf, urdf, json or c",
+        )
+    if arm.study.arm.is_coupled:
+        raise InvalidInput(
+            f"the transmission couples joint {joint} with others, so it has no model of its own",
+            where=str(arm.study.path),
+            remedy="export to json or c",
         )
     values = [
         sum(weight * arm.need(*key) for key, weight in row.items())

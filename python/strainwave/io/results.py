@@ -6,8 +6,9 @@ import json
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cache
+from itertools import starmap
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import numpy as np
 
 from strainwave.domain import (
     ArmModel,
+    Clause,
+    Correction,
     Criticism,
     Diagnostic,
     FloatArray,
@@ -26,13 +29,18 @@ from strainwave.domain import (
     Modes,
     MotorResponse,
     Parameter,
+    Place,
     PublishedWarning,
     RecordModel,
     RigidModel,
     StateSpace,
+    Status,
     Study,
+    Suspicion,
+    Validation,
     Verdict,
 )
+from strainwave.domain.keys import Key, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
 from strainwave.io.base_parameters import base_parameter_entries, standard_parameter_entries
@@ -180,11 +188,61 @@ def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
 
 def verdict_of(document: Mapping[str, Any]) -> Verdict:
     """The verdict of a result."""
+    table = {"status": document.get("status"), **document.get("verdict", {})}
+    entry: _VerdictEntry = _validated(_VerdictEntry, table, "the result: verdict")
     reason = document.get("reason")
-    table = dict(document.get("verdict", {}))
-    table |= {"status": document.get("status"), "reasons": reason.split("; ") if reason else []}
-    verdict: Verdict = _validated(Verdict, table, "the result: verdict")
-    return verdict
+    return Verdict(
+        status=entry.status,
+        identified=tuple(map(_key_of, entry.identified)),
+        not_identified=tuple(map(_key_of, entry.not_identified)),
+        rejected=tuple(map(_key_of, entry.rejected)),
+        validated=entry.validated,
+        suspected=tuple(map(_suspicion, entry.suspected)),
+        reason_clauses=tuple(map(_plain, reason.split("; ") if reason else ())),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _SuspicionEntry:
+    code: str
+    where: str = ""
+    message: str
+    remedy: str
+    factor: float | None = None
+    delay_s: float | None = None
+    corrections: tuple[Correction, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _VerdictEntry:
+    status: Status
+    identified: tuple[str, ...]
+    not_identified: tuple[str, ...]
+    rejected: tuple[str, ...]
+    validated: Validation
+    suspected: tuple[_SuspicionEntry, ...] = ()
+
+
+def _suspicion(entry: _SuspicionEntry) -> Suspicion:
+    return Suspicion(
+        code=entry.code,
+        places=(Place(part=entry.where),),
+        clause=_plain(entry.message),
+        remedy_clause=_plain(entry.remedy),
+        factor=entry.factor,
+        delay_s=entry.delay_s,
+        corrections=entry.corrections,
+    )
+
+
+def _plain(text: str) -> Clause:
+    return Clause("text", text=text)
+
+
+def _key_of(label: str) -> Key:
+    """Name and joint of a label such as "gear_stiffness 1"."""
+    name, _, joint = label.rpartition(" ")
+    return (name, int(joint)) if name and joint.isdecimal() else (label, None)
 
 
 def response_of(document: Mapping[str, Any], joint: int) -> FrequencyResponse | None:
@@ -320,15 +378,18 @@ def _short(values: FloatArray) -> list[float]:
 
 
 def _verdict(verdict: Verdict) -> dict[str, Any]:
-    suspected = [
-        {k: value for k, value in asdict(one).items() if k != "places" and value is not None}
-        for one in verdict.suspected
-    ]
+    suspected = []
+    for one in verdict.suspected:
+        texts = {"where": one.where, "message": one.message, "remedy": one.remedy}
+        sizes = {"factor": one.factor, "delay_s": one.delay_s}
+        sizes = {key: size for key, size in sizes.items() if size is not None}
+        corrections = [asdict(each) for each in one.corrections]
+        suspected.append({"code": one.code, **texts, **sizes, "corrections": corrections})
     return {
-        "identified": list(verdict.identified),
-        "not_identified": list(verdict.not_identified),
-        "rejected": list(verdict.rejected),
-        "validated": asdict(verdict.validated),
+        "identified": [*starmap(label_of, verdict.identified)],
+        "not_identified": [*starmap(label_of, verdict.not_identified)],
+        "rejected": [*starmap(label_of, verdict.rejected)],
+        "validated": {"rigid": verdict.validated.rigid, "elastic": verdict.validated.elastic},
         "suspected": suspected,
     }
 

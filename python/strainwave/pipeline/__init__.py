@@ -173,13 +173,13 @@ def _explain_suspicion(
     arm_model = result.whole_arm
     if arm_model is None or not whole_arm.has_likelier_effect(arm_model, check.inputs.arm):
         return ElasticStages(), replace(check, consistency=Consistency((suspicion,)))
-    places, contradiction = suspicion.places, suspicion.message
+    places, contradiction = suspicion.places, suspicion.clause
     warning = Diagnostic("torques-contradict", places, contradiction=contradiction)
     is_missing = arm_model.criticism is not None and bool(arm_model.criticism.causes)
     result = replace(
         result,
         warnings=(*result.warnings, warning),
-        failures=(*result.failures, warning.message) if is_missing else result.failures,
+        failures=(*result.failures, warning.clause) if is_missing else result.failures,
     )
     return result, replace(check, consistency=Consistency())
 

@@ -8,6 +8,7 @@ from functools import partial
 
 from strainwave.domain import (
     ArmModel,
+    Clause,
     Diagnostic,
     FrequencyResponse,
     JointModel,
@@ -44,7 +45,7 @@ class ElasticStages:
     checks: tuple[Prediction, ...] = ()
     motor_responses: tuple[MotorResponse, ...] = ()
     warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[str, ...] = ()
+    failures: tuple[Clause, ...] = ()
 
 
 def fit_elastic_arm(

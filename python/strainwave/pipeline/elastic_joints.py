@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from strainwave.domain import (
+    Clause,
     Decoupled,
     Diagnostic,
     FrequencyOptions,
@@ -52,7 +53,7 @@ class JointStage:
     # estimates the models of each excited record and joint, which no later stage uses
     record_models: Callable[[], tuple[RecordModel, ...]] = tuple
     warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[str, ...] = ()
+    failures: tuple[Clause, ...] = ()
 
 
 def fit_elastic_joints(
@@ -89,7 +90,7 @@ def fit_elastic_joints(
                 )
                 joints = run_parallel([partial(decouple, side) for side in sides])
             except NotIdentifiable as failure:
-                failures = (str(failure),)
+                failures = (Clause("text", text=str(failure)),)
                 return JointStage(delays=removed, warnings=tuple(warnings), failures=failures)
             decoupled_records = list(zip(excited, sides, joints, strict=True))
             for log, side, parts in decoupled_records:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 
-from strainwave.domain import Diagnostic, Place, Prediction, RigidModel, Signals
+from strainwave.domain import Clause, Diagnostic, Place, Prediction, RigidModel, Signals
 from strainwave.domain.combinations import is_uncoupled
 from strainwave.dynamics.arm import Arm
 from strainwave.errors import NotIdentifiable
@@ -25,7 +25,7 @@ class RigidStage:
     fitted: tuple[Prediction, ...] = ()
     checks: tuple[Prediction, ...] = ()
     warnings: tuple[Diagnostic, ...] = ()
-    failures: tuple[str, ...] = ()
+    failures: tuple[Clause, ...] = ()
 
 
 def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
@@ -43,7 +43,7 @@ def fit_rigid_joints(inputs: Inputs, reporter: Reporter) -> RigidStage:
             if _is_optional(inputs):
                 warning = Diagnostic("no-rigid-model", inputs.place, reason=str(failure))
                 return RigidStage(warnings=(*warnings, warning))
-            return RigidStage(warnings=warnings, failures=(str(failure),))
+            return RigidStage(warnings=warnings, failures=(Clause("text", text=str(failure)),))
         warnings += model.warnings
     if model.status == "not-identifiable":
         return RigidStage(model, warnings=warnings)

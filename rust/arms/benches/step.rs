@@ -7,7 +7,7 @@
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use strainwave_arms::WithPrograms;
-use strainwave_core::arm::{ChainJoint, JointType, SerialChain, TwoLink};
+use strainwave_core::arm::{ChainJoint, JointType, MAX_CHAIN_JOINTS, SerialChain, TwoLink};
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
 use strainwave_core::joint::gear::{CORNER, GearLaw, ThreeSlope};
@@ -55,9 +55,9 @@ fn main() {
             let links = [&[1.6097, 0.64425, 0.7875][..], &gravity_torques].concat();
             bench_two_link(name, arm, &links, width);
         }
-        bench_chain::<3>(width);
-        bench_chain::<6>(width);
-        bench_chain::<7>(width);
+        bench_chain(3, width);
+        bench_chain(6, width);
+        bench_chain(7, width);
     }
 }
 
@@ -96,10 +96,7 @@ fn bench_two_link(name: &str, arm: TwoLink<true>, links: &[f64], width: Width) {
 }
 
 /// A plain run of a chain, and one with derivatives by all parameters that change the motion.
-fn bench_chain<const N: usize>(width: Width)
-where
-    SerialChain<N>: WithPrograms<N>,
-{
+fn bench_chain(count: usize, width: Width) {
     let joint = |i: usize| ChainJoint {
         joint_type: JointType::Revolute,
         position: [0.0, 0.0, 0.2],
@@ -107,8 +104,9 @@ where
         axis: [0.0, 0.0, 1.0],
         accelerometer_distance: 0.1,
     };
-    let joints: [ChainJoint; N] = std::array::from_fn(joint);
-    let arm = SerialChain::new(&joints, [0.0, 0.0, -9.81]).expect("axes with a direction");
+    let joints: Vec<ChainJoint> = (0..count).map(joint).collect();
+    let arm: SerialChain<MAX_CHAIN_JOINTS> =
+        SerialChain::new(&joints, [0.0, 0.0, -9.81]).expect("axes with a direction");
     let mut chain = Bench::new(arm, &[], STEPS_PER_TICK, &[Quantity::MotorVelocity]);
     let value = |name: &str| match name {
         "link_mass" => 2.0,
@@ -119,14 +117,14 @@ where
     let links = names.iter().filter(|name| name.0.starts_with("link_"));
     let links = links.filter(|name| name.0 != "link_viscous_friction");
     chain.parameters = links.map(|name| value(name.0)).collect();
-    chain.parameters.extend([DRIVES[0]; N].as_flattened());
+    chain.parameters.extend(DRIVES[0].repeat(count));
     let all = chain.directions(&[]);
     let (plain, varied) = (
         chain.simulation(width),
         chain.derivatives(&all, None, width),
     );
     println!(
-        "chain of {N}, simulation: {plain:.0}, with {} derivatives {varied:.0}: {:.1} plain runs",
+        "chain of {count}, simulation: {plain:.0}, with {} derivatives {varied:.0}: {:.1} plain runs",
         all.len(),
         varied / plain
     );

@@ -4,7 +4,9 @@
 //! `rust/programs`, which cargo compiles in parallel.
 
 use strainwave_baseline as baseline;
-use strainwave_core::arm::{Arm, ChainJoint, OneLink, SerialChain, Transmission, TwoLink};
+use strainwave_core::arm::{
+    Arm, ChainJoint, MAX_CHAIN_JOINTS, OneLink, SerialChain, Transmission, TwoLink,
+};
 use strainwave_core::compiled::{CompiledArm, compiled};
 use strainwave_core::plant::config::{Config, JointConfig};
 use strainwave_core::program::{Programs, Width};
@@ -57,9 +59,6 @@ pub enum ArmError {
     Corner(f64),
 }
 
-/// Largest number of joints of a serial chain, limited by the compiled programs.
-pub const MAX_CHAIN_JOINTS: usize = 7;
-
 impl std::fmt::Display for ArmError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
@@ -90,7 +89,7 @@ impl std::fmt::Display for ArmError {
 impl std::error::Error for ArmError {}
 
 impl Drives<'_> {
-    fn with<A, const N: usize>(&self, arm: A) -> Result<Config<A, N>, ArmError> {
+    fn with<A: Arm<N>, const N: usize>(&self, arm: A) -> Result<Config<A, N>, ArmError> {
         if self.corner <= 0.0 || self.corner.is_nan() {
             return Err(ArmError::Corner(self.corner));
         }
@@ -98,10 +97,12 @@ impl Drives<'_> {
         if let Some(joint) = self.joints.iter().position(|joint| !is_possible(joint)) {
             return Err(ArmError::Ratio(joint));
         }
-        let joints = self.joints.try_into().map_err(|_| ArmError::Joints {
-            expected: N,
-            got: self.joints.len(),
-        })?;
+        let (expected, got) = (arm.joints(), self.joints.len());
+        if got != expected {
+            return Err(ArmError::Joints { expected, got });
+        }
+        let mut joints = [self.joints[0]; N];
+        joints[..got].copy_from_slice(self.joints);
         Ok(Config {
             arm,
             corner: self.corner,
@@ -158,7 +159,8 @@ pub fn compiled_arm(
         joints, gravity, ..
     } = *links;
     if program == "serial" {
-        return serial_chain(links, drives, width);
+        let chain = serial_chain(links)?;
+        return with_drives(coupled(chain, links.transmission, drives)?, drives, width);
     }
     if !links.transmission.is_empty() {
         return Err(ArmError::PlanarTransmission);
@@ -191,48 +193,24 @@ pub fn compiled_arm(
     }
 }
 
-/// Implements [`WithPrograms`] for chains, and defines `serial_chain`.
-macro_rules! chains {
-    ($($joints:literal: $general:expr, $baseline:expr;)*) => {
-        $(
-            impl WithPrograms<$joints> for SerialChain<$joints> {
-                fn programs(&self) -> Programs<Self, $joints> {
-                    Programs {
-                        fast: $general.as_fast(),
-                        general: $general,
-                        baseline: $baseline,
-                    }
-                }
-            }
-        )*
-
-        /// A chain with the programs for its number of joints.
-        fn serial_chain(
-            links: &Links<'_>,
-            drives: &Drives<'_>,
-            width: Width,
-        ) -> Result<Box<dyn CompiledArm>, ArmError> {
-            match links.joints.len() {
-                $($joints => {
-                    let joints = links.joints.try_into().expect("the number is checked");
-                    let arm = SerialChain::<$joints>::new(joints, links.gravity);
-                    let arm = arm.map_err(ArmError::Axis)?;
-                    with_drives(coupled(arm, links.transmission, drives)?, drives, width)
-                })*
-                got => Err(ArmError::ChainLength(got)),
-            }
+impl WithPrograms<MAX_CHAIN_JOINTS> for SerialChain<MAX_CHAIN_JOINTS> {
+    fn programs(&self) -> Programs<Self, MAX_CHAIN_JOINTS> {
+        Programs {
+            fast: strainwave_chain::FAST,
+            general: strainwave_chain::GENERAL,
+            baseline: baseline::CHAIN,
         }
-    };
+    }
 }
 
-chains! {
-    1: strainwave_chain_4::GENERAL_1, baseline::CHAIN_1;
-    2: strainwave_chain_4::GENERAL_2, baseline::CHAIN_2;
-    3: strainwave_chain_4::GENERAL_3, baseline::CHAIN_3;
-    4: strainwave_chain_4::GENERAL_4, baseline::CHAIN_4;
-    5: strainwave_chain_5::GENERAL, baseline::CHAIN_5;
-    6: strainwave_chain_6::GENERAL, baseline::CHAIN_6;
-    7: strainwave_chain_7::GENERAL, baseline::CHAIN_7;
+/// A chain of rigid links.
+fn serial_chain(links: &Links<'_>) -> Result<SerialChain<MAX_CHAIN_JOINTS>, ArmError> {
+    match links.joints.len() {
+        1..=MAX_CHAIN_JOINTS => {
+            SerialChain::new(links.joints, links.gravity).map_err(ArmError::Axis)
+        }
+        got => Err(ArmError::ChainLength(got)),
+    }
 }
 
 /// A chain with a transmission, unless that is empty.
@@ -244,14 +222,19 @@ fn coupled<const N: usize>(
     if transmission.is_empty() {
         return Ok(arm);
     }
-    let rows = transmission.iter().map(|row| row[..].try_into().ok());
-    let matrix = rows.collect::<Option<Vec<[f64; N]>>>();
-    let matrix = matrix.and_then(|rows| rows.try_into().ok());
-    let matrix: [[f64; N]; N] = matrix.ok_or(ArmError::Transmission)?;
+    let n = arm.joints();
+    if transmission.len() != n || transmission.iter().any(|row| row.len() != n) {
+        return Err(ArmError::Transmission);
+    }
+    let entry = |i: usize, j: usize| match (transmission.get(i), i == j) {
+        (Some(row), _) if j < n => row[j],
+        (_, is_diagonal) => f64::from(is_diagonal),
+    };
+    let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
     let is_elastic = |i: usize| drives.joints.get(i).is_none_or(|joint| joint.gear.elastic);
-    for i in 0..N {
-        for j in 0..N {
-            if matrix[i][j] != 0.0 && is_elastic(i) != is_elastic(j) {
+    for i in 0..n {
+        for j in 0..n {
+            if entry(i, j) != 0.0 && is_elastic(i) != is_elastic(j) {
                 return Err(ArmError::RigidCoupling([i, j]));
             }
         }

@@ -5,7 +5,7 @@
 
 use crate::actuation::{PiPosition, PiVelocity, Servo};
 use crate::arm::{Arm, Kinematics, Name};
-use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Source, Task};
+use crate::experiment::{Clock, Diverged, Initial, Member, Quantity, Record, Source, Task};
 use crate::plant::config::{Config, InvalidParameter};
 use crate::plant::rigid;
 use crate::program::{Programs, Request, Width};
@@ -203,18 +203,23 @@ impl Experiment {
         }
     }
 
-    /// The parameters, feed-forward voltages and initial state.
-    fn member<'a, const N: usize>(&'a self, parameters: &'a [f64]) -> Member<'a, N> {
+    /// Voltages and references, row by row.
+    fn inputs<const N: usize>(&self, joints: usize) -> [Vec<[f64; N]>; 2] {
+        [&self.voltage, &self.reference].map(|list| rows(list, joints))
+    }
+
+    /// The parameters, voltages, references and initial state.
+    fn member<'a, const N: usize>(
+        &self,
+        parameters: &'a [f64],
+        [feed_forward, reference]: &'a [Vec<[f64; N]>; 2],
+    ) -> Member<'a, N> {
         let initial = &self.initial;
         let or_zero = |list: &Option<Vec<f64>>| list.as_deref().map_or([0.0; N], row);
-        let feed_forward = self.voltage.as_chunks().0;
         Member {
             parameters,
             feed_forward,
-            reference: match self.servo {
-                Some(_) => self.reference.as_chunks().0,
-                None => feed_forward, // without a servo the reference is not read
-            },
+            reference,
             initial: Initial {
                 motor_angle: row(&initial.motor_angle),
                 motor_velocity: or_zero(&initial.motor_velocity),
@@ -245,9 +250,27 @@ impl ServoGains {
     }
 }
 
-/// One row of joints.
-fn row<T: Copy, const N: usize>(list: &[T]) -> [T; N] {
-    list.try_into().expect("a value for each joint")
+/// One row of joints, with zeros beyond the arm's joints.
+fn row<T: Copy + Default, const N: usize>(list: &[T]) -> [T; N] {
+    let mut all = [T::default(); N];
+    all[..list.len()].copy_from_slice(list);
+    all
+}
+
+/// Whole rows of joints.
+fn rows<const N: usize>(list: &[f64], joints: usize) -> Vec<[f64; N]> {
+    list.chunks_exact(joints).map(row).collect()
+}
+
+/// A recording without the entries beyond the arm's joints.
+fn recording<const N: usize>(record: &Record<N>, joints: usize) -> Recording {
+    let flat = |rows: &Vec<[f64; N]>| {
+        rows.iter()
+            .flat_map(|row| &row[..joints])
+            .copied()
+            .collect()
+    };
+    record.iter().map(flat).collect()
 }
 
 /// An arm, its constants and its programs.
@@ -281,7 +304,7 @@ pub fn compiled<A: Arm<N>, const N: usize>(
 
 impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     fn joints(&self) -> usize {
-        N
+        self.config.arm.joints()
     }
 
     fn base_parameters(&self) -> usize {
@@ -297,9 +320,13 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     }
 
     fn simulate(&self, experiment: &Experiment, parameters: &[f64]) -> Result<Recording, Diverged> {
-        let (task, member) = (experiment.task(&self.config), experiment.member(parameters));
+        let inputs = experiment.inputs(self.joints());
+        let (task, member) = (
+            experiment.task(&self.config),
+            experiment.member(parameters, &inputs),
+        );
         let record = self.programs.simulate(&task, &member, self.width)?;
-        Ok(record.into_iter().map(Vec::into_flattened).collect())
+        Ok(recording(&record, self.joints()))
     }
 
     fn sensitivities(
@@ -309,19 +336,16 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
         directions: &[Source],
         decimation: Option<&Decimation>,
     ) -> Result<Derivatives, Diverged> {
+        let inputs = experiment.inputs(self.joints());
         let request = Request {
             task: &experiment.task(&self.config),
-            member: &experiment.member(parameters),
+            member: &experiment.member(parameters, &inputs),
             directions,
             decimation,
         };
         let sensitivities = self.programs.differentiate(&request, self.width)?;
         Ok(Derivatives {
-            values: sensitivities
-                .values
-                .into_iter()
-                .map(Vec::into_flattened)
-                .collect(),
+            values: recording(&sensitivities.values, self.joints()),
             tangents: sensitivities.tangents,
         })
     }
@@ -331,13 +355,13 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     }
 
     fn base_regressor(&self, motion: &LinkMotion<'_>) -> Vec<f64> {
-        let bases = self.base_parameters();
-        let [q, dq, ddq] = motion.rows::<N>();
-        let mut all = vec![0.0; q.len() * N * bases];
-        for (k, row) in all.chunks_mut(N * bases).enumerate() {
+        let (bases, n) = (self.base_parameters(), self.joints());
+        let [q, dq, ddq] = motion.rows::<N>(n);
+        let mut all = vec![0.0; q.len() * n * bases];
+        for (k, row) in all.chunks_mut(n * bases).enumerate() {
             let columns = rigid::base_regressor(&self.config.arm, &q[k], &dq[k], &ddq[k]);
             for (b, torque) in columns.iter().enumerate() {
-                for i in 0..N {
+                for i in 0..n {
                     row[i * bases + b] = torque[i];
                 }
             }
@@ -346,32 +370,34 @@ impl<A: Arm<N>, const N: usize> CompiledArm for Compiled<A, N> {
     }
 
     fn inverse_dynamics(&self, parameters: &[f64], motion: &LinkMotion<'_>) -> Vec<f64> {
-        let plant = self.config.plant(parameters);
-        let [q, dq, ddq] = motion.rows::<N>();
-        (0..q.len())
-            .flat_map(|k| rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k]))
-            .collect()
+        let (plant, n) = (self.config.plant(parameters), self.joints());
+        let [q, dq, ddq] = motion.rows::<N>(n);
+        let torques = |k: usize| rigid::inverse_dynamics(&plant, &q[k], &dq[k], &ddq[k]);
+        let of_joints = |k: usize| torques(k).into_iter().take(n);
+        (0..q.len()).flat_map(of_joints).collect()
     }
 
     fn inertia_matrix(&self, parameters: &[f64], angle: &[f64]) -> Vec<f64> {
-        let arm = &self.config.arm;
+        let (arm, n) = (&self.config.arm, self.joints());
         let base = arm.base(parameters);
-        let at = |q| arm.inertia(&base, &arm.posture(q));
-        let all: Vec<[[f64; N]; N]> = angle.as_chunks::<N>().0.iter().map(at).collect();
-        all.into_flattened().into_flattened()
+        let at = |q: &[f64; N]| arm.inertia(&base, &arm.posture(q)).into_iter().take(n);
+        let postures = rows(angle, n);
+        let entries = postures.iter().flat_map(at);
+        entries.flat_map(|row| row.into_iter().take(n)).collect()
     }
 
     fn bias_torques(&self, parameters: &[f64], angle: &[f64], velocity: &[f64]) -> Vec<f64> {
-        let arm = &self.config.arm;
+        let (arm, n) = (&self.config.arm, self.joints());
         let base = arm.base(parameters);
-        let at = |(q, dq): (_, &[f64; N])| arm.bias(&base, &arm.posture(q), dq);
-        let (q, dq) = (angle.as_chunks::<N>().0, velocity.as_chunks::<N>().0);
-        q.iter().zip(dq).flat_map(at).collect()
+        let at = |(q, dq): (&[f64; N], &[f64; N])| arm.bias(&base, &arm.posture(q), dq);
+        let of_joints = |motion| at(motion).into_iter().take(n);
+        let (q, dq) = (rows(angle, n), rows(velocity, n));
+        q.iter().zip(&dq).flat_map(of_joints).collect()
     }
 }
 
 impl LinkMotion<'_> {
-    fn rows<const N: usize>(&self) -> [&[[f64; N]]; 3] {
-        [self.angle, self.velocity, self.acceleration].map(|list| list.as_chunks().0)
+    fn rows<const N: usize>(&self, joints: usize) -> [Vec<[f64; N]>; 3] {
+        [self.angle, self.velocity, self.acceleration].map(|list| rows(list, joints))
     }
 }

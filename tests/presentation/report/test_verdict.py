@@ -13,6 +13,7 @@ from elastic_results import elastic_identification
 from results import identification, prediction
 from strainwave.domain import (
     Activity,
+    Clause,
     Diagnostic,
     Identification,
     Parameter,
@@ -27,7 +28,10 @@ from virtual_arms import rigid_drive
 
 PACKAGE = Path(strainwave.__file__).parent
 FAULT = Suspicion(
-    code="wrong-unit", where="u1", message="u1 is 9.81 of it.", remedy="Set scale = 9.81."
+    code="wrong-unit",
+    places=(Place(channel="u1"),),
+    clause=Clause("text", text="u1 is 9.81 of it."),
+    remedy_clause=Clause("text", text="Set scale = 9.81."),
 )
 OTHER_COMMANDS = ("experiment_design", "export")  # their warnings are not in a report
 
@@ -88,7 +92,7 @@ def test_identified_parameters_are_counted() -> None:
     assert "1 of 2 parameters are identified, 1 with" in of(alpha, reported("beta", None, None))
     assert "No parameter was estimated." in of()
     nothing = "|Not determined| No parameter was estimated.|Nothing moved.|Not identified: rigid_"
-    assert nothing in of(failures=("nothing moved",))
+    assert nothing in of(failures=(Clause("text", text="nothing moved"),))
 
 
 def test_likely_causes_of_a_disagreement_have_their_experiment() -> None:
@@ -140,7 +144,7 @@ def test_check_records_without_a_model_are_not_called_missing() -> None:
     ("changes", "title", "mark"),
     [
         ({}, "Determined", "good"),
-        ({"failures": ("nothing moved",)}, "Partly determined", "doubt"),
+        ({"failures": (Clause("text", text="nothing moved"),)}, "Partly determined", "doubt"),
         ({"rigid": None}, "Not determined", "bad"),
         ({"suspected": (FAULT,)}, "Inconsistent input", "bad"),
     ],

@@ -11,7 +11,8 @@ import pytest
 
 from consistency_inputs import Input
 from strainwave.domain import Correction, Lag, Log
-from strainwave.domain.corrections import apply_corrections, correction_text
+from strainwave.domain.corrections import apply_corrections, steps_of
+from strainwave.domain.messages import text_of
 from strainwave.io.logs import read_logs
 from strainwave.numerics.filters import apply_lags
 from strainwave.signals.consistency import check_consistency
@@ -173,8 +174,8 @@ def assert_remedied(given: Input, codes: tuple[str, ...]) -> None:
     assert tuple(dict.fromkeys(each.code for each in suspected)) == codes, suspected
     assert all(each.corrections for each in suspected)
     for each in suspected:
-        text = correction_text(given[1], each.corrections)
-        assert text[1:] in each.remedy or each.code == "clipped"
+        steps = [text_of(step) for step in steps_of(given[1], each.corrections)]
+        assert "; ".join(steps)[1:] in each.remedy or each.code == "clipped"
     corrections = [one for each in suspected for one in each.corrections]
     assert check_consistency(*apply_remedy(given, corrections)).suspected == ()
 

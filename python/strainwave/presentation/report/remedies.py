@@ -296,7 +296,6 @@ _SCOPE = {
     ),
 }
 """Warnings about the scope of the result."""
-_UNKNOWN = Advice("See the message.", "See the message.")
 
 
 def advice() -> Mapping[str, Advice]:
@@ -329,8 +328,8 @@ def warnings_table(warnings: Iterable[Diagnostic]) -> Iterator[Block]:
         (
             prose(place_of(w)),
             prose(sentence(w.message)),
-            prose(codes.get(w.code, _UNKNOWN).meaning),
-            prose(codes.get(w.code, _UNKNOWN).remedy),
+            prose(codes[w.code].meaning),
+            prose(codes[w.code].remedy),
             Cell(w.code, "code"),
         )
         for w in ordered
@@ -355,5 +354,4 @@ def place_of(warning: Diagnostic) -> str:
 
 
 def _severity_rank(warning: Diagnostic) -> int:
-    order = list(advice())
-    return order.index(warning.code) if warning.code in order else -1
+    return list(advice()).index(warning.code)

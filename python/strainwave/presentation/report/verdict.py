@@ -108,23 +108,15 @@ def _certainty_groups(identification: Identification) -> Iterator[tuple[str, str
     for name, members in groups.items():
         if members:
             yield name, named(p.key for p in members)
-    estimated_labels = {d.parameter.label for d in decisions}
-    missing = [
-        label for label in identification.verdict.not_identified if label not in estimated_labels
-    ]
+    estimated = {d.parameter.key for d in decisions}
+    missing = [key for key in identification.verdict.not_identified if key not in estimated]
     if missing:
-        yield "Not estimated", named(map(_split_label, missing))
+        yield "Not estimated", named(missing)
     pairs = [
         w.where.replace("_", " ") for w in identification.warnings if w.code == "only-together"
     ]
     if pairs:
         yield "Only the combination is identified", "; ".join(pairs)
-
-
-def _split_label(label: str) -> Key:
-    """Name and joint of a label such as "gear_stiffness 1"."""
-    name, _, joint = label.partition(" ")
-    return name, int(joint) if joint else None
 
 
 def _certainty_class(decision: Decision) -> str:

@@ -57,21 +57,23 @@ def check_consistency(logs: Sequence[Log], study: Study) -> Consistency:
 def _explain_contradictions(evidence: Evidence) -> list[Suspicion]:
     """Select causes greedily: each step takes the cause that leaves the fewest contradictions."""
     observations = compute_observations(evidence)
-    chosen: list[Cause] = []
-    likely: list[Suspicion] = []
+    chosen: list[Suspicion] = []
+    structured: list[Suspicion] = []  # those of `chosen` without an estimated factor
+    likely: list[str] = []
     while any(o.contradicts for o in observations) and len(chosen) < _MAX_CAUSES:
         ranked = _rank_causes(evidence, observations)
         if not chosen:
-            likely = [cause.suspicion for cause in ranked if not cause.has_estimated_factor]
+            likely = [cause.code for cause in ranked if not cause.has_estimated_factor]
         if not ranked:
             break
-        chosen.append(ranked[0])
-        evidence = evidence.corrected(ranked[0].suspicion.corrections)
+        chosen.append(ranked[0].suspicion(evidence.study))
+        if not ranked[0].has_estimated_factor:
+            structured.append(chosen[-1])
+        evidence = evidence.corrected(ranked[0].corrections)
         observations = compute_observations(evidence)
     remaining = [o for o in observations if o.contradicts and is_reported(o)]
     if not remaining:
-        return [cause.suspicion for cause in chosen]
-    structured = [cause.suspicion for cause in chosen if not cause.has_estimated_factor]
+        return chosen
     return [
         *structured,
         *report_remaining_contradictions(remaining, likely[:_MAX_LIKELY_CAUSES], evidence.study),
@@ -88,7 +90,7 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
     weights: list[tuple[float, Cause]] = []
     for cause in propose_causes(evidence, [o for o in now if o.contradicts]):
         after = _contradiction_weight(
-            compute_observations(evidence.corrected(cause.suspicion.corrections)), now
+            compute_observations(evidence.corrected(cause.corrections)), now
         )
         if after < before - _MIN_EXPLAINED_WEIGHT:
             weights.append((after + _ESTIMATED_FACTOR_PENALTY * cause.has_estimated_factor, cause))
@@ -99,6 +101,6 @@ def _rank_causes(evidence: Evidence, now: Sequence[Observation]) -> list[Cause]:
 
 def _contradiction_weight(now: Sequence[Observation], before: Sequence[Observation]) -> float:
     """Total weight of the contradictions in `now`, plus 1 per missing observation of `before`."""
-    missing = {(o.kind, o.where) for o in before if o.contradicts or o.kind in _REQUIRED_KINDS}
-    missing -= {(o.kind, o.where) for o in now}
+    missing = {(o.kind, o.place) for o in before if o.contradicts or o.kind in _REQUIRED_KINDS}
+    missing -= {(o.kind, o.place) for o in now}
     return sum(o.weight for o in now if o.contradicts) + len(missing)

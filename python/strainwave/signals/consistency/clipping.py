@@ -6,12 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from strainwave.domain import (
-    Correction,
-    Log,
-    Place,
-    Suspicion,
-)
+from strainwave.domain import Clause, Correction, Log, Place, Suspicion, channel_parts
 from strainwave.dynamics.arm import Arm
 from strainwave.signals.hygiene.defects import resolution_of
 from strainwave.signals.hygiene.flat_tops import MAX_SATURATED_SHARE, find_saturated_runs
@@ -45,20 +40,20 @@ def detect_clipping(logs: Sequence[Log], arm: Arm) -> Iterator[Suspicion]:
                 continue
             first = max(records, key=lambda record: shares[record][0])
             share, values = shares[first]
-            others = (
-                f" (also in {', '.join(r for r in records if r != first)})" if records[1:] else ""
-            )
+            others = tuple(record for record in records if record != first)
             yield Suspicion(
                 code="clipped",
                 places=(Place(channel=name),),
-                message=(
-                    f"{name} stays at {values.min():.4g} or {values.max():.4g} for "
-                    f"{100.0 * share:.2g} % of {first}{others}: the sensor is saturated"
+                clause=Clause(
+                    "clipped",
+                    channel=name,
+                    low=float(values.min()),
+                    high=float(values.max()),
+                    share=share,
+                    experiment=first,
+                    others=Clause("also-in", records=others) if others else None,
                 ),
-                remedy=(
-                    "Reduce the amplitude, or use a sensor with a larger range; until then, remove "
-                    "the channel from the study"
-                ),
+                remedy_clause=Clause("remedy/clipped"),
                 corrections=(Correction("log", name, "unusable", None),),
             )
 
@@ -68,7 +63,7 @@ def _clipped_share(log: Log, name: str, *, rests: bool) -> float:
 
     If `rests` is true, counts only the runs during which the motor moves.
     """
-    values, motor = log.channels[name], log.channels.get(f"theta_m{name[-1]}")
+    values, motor = log.channels[name], log.channels.get(f"theta_m{channel_parts(name)[1]}")
     runs = [run for ends in find_saturated_runs(values, rests=rests) for run in ends.tolist()]
     if rests and motor is not None:
         relative_resolution = resolution_of(values) / float(np.ptp(values)) if runs else 0.0

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from strainwave.domain.study import channel_parts
+from strainwave.domain import Place, channel_parts
 from strainwave.signals.consistency.evidence import Evidence
 from strainwave.signals.consistency.input_delay import pool_delays
 from strainwave.signals.consistency.motors import (
@@ -116,18 +116,31 @@ class Observation:
     """One value that tests the consistency of the input."""
 
     kind: Kind
-    where: str  # channel or record
+    place: Place  # channel, record, or joint of an equation
     value: float
     std: float
-    joint: int | None = None
     tolerance: float | None = None  # None: tolerance of the kind
+
+    @property
+    def joint(self) -> int | None:
+        """Joint of the place, from 1; None for a record."""
+        if self.place.channel is None:
+            return self.place.joint
+        return channel_parts(self.place.channel)[1]
+
+    @property
+    def is_of_link(self) -> bool:
+        """Whether the observation is about a link sensor."""
+        return (
+            self.place.channel is not None and channel_parts(self.place.channel)[0] in LINK_CHANNELS
+        )
 
     @property
     def contradicts(self) -> bool:
         """Whether the error exceeds the tolerance and is statistically significant."""
         if self.kind == "explained-share":
-            link = channel_parts(self.where)[0] in LINK_CHANNELS
-            return self.value < (_MIN_EXPLAINED_SHARE if link else _MIN_MOTOR_EXPLAINED_SHARE)
+            limit = _MIN_EXPLAINED_SHARE if self.is_of_link else _MIN_MOTOR_EXPLAINED_SHARE
+            return self.value < limit
         tolerance = self.tolerance or _TOLERANCE[self.kind]
         if self.kind in ("delay", "drift", "input-delay", "tilt"):
             return abs(self.value) > max(tolerance, _MIN_SIGNIFICANCE * self.std)
@@ -164,24 +177,25 @@ def _observe_counts(evidence: Evidence) -> Iterator[Observation]:
         per_turn = evidence.arm.joints[joint - 1].encoder_counts
         if per_turn:
             ratio = count * per_turn / (2.0 * np.pi)
-            yield Observation("count", f"theta_m{joint}", ratio, 1e-3 * ratio, joint)
+            place = Place(channel=f"theta_m{joint}")
+            yield Observation("count", place, ratio, 1e-3 * ratio)
 
 
 def _observe_clocks(evidence: Evidence) -> Iterator[Observation]:
     servo = evidence.arm.servo
     for record in evidence.records:
         experiment, clocks = record.experiment, record.clocks
+        place = Place.in_records(experiment.name)
         if clocks.prbs is not None and experiment.prbs is not None:
             ratio = clocks.prbs / experiment.prbs.clock
-            yield Observation("prbs-clock", experiment.name, ratio, 2e-4 * ratio)
+            yield Observation("prbs-clock", place, ratio, 2e-4 * ratio)
         if clocks.servo is not None and servo is not None:
             ratio = clocks.servo / servo.period
-            yield Observation("servo-clock", experiment.name, ratio, 2e-4 * ratio)
-        joint = experiment.joint
-        name = f"u{joint}"
+            yield Observation("servo-clock", place, ratio, 2e-4 * ratio)
+        name = f"u{experiment.joint}"
         if name in clocks.level and experiment.prbs is not None:
             ratio = clocks.level[name] / experiment.prbs.amplitude
-            yield Observation("level", name, max(ratio, 1e-12), 1e-3 * ratio, joint)
+            yield Observation("level", Place(channel=name), max(ratio, 1e-12), 1e-3 * ratio)
 
 
 def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
@@ -191,14 +205,16 @@ def _observe_test_signals(evidence: Evidence) -> Iterator[Observation]:
         joint = experiment.joint
         if joint is not None and excited and experiment.use in ("frequency", "sweep"):
             is_stated = bool({f"u{joint}", f"torque{joint}"} & excited)
-            yield Observation("excited-joint", experiment.name, 2.0 * is_stated - 1.0, 0.0, joint)
+            place = Place.in_records(experiment.name, joint=joint)
+            yield Observation("excited-joint", place, 2.0 * is_stated - 1.0, 0.0)
         if evidence.arm.servo is None:
             continue
         for i, control in enumerate(experiment.control, start=1):
             voltage = record.channels.get(f"u{i}")
             if control == "servo" and voltage is not None:
                 share = float(np.max(np.abs(voltage))) / evidence.arm.servo.limit
-                yield Observation("limit", f"u{i}", max(1.0, share), 1e-3 * share, i)
+                place = Place(channel=f"u{i}")
+                yield Observation("limit", place, max(1.0, share), 1e-3 * share)
 
 
 def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
@@ -212,7 +228,8 @@ def _observe_input_delays(evidence: Evidence) -> Iterator[Observation]:
         corrected = record.shifted.get(name, 0.0) - record.shifted.get(f"theta_m{joint}", 0.0)
         tolerance = max(_MAX_INPUT_DELAY, _MAX_INPUT_DELAY_SAMPLES * profile.sample_time)
         remaining = delay.value - corrected
-        yield Observation("input-delay", name, remaining, delay.std, joint, tolerance)
+        place = Place(channel=name)
+        yield Observation("input-delay", place, remaining, delay.std, tolerance)
 
 
 def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation]:
@@ -224,12 +241,12 @@ def _observe_ratios(kind: Kind, ratios: Iterable[Ratio]) -> Iterator[Observation
         clear = [each for each in all_records if each.explained > 0.8 * best]
         stds = [float(np.hypot(e.std, _MODEL_ERROR[kind] * abs(e.value))) for e in clear]
         value, std = pool_estimates([e.value for e in clear], stds)
-        joint = int(channel[-1])
-        yield Observation("explained-share", channel, best, 0.0, joint)
+        place = Place(channel=channel)
+        yield Observation("explained-share", place, best, 0.0)
         if best > (
             _MIN_EXPLAINED_SHARE if kind == "reference" else _MIN_PARTLY_EXPLAINED_SHARE
         ):  # a servo can lag
-            yield Observation(kind, channel, value, std, joint)
+            yield Observation(kind, place, value, std)
 
 
 def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
@@ -239,20 +256,20 @@ def _observe_sensors(evidence: Evidence) -> Iterator[Observation]:
     for channel, all_records in by_channel.items():
         readings = [each for each in all_records if each.signal > _MIN_SIGNAL_TO_NOISE]
         if readings:
-            yield from _observe_sensor(channel, int(channel[-1]), readings)
+            yield from _observe_sensor(Place(channel=channel), readings)
 
 
-def _observe_sensor(channel: str, joint: int, readings: list[Reading]) -> Iterator[Observation]:
+def _observe_sensor(place: Place, readings: list[Reading]) -> Iterator[Observation]:
     """Observations of one link channel, averaged over the records `readings`."""
 
     def mean(kind: Kind, values: list[float], stds: list[float]) -> Observation:
         relative = 1.0 if kind in ("delay", "drift", "tilt") else max(map(abs, values))
         floor = _MODEL_ERROR[kind] * relative
         value, std = pool_estimates(values, [float(np.hypot(d, floor)) for d in stds])
-        return Observation(kind, channel, value, std, joint)
+        return Observation(kind, place, value, std)
 
     best = max(each.explained for each in readings)
-    yield Observation("explained-share", channel, best, 0.0, joint)
+    yield Observation("explained-share", place, best, 0.0)
     yield mean("scale", [e.scale for e in readings], [e.scale_std for e in readings])
     if best < _MIN_PARTLY_EXPLAINED_SHARE:
         return
@@ -286,8 +303,8 @@ def _observe_sensor(channel: str, joint: int, readings: list[Reading]) -> Iterat
 def _observe_torques(evidence: Evidence) -> Iterator[Observation]:
     estimates = regress_torques(evidence)
     for each in estimates:
-        channel = f"u{each.joint}"
-        yield Observation("inertia", channel, each.inertia, each.inertia_std, each.joint)
-        yield Observation("explained-share", f"{channel} torque", each.explained, 0.0, each.joint)
-    for ratio in estimate_torque_ratios(estimates).values():
-        yield Observation("torque-ratio", "torque_per_volt", *ratio)
+        place = Place(channel=f"u{each.joint}")
+        yield Observation("inertia", place, each.inertia, each.inertia_std)
+        yield Observation("explained-share", Place(joint=each.joint), each.explained, 0.0)
+    for joint, ratio in estimate_torque_ratios(estimates).items():
+        yield Observation("torque-ratio", Place(joint=joint, key="torque_per_volt"), *ratio)

@@ -144,7 +144,9 @@ def estimate_rotation_factors(evidence: Evidence, joint: int) -> tuple[float, ..
             [Correction("joint", str(joint), "gear_ratio", factor * ratio)]
         )
         motion = motion_of(slow[0], hypothesis.arm)
-        regressions = _regress_channel(slow[0], hypothesis, motion, names[0][:-1], joint - 1)
+        regressions = _regress_channel(
+            slow[0], hypothesis, motion, channel_parts(names[0])[0], joint - 1
+        )
         return min((1.0 - reading.explained for reading in regressions), default=1.0)
 
     if not names:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from strainwave.domain import (
     Channel,
+    Clause,
     Consistency,
     Correction,
     Place,
@@ -13,7 +14,6 @@ from strainwave.domain import (
     Suspicion,
     channel_parts,
 )
-from strainwave.signals.consistency.message_text import format_number
 
 # Minimum significance of a ratio other than 1, in standard deviations.
 _MIN_SIGNIFICANCE = 4.0
@@ -31,17 +31,14 @@ def suspect_torque_constants(
     """Suspicion of a wrong torque constant if a torque ratio differs significantly from 1.
 
     `ratios` has the ratio of the torque-constant error of joint 1 to that of each other joint, from
-    the symmetry of M(q), and its standard deviation. The most significant ratio is reported.
+    the symmetry of M(q), and its standard deviation.
     """
     wrong = {
-        joint: abs(value - 1.0) / max(std, 1e-300)
+        joint: (value, std)
         for joint, (value, std) in ratios.items()
         if abs(value - 1.0) > max(_MIN_SIGNIFICANCE * std, _TOLERANCE)
     }
-    if not wrong:
-        return None
-    joint = max(wrong, key=lambda number: wrong[number])
-    return build_torque_constant_suspicion(*ratios[joint], study, joint)
+    return build_torque_constant_suspicion(wrong, study) if wrong else None
 
 
 def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
@@ -61,35 +58,20 @@ def find_doubtful_torque_constant(consistency: Consistency) -> Suspicion | None:
 
 
 def build_torque_constant_suspicion(
-    value: float, std: float, study: Study, joint: int = 2
+    ratios: Mapping[int, tuple[float, float]], study: Study
 ) -> Suspicion:
-    """Suspicion that the torque constant of joint 1 or of another joint is wrong."""
-    factor = (
-        format_number(value)
-        if std < _MIN_APPROXIMATE_STD * value
-        else f"about {format_number(value, 2)}"
-    )
+    """Suspicion of a wrong torque constant for the most significant of several ratios."""
+    joint = max(ratios, key=lambda each: abs(ratios[each][0] - 1.0) / max(ratios[each][1], 1e-300))
+    value, std = ratios[joint]
+    is_precise = std < _MIN_APPROXIMATE_STD * value
+    factor = Clause("factor" if is_precise else "factor/about", value=value)
     logged = any(channel_parts(name)[0] == "torque" for name in study.channels)
-    if logged:
-        remedy = (
-            f"Divide the scale of channels.torque1 by {factor}, or multiply the scale of "
-            f"channels.torque{joint} by {factor}; change the less certain of the two"
-        )
-    else:
-        remedy = (
-            f"Divide torque_per_volt of [[joint]] 1 by {factor}, or multiply torque_per_volt of "
-            f"[[joint]] {joint} by {factor}; change the less certain of the two"
-        )
+    remedy = "remedy/logged-torques" if logged else "remedy/torque-constants"
     return Suspicion(
         code="wrong-torque-constant",
         places=(Place(key="torque_per_volt"),),
-        message=(
-            f"the torques of joint 1 are {factor} (standard deviation {format_number(std, 2)}) "
-            f"times the value that the torques of joint {joint} and the symmetry of the inertia "
-            "matrix imply: one of the two torque constants is wrong; the signals do not determine "
-            "which"
-        ),
-        remedy=remedy,
+        clause=Clause("wrong-torque-constant", factor=factor, std=std, joint=joint),
+        remedy_clause=Clause(remedy, factor=factor, joint=joint),
         factor=value,
         corrections=_corrections(value, study, logged=logged),
     )

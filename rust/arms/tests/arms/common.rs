@@ -3,7 +3,9 @@
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use strainwave_arms::WithPrograms;
-use strainwave_core::arm::{Arm, ChainJoint, JointType, OneLink, SerialChain, TwoLink};
+use strainwave_core::arm::{
+    Arm, ChainJoint, JointType, MAX_CHAIN_JOINTS, OneLink, SerialChain, TwoLink,
+};
 use strainwave_core::experiment::{
     Clock, Diverged, Initial, Member, Quantity, Record, Source, Task,
 };
@@ -33,13 +35,13 @@ pub fn joint(gear: Law) -> JointConfig {
     }
 }
 
-/// An arm with geometry for the tests.
+/// An arm with geometry for the tests, of a number of joints.
 pub trait BuiltIn {
-    fn built_in() -> Self;
+    fn built_in(joints: usize) -> Self;
 }
 
 impl BuiltIn for TwoLink<true> {
-    fn built_in() -> Self {
+    fn built_in(_: usize) -> Self {
         Self {
             link_length: 0.35,
             gravity: 9.81,
@@ -49,7 +51,7 @@ impl BuiltIn for TwoLink<true> {
 }
 
 impl BuiltIn for OneLink {
-    fn built_in() -> Self {
+    fn built_in(_: usize) -> Self {
         Self {
             joint_type: JointType::Revolute,
             gravity: 9.81,
@@ -58,14 +60,17 @@ impl BuiltIn for OneLink {
     }
 }
 
+/// A chain with compiled programs.
+pub type Chain = SerialChain<MAX_CHAIN_JOINTS>;
+
 /// No two axes are parallel; the second joint of three or more is prismatic.
-impl<const N: usize> BuiltIn for SerialChain<N> {
-    fn built_in() -> Self {
+impl BuiltIn for Chain {
+    fn built_in(joints: usize) -> Self {
         let joint = |i: usize| {
             let k = i as f64;
             ChainJoint {
                 joint_type: match i {
-                    1 if N > 2 => JointType::Prismatic,
+                    1 if joints > 2 => JointType::Prismatic,
                     _ => JointType::Revolute,
                 },
                 position: [0.3, 0.05 * k, -0.1],
@@ -74,16 +79,20 @@ impl<const N: usize> BuiltIn for SerialChain<N> {
                 accelerometer_distance: 0.3,
             }
         };
-        let joints = std::array::from_fn(joint);
+        let joints: Vec<ChainJoint> = (0..joints).map(joint).collect();
         Self::new(&joints, [0.5, -0.3, -9.8]).expect("axes with a direction")
     }
 }
 
-pub fn config<A: WithPrograms<N> + BuiltIn, const N: usize>(gears: [Law; N]) -> Config<A, N> {
+pub fn config<A: WithPrograms<N> + BuiltIn, const N: usize>(
+    gears: impl AsRef<[Law]>,
+) -> Config<A, N> {
+    let gears = gears.as_ref();
+    let of_joint = |i: usize| joint(*gears.get(i).unwrap_or(&LINEAR));
     Config {
-        arm: A::built_in(),
+        arm: A::built_in(gears.len()),
         corner: CORNER,
-        joints: gears.map(joint),
+        joints: std::array::from_fn(of_joint),
     }
 }
 

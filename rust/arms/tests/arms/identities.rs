@@ -347,7 +347,7 @@ proptest! {
 
     #[test]
     fn inertia_matrix_is_positive_definite((values, _) in random_two_link(), q in -4.0..4.0f64) {
-        let arm = TwoLink::<true>::built_in();
+        let arm = TwoLink::<true>::built_in(2);
         let m = arm.inertia(&arm.base(&values[..5]), &arm.posture(&[0.0, q]));
         prop_assert!(m[0][0] > 0.0 && m[0][0] * m[1][1] > m[0][1] * m[1][0]);
         prop_assert_eq!(m[0][1], m[1][0]);

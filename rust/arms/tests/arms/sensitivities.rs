@@ -3,7 +3,7 @@
 use std::iter::zip;
 
 use crate::common::{
-    BuiltIn, Draw, LINEAR, RIGID, THREE_SLOPE, config, differentiate_over_dual_numbers,
+    BuiltIn, Chain, Draw, LINEAR, RIGID, THREE_SLOPE, config, differentiate_over_dual_numbers,
     sensitivities, simulate,
 };
 use proptest::prelude::*;
@@ -11,7 +11,7 @@ use strainwave_arms::WithPrograms;
 use strainwave_core::actuation::{PiVelocity, Servo};
 use strainwave_core::arm::link_signals::LINK_SIGNALS;
 use strainwave_core::arm::{
-    Arm, ChainJoint, JointType, OneLink, SerialChain, Transmission, TwoLink,
+    Arm, ChainJoint, JointType, MAX_CHAIN_JOINTS, OneLink, Transmission, TwoLink,
 };
 use strainwave_core::experiment::{Clock, Initial, Member, Quantity, Record, Source, Task};
 use strainwave_core::joint::effects::EffectKinds;
@@ -64,14 +64,14 @@ struct Case<A, const N: usize> {
 impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
     /// A random arm: a two-link or one-link arm with the built-in parameters varied by some tens of
     /// percent, under random telegraph voltages or a servo.
-    fn random(gears: [Law; N], seed: u64, servo: bool, steps: usize) -> Self {
+    fn random(gears: impl AsRef<[Law]>, seed: u64, servo: bool, steps: usize) -> Self {
         Self::random_with(EffectKinds::default(), gears, seed, servo, steps)
     }
 
     /// A random arm with effects, except those that a rigid gear cannot have.
     fn random_with(
         effects: EffectKinds,
-        gears: [Law; N],
+        gears: impl AsRef<[Law]>,
         seed: u64,
         servo: bool,
         steps: usize,
@@ -116,7 +116,12 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
                 .collect()
         };
         let (voltage, reference) = (telegraph(volts), telegraph(4.0));
-        let mut some = |size: f64| std::array::from_fn(|_| size * draw.next());
+        let joints = config.arm.joints();
+        let mut some = |size: f64| {
+            let mut row = [0.0; N];
+            row[..joints].fill_with(|| size * draw.next());
+            row
+        };
         let initial = Initial {
             motor_angle: some(20.0),
             motor_velocity: some(10.0),
@@ -144,8 +149,10 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
     where
         A: Coupled<N>,
     {
+        let n = self.joints();
         let entry = |i: usize, j: usize| match i {
             _ if i == j => 1.0,
+            _ if i.max(j) >= n => 0.0,
             _ => 0.3 * ((3 * i + 5 * j) as f64).sin(),
         };
         let matrix = std::array::from_fn(|i| std::array::from_fn(|j| entry(i, j)));
@@ -175,6 +182,10 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         self
     }
 
+    fn joints(&self) -> usize {
+        self.task.config.arm.joints()
+    }
+
     /// All parameters and all initial states.
     fn directions(&self) -> Vec<Source> {
         // without a settling time a motor stops instantly, and its time has no derivative
@@ -182,7 +193,7 @@ impl<A: WithPrograms<N> + BuiltIn, const N: usize> Case<A, N> {
         let stops = |k: &usize| names[*k].0 == "friction_settling_time";
         let varied = |k: &usize| !stops(k) || self.parameters[*k] > 0.0;
         let parameters = (0..names.len()).filter(varied).map(Source::Parameter);
-        let states = (0..N).flat_map(|i| {
+        let states = (0..self.joints()).flat_map(|i| {
             [
                 Source::MotorAngle(i),
                 Source::MotorVelocity(i),
@@ -344,7 +355,7 @@ fn check<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>) -> f64
     for k in 0..RECORDED.len() {
         let rounding = rounding(case, &directions, &differences, &plain, k);
         for (d, direction) in directions.iter().enumerate() {
-            let computed = rows_of(&actual.tangents[k], directions.len(), d);
+            let computed = rows_of(case, &actual.tangents[k], directions.len(), d);
             let error = distance(&computed, &differences[d], &rounding, k);
             assert!(error < 1e-7, "{direction:?} {:?}: {error:e}", RECORDED[k]);
         }
@@ -384,11 +395,17 @@ fn rounding<A: WithPrograms<N> + BuiltIn, const N: usize>(
     actual
 }
 
-/// Derivatives in one direction.
-fn rows_of<const N: usize>(tangents: &[f64], width: usize, d: usize) -> Vec<[f64; N]> {
+/// Derivatives in one direction, with zeros beyond the arm's joints.
+fn rows_of<A: WithPrograms<N> + BuiltIn, const N: usize>(
+    case: &Case<A, N>,
+    tangents: &[f64],
+    width: usize,
+    d: usize,
+) -> Vec<[f64; N]> {
+    let entry = |row: &[f64], i: usize| row.get(i * width + d).copied().unwrap_or(0.0);
     tangents
-        .chunks(N * width)
-        .map(|row| std::array::from_fn(|i| row[i * width + d]))
+        .chunks(case.joints() * width)
+        .map(|row| std::array::from_fn(|i| entry(row, i)))
         .collect()
 }
 
@@ -498,8 +515,8 @@ fn relative_difference<A: WithPrograms<N> + BuiltIn, const N: usize>(
     let mut worst = 0.0f64;
     for k in 0..RECORDED.len() {
         for (d, &direction) in directions.iter().enumerate() {
-            let computed: Vec<[f64; N]> = rows_of(&one.tangents[k], width, d);
-            let others: Vec<[f64; N]> = rows_of(&other.tangents[k], width, d);
+            let computed: Vec<[f64; N]> = rows_of(case, &one.tangents[k], width, d);
+            let others: Vec<[f64; N]> = rows_of(case, &other.tangents[k], width, d);
             for i in 0..N {
                 let largest =
                     |rows: &[[f64; N]]| rows.iter().fold(0.0f64, |a, row| a.max(row[i].abs()));
@@ -519,8 +536,8 @@ trait Coupled<const N: usize> {
     fn coupled(&self, matrix: &[[f64; N]; N]) -> Self;
 }
 
-impl<const N: usize> Coupled<N> for SerialChain<N> {
-    fn coupled(&self, matrix: &[[f64; N]; N]) -> Self {
+impl Coupled<MAX_CHAIN_JOINTS> for Chain {
+    fn coupled(&self, matrix: &[[f64; MAX_CHAIN_JOINTS]; MAX_CHAIN_JOINTS]) -> Self {
         self.with_transmission(Transmission::new(matrix).expect("a regular matrix"))
     }
 }
@@ -552,8 +569,11 @@ fn check_methods<A: WithPrograms<N> + BuiltIn, const N: usize>(case: &Case<A, N>
     for (d, direction) in few.iter().enumerate() {
         let at = directions.iter().position(|all| all == direction).unwrap();
         for k in 0..RECORDED.len() {
-            let computed: Vec<[f64; N]> = rows_of(&some.tangents[k], 3, d);
-            assert_eq!(computed, rows_of(&fast.tangents[k], directions.len(), at));
+            let computed: Vec<[f64; N]> = rows_of(case, &some.tangents[k], 3, d);
+            assert_eq!(
+                computed,
+                rows_of(case, &fast.tangents[k], directions.len(), at)
+            );
         }
     }
 }
@@ -565,7 +585,7 @@ fn derivatives_match_where_differences_have_not_converged() {
         hysteresis: false,
         ..SMOOTH
     };
-    check(&Case::<SerialChain<2>, 2>::random_with(
+    check(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(
         kinds,
         [LINEAR, RIGID],
         980_182_916_517_365_455,
@@ -595,6 +615,13 @@ fn derivatives_match_where_servo_amplifies_rounding() {
     ));
 }
 
+/// A row of a planar arm as one of a chain.
+fn padded<T: Copy + Default>([first, second]: [T; 2]) -> [T; MAX_CHAIN_JOINTS] {
+    let mut row = [T::default(); MAX_CHAIN_JOINTS];
+    (row[0], row[1]) = (first, second);
+    row
+}
+
 /// Compares a planar arm with the equivalent chain in one experiment.
 ///
 /// With masses m, first moments h and inertias I of the links, alpha = I_1 + m_2 l^2, beta = I_2,
@@ -620,9 +647,9 @@ fn check_planar_chain(seed: u64, servo: bool) {
     };
     let joints = [joint([0.0; 3]), joint([l, 0.0, 0.0])];
     let config = Config {
-        arm: SerialChain::new(&joints, [0.0, -g, 0.0]).expect("axes with a direction"),
+        arm: Chain::new(&joints, [0.0, -g, 0.0]).expect("axes with a direction"),
         corner: planar.task.config.corner,
-        joints: planar.task.config.joints,
+        joints: std::array::from_fn(|i| planar.task.config.joints[i.min(1)]),
     };
     let body = |[m, h, i]: [f64; 3]| [m, h, 0.0, 0.0, 0.6 * i, 0.0, i, 0.0, 0.0, i];
     let base = links.map(body);
@@ -632,14 +659,29 @@ fn check_planar_chain(seed: u64, servo: bool) {
         task: Task {
             config,
             clock: planar.task.clock,
-            servo: planar.task.servo,
+            servo: planar.task.servo.map(|servo| match servo {
+                Servo::PiVelocity(loops) => Servo::PiVelocity(PiVelocity {
+                    kp: padded(loops.kp),
+                    ki: padded(loops.ki),
+                    limit: loops.limit,
+                    period: loops.period,
+                    active: padded(loops.active),
+                }),
+                Servo::PiPosition(_) => unreachable!("cases have velocity loops"),
+            }),
             record: planar.task.record.clone(),
         },
         typical: parameters.clone(),
         parameters,
-        initial: planar.initial,
-        voltage: planar.voltage.clone(),
-        reference: planar.reference.clone(),
+        initial: Initial {
+            motor_angle: padded(planar.initial.motor_angle),
+            motor_velocity: padded(planar.initial.motor_velocity),
+            link_angle: None,
+            link_velocity: padded(planar.initial.link_velocity),
+            voltage: padded(planar.initial.voltage),
+        },
+        voltage: planar.voltage.iter().copied().map(padded).collect(),
+        reference: planar.reference.iter().copied().map(padded).collect(),
     };
     let width = Width::detect();
     let (of_planar, of_chain) = (planar.directions(), chain.directions());
@@ -656,7 +698,8 @@ fn check_planar_chain(seed: u64, servo: bool) {
         _ => Vec::new(),
     };
     for k in 0..RECORDED.len() {
-        let values = [&one.values[k], &other.values[k]].map(|rows| rows.as_flattened());
+        let values: Vec<_> = one.values[k].iter().copied().map(padded).collect();
+        let values = [values.as_flattened(), other.values[k].as_flattened()];
         let largest = values[0].iter().fold(0.0f64, |a, x| a.max(x.abs()));
         for (one, other) in zip(values[0], values[1]) {
             assert!((one - other).abs() <= 1e-8 * largest, "{:?}", RECORDED[k]);
@@ -671,17 +714,20 @@ fn check_planar_chain(seed: u64, servo: bool) {
                     .collect(),
                 state => vec![(*state, 1.0)],
             };
-            let computed: Vec<[f64; 2]> = rows_of(&other.tangents[k], of_chain.len(), d);
+            let computed = rows_of(&chain, &other.tangents[k], of_chain.len(), d);
             let mut sum = vec![[0.0; 2]; computed.len()];
             for (part, factor) in parts {
                 let at = of_planar.iter().position(|&one| one == part).unwrap();
-                let rows: Vec<[f64; 2]> = rows_of(&one.tangents[k], of_planar.len(), at);
+                let rows = rows_of(&planar, &one.tangents[k], of_planar.len(), at);
                 for (sum, row) in zip(&mut sum, rows) {
                     *sum = [sum[0] + factor * row[0], sum[1] + factor * row[1]];
                 }
             }
-            let sums = sum.as_flattened().iter();
-            let scale = sums.fold(1e-9 * largest, |a, x| a.max(x.abs()));
+            let scale = sum
+                .as_flattened()
+                .iter()
+                .fold(1e-9 * largest, |a, x| a.max(x.abs()));
+            let sum: Vec<_> = sum.into_iter().map(padded).collect();
             for (computed, sum) in zip(computed.as_flattened(), sum.as_flattened()) {
                 // same tolerance as between two methods, see `check_methods`
                 assert!(
@@ -737,9 +783,9 @@ proptest! {
     fn derivatives_match_differences_for_chains(seed in any::<u64>(), servo in any::<bool>()) {
         let some = EffectKinds { hysteresis: seed % 3 == 0, ..SMOOTH };
         let shares = [
-            check(&Case::<SerialChain<1>, 1>::random([THREE_SLOPE], seed, servo, 160)),
-            check(&Case::<SerialChain<2>, 2>::random_with(some, [LINEAR, RIGID], seed, servo, 160)),
-            check(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random([THREE_SLOPE], seed, servo, 160)),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(some, [LINEAR, RIGID], seed, servo, 160)),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 80)),
         ];
         prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
     }
@@ -747,25 +793,25 @@ proptest! {
     #[test]
     fn derivatives_match_differences_for_coupled_chains(seed in any::<u64>(), servo in any::<bool>()) {
         let shares = [
-            check(&Case::<SerialChain<2>, 2>::random_with(SMOOTH, [LINEAR, THREE_SLOPE], seed, servo, 160).coupled()),
-            check(&Case::<SerialChain<2>, 2>::random_with(SMOOTH, [RIGID; 2], seed, servo, 160).coupled()),
-            check(&Case::<SerialChain<3>, 3>::random([RIGID; 3], seed, servo, 80).coupled()),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(SMOOTH, [LINEAR, THREE_SLOPE], seed, servo, 160).coupled()),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(SMOOTH, [RIGID; 2], seed, servo, 160).coupled()),
+            check(&Case::<Chain, MAX_CHAIN_JOINTS>::random([RIGID; 3], seed, servo, 80).coupled()),
         ];
         prop_assert!(shares.iter().sum::<f64>() > 1.0, "{:?}", shares);
     }
 
     #[test]
     fn methods_agree_for_coupled_chains(seed in any::<u64>(), servo in any::<bool>()) {
-        check_methods(&Case::<SerialChain<2>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
-        check_methods(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240).coupled());
     }
 
     #[test]
     fn methods_agree_for_chains(seed in any::<u64>(), servo in any::<bool>()) {
-        check_methods(&Case::<SerialChain<1>, 1>::random([LINEAR], seed, servo, 240));
-        check_methods(&Case::<SerialChain<2>, 2>::random([THREE_SLOPE, LINEAR], seed, servo, 240));
-        check_methods(&Case::<SerialChain<3>, 3>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
-        check_methods(&Case::<SerialChain<6>, 6>::random([LINEAR; 6], seed, servo, 80));
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR], seed, servo, 240));
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR, THREE_SLOPE, LINEAR], seed, servo, 240));
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random([LINEAR; 6], seed, servo, 80));
     }
 
     #[test]
@@ -794,5 +840,6 @@ proptest! {
         check_methods(&Case::<TwoLink<true>, 2>::random_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 400).level().without_effects());
         check_methods(&Case::<TwoLink<true>, 2>::random_with(some, [LINEAR, THREE_SLOPE], seed, servo, 400).without_effects());
         check_methods(&Case::<OneLink, 1>::random_with(ALL, [THREE_SLOPE], seed, servo, 400).without_effects());
+        check_methods(&Case::<Chain, MAX_CHAIN_JOINTS>::random_with(ALL, [THREE_SLOPE, LINEAR], seed, servo, 80).without_effects());
     }
 }

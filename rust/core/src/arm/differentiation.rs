@@ -74,17 +74,17 @@ fn differentiate<A: Arm<N>, R: Real, const N: usize, const M: usize, const K: us
     let (zero, one) = (R::splat(0.0), R::splat(1.0));
     let at = A::map_posture(at, Jet::constant);
     let mut all = [[[[zero; N]; N]; M]; K];
-    for j in 0..N {
+    for j in 0..arm.joints() {
         for (kind, by) in all.iter_mut().enumerate() {
             let mut motion = [[Jet::constant(zero); N]; 3];
-            for i in 0..N {
+            for i in 0..arm.joints() {
                 (motion[1][i].value, motion[2][i].value) = (dq[i], ddq[i]);
             }
             motion[kind][j].tangent = one;
             let [increment, dq, ddq] = motion;
             let values = functions(&arm.near(&at, &increment), &dq, &ddq);
             for m in 0..M {
-                for i in 0..N {
+                for i in 0..arm.joints() {
                     by[m][i][j] = values[m][i].tangent;
                 }
             }

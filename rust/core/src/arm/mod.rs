@@ -15,7 +15,7 @@ pub(crate) mod transmission;
 mod two_link;
 
 pub use one_link::OneLink;
-pub use serial_chain::{ChainJoint, JointType, Kinematics, SerialChain};
+pub use serial_chain::{ChainJoint, JointType, Kinematics, MAX_CHAIN_JOINTS, SerialChain};
 pub use transmission::Transmission;
 pub use two_link::TwoLink;
 
@@ -26,7 +26,7 @@ use link_signals::{LINK_SIGNALS, LinkSignalSlopes};
 /// A parameter's name, and its joint, from 1, if it belongs to one.
 pub type Name = (&'static str, Option<usize>);
 
-/// An arm of `N` joints. A value holds its geometry.
+/// An arm of up to `N` joints. A value holds its geometry.
 pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// Inertial and gravity parameters, in the order of [`Arm::names`].
     type Base<R: Real>: Copy + Send + Sync;
@@ -51,6 +51,12 @@ pub trait Arm<const N: usize>: Copy + Send + Sync + 'static {
     /// The base parameters, each once; those of one link for a chain.
     const PARAMETERS: &'static [Parameter];
 
+    /// Number of joints, at most `N`. Further entries of arrays belong to no joint: parameters and
+    /// motion are zero there.
+    #[inline(always)]
+    fn joints(&self) -> usize {
+        N
+    }
     /// Names of the base parameters as in docs/notation.md, with the joint, from 1, if they belong
     /// to one.
     fn names(&self) -> Vec<Name>;

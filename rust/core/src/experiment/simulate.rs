@@ -283,15 +283,15 @@ impl<'a, A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS: bool>
     fn sensors_at_rest(&self) -> Sensors<S, N> {
         let now = self.instant();
         let readings = self.readings(&now);
-        let joints = &self.task.config.joints;
+        let joints = self.task.config.joints();
         let h = self.task.clock.step;
         Sensors {
             accelerometer: std::array::from_fn(|i| {
-                let hz = joints[i].accelerometer_hz?;
+                let hz = joints.get(i)?.accelerometer_hz?;
                 Some(LowPass::butterworth(hz, h, readings[0][i]))
             }),
             gyro: std::array::from_fn(|i| {
-                let hz = joints[i].gyro_hz?;
+                let hz = joints.get(i)?.gyro_hz?;
                 Some(LowPass::first_order(hz, h, readings[1][i]))
             }),
             imus: self

@@ -32,11 +32,11 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
     };
     if initial.link_angle.is_none() {
         let equilibrium = solve_equilibrium(plant, &state.motor_angle);
-        for i in 0..N {
+        for i in 0..plant.arm.joints() {
             state.link_angle[i] = equilibrium[i] + state.link_angle[i];
         }
     }
-    for i in 0..N {
+    for i in 0..plant.arm.joints() {
         if plant.is_rigid(i) {
             let (ratios, zero) = (plant.ratios(), S::splat(0.0));
             let of_motors = |motors| link_of(&plant.arm, i, &ratios, motors, zero);
@@ -51,7 +51,7 @@ pub(crate) fn start<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS:
         S::splat(current.torque_per_volt[i]) * voltage
     });
     let modes = plant.modes_at(&state, &torque);
-    for i in 0..N {
+    for i in 0..plant.arm.joints() {
         // friction holds the motor for every small change, so its velocity has no derivative
         if modes.free[i].lane(0) == 0.0 {
             state.motor_velocity[i] = S::splat(0.0);
@@ -86,7 +86,7 @@ fn solve_equilibrium<A: Arm<N>, S: Real, G: Gears, const N: usize, const EFFECTS
             gravity = std::array::from_fn(|i| gravity[i] + loads[i]);
         }
         let mut change = 0.0f64;
-        for i in 0..N {
+        for i in 0..plant.arm.joints() {
             if !plant.is_rigid(i) {
                 let joint = &plant.joints[i];
                 let mut next = unloaded_link_angle[i] - joint.torsion::<EFFECTS>(gravity[i]);

@@ -82,6 +82,28 @@ impl<R: Real, const N: usize> DriveTrains<R, N> {
     }
 }
 
+impl<R: Real, G: Gears> Joint<R, G> {
+    /// An entry beyond the joints of an arm: nothing moves it.
+    pub(crate) fn unused(spring: G::Spring<R>) -> Self {
+        let (zero, one) = (R::splat(0.0), R::splat(1.0));
+        Self {
+            ratio: one,
+            motor_inertia: one,
+            motor_mobility: one,
+            motor_viscous: zero,
+            coulomb: zero,
+            settling_time: zero,
+            settling_rate: zero,
+            offset: zero,
+            link_viscous: zero,
+            rigid: false,
+            spring,
+            gear_damping: zero,
+            effects: Effects::NONE,
+        }
+    }
+}
+
 /// `EFFECTS` states at compile time whether the joint may have effects on motor, gear or link.
 impl<R: Real, G: Gears> Joint<R, G> {
     /// Friction limit [N m] at a motor velocity [rad/s] and a gear torque at the motor [N m]; the

@@ -46,7 +46,7 @@ pub struct Config<A, const N: usize> {
     pub arm: A,
     /// Half width [rad] of the rounded knees of three-slope springs.
     pub corner: f64,
-    /// The joints, from the base.
+    /// The joints, from the base; entries beyond the arm's joints are not read.
     pub joints: [JointConfig; N],
 }
 
@@ -134,10 +134,15 @@ fn number_parameters(parameters: &[Parameter], role: fn(usize) -> Role) -> Vec<(
 }
 
 impl<A: Arm<N>, const N: usize> Config<A, N> {
+    /// Constants of the arm's joints.
+    pub(crate) fn joints(&self) -> &[JointConfig] {
+        &self.joints[..self.arm.joints()]
+    }
+
     /// Names of the parameters, in the order of flat lists of values.
     pub fn parameter_names(&self) -> Vec<Name> {
         let mut names = self.arm.names();
-        for (i, joint) in self.joints.iter().enumerate() {
+        for (i, joint) in self.joints().iter().enumerate() {
             let parameters = joint.parameters().into_iter();
             names.extend(parameters.map(|(_, parameter)| (parameter.name, Some(i + 1))));
         }
@@ -149,7 +154,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         let mut roles: Vec<_> = (0..self.arm.names().len())
             .map(|k| (Role::Base(k), 0))
             .collect();
-        for (i, joint) in self.joints.iter().enumerate() {
+        for (i, joint) in self.joints().iter().enumerate() {
             roles.extend(joint.parameters().into_iter().map(|(role, _)| (role, i)));
         }
         roles
@@ -171,7 +176,7 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
         if let Some(k) = values[..bases].iter().position(|value| !value.is_finite()) {
             return Err(invalid(k, "finite"));
         }
-        let parameters = self.joints.iter().flat_map(JointConfig::parameters);
+        let parameters = self.joints().iter().flat_map(JointConfig::parameters);
         for (k, (_, parameter)) in (bases..).zip(parameters) {
             if !values[k].is_finite() || !parameter.sign.allows(values[k]) {
                 return Err(invalid(k, parameter.sign.requirement()));
@@ -230,10 +235,13 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
             value(next - 1)
         };
         let base: Vec<R> = self.arm.names().iter().map(|_| next_value()).collect();
-        let joints = self.joints.map(|joint| {
+        let (zero, one) = (R::splat(0.0), R::splat(1.0));
+        let any_law = &self.joints[0].gear;
+        let any_spring = G::spring(any_law, &[one; MAX_LAW_PARAMETERS], self.corner);
+        let mut joints = [Joint::unused(any_spring); N];
+        for (i, joint) in self.joints().iter().enumerate() {
             let [motor_inertia, motor_viscous, coulomb, offset, link_viscous] =
                 DRIVE.map(|_| next_value());
-            let zero = R::splat(0.0);
             let mut of_law = [zero; MAX_LAW_PARAMETERS];
             for value in &mut of_law[..joint.gear.parameters.len()] {
                 *value = next_value();
@@ -243,22 +251,22 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
                 true => [next_value(), next_value()],
                 false => [zero; 2],
             };
-            Joint {
+            joints[i] = Joint {
                 ratio: R::splat(joint.ratio),
                 motor_inertia,
-                motor_mobility: R::splat(1.0) / motor_inertia,
+                motor_mobility: one / motor_inertia,
                 motor_viscous,
                 coulomb,
                 settling_time,
-                settling_rate: R::splat(1.0) / settling_time.max(R::splat(MIN_SETTLING_TIME)),
+                settling_rate: one / settling_time.max(R::splat(MIN_SETTLING_TIME)),
                 offset,
                 link_viscous,
                 rigid: !joint.gear.elastic,
                 spring,
                 gear_damping,
                 effects: Effects::of(joint.effects, &mut next_value),
-            }
-        });
+            };
+        }
         let settles = |joint: &Joint<R, G>| (-joint.settling_time).any_negative();
         Plant {
             base: self.arm.base(&base),
@@ -270,25 +278,25 @@ impl<A: Arm<N>, const N: usize> Config<A, N> {
 
     /// Whether all gears are elastic.
     pub fn is_elastic(&self) -> bool {
-        self.joints.iter().all(|joint| joint.gear.elastic)
+        self.joints().iter().all(|joint| joint.gear.elastic)
     }
 
     /// Whether all gears are in the set `G`.
     pub fn has_gears<G: Gears>(&self) -> bool {
         let has =
             |joint: &JointConfig| G::includes(&joint.gear) && (G::RIGID || joint.gear.elastic);
-        self.joints.iter().all(has)
+        self.joints().iter().all(has)
     }
 
     /// Whether any joint has one of [`crate::joint::effects`].
     pub fn has_effects(&self) -> bool {
-        self.joints.iter().any(|joint| joint.effects.any())
+        self.joints().iter().any(|joint| joint.effects.any())
     }
 
     /// Whether any joint has an effect on motor, gear or link, not only on its drive.
     pub fn has_plant_effects(&self) -> bool {
         let is_on_plant = |joint: &JointConfig| joint.effects != joint.effects.of_drive();
-        self.joints.iter().any(is_on_plant)
+        self.joints().iter().any(is_on_plant)
     }
 
     /// Current loops for an integrator of step `h` [s].

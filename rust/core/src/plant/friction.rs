@@ -58,7 +58,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             direction: x.motor_velocity.map(|v| sign(v.lane(0))),
             free: [R::splat(1.0); N],
         };
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if self.dry_friction_at_rest(i) == 0.0 {
                 modes.direction[i] = R::splat(0.0);
             } else if x.motor_velocity[i].lane(0) == 0.0 {
@@ -77,7 +77,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// Releases the sticking motors that friction cannot hold; returns whether there were any.
     pub fn release(&self, x: &State<R, N>, torque: &[R; N], modes: &mut Modes<R, N>) -> bool {
         let mut any = false;
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if modes.free[i].lane(0) == 0.0 {
                 let [holding, limit] = run_out_of_line::<R, _>(HoldingWork(self, x, torque, modes));
                 let holding = holding[i].lane(0);
@@ -119,12 +119,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         has_held_motors: bool,
     ) -> [R; N] {
         let mut margin = x.motor_velocity;
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             margin[i] = margin[i] * modes.direction[i];
         }
         if has_held_motors || self.settles {
             let [holding, limits] = self.holding_torques_and_limits(x, torque, modes);
-            for i in 0..N {
+            for i in 0..self.arm.joints() {
                 let (joint, limit) = (&self.joints[i], limits[i]);
                 let reserve = limit - holding[i].abs();
                 let held = (R::splat(1.0) - modes.free[i]) * reserve;
@@ -226,7 +226,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Ends chattering: motors at rest stick until the end of the step.
     fn hold_resting_motors(&self, motion: &mut Motion<R, N>) {
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let is_at_rest = motion.state.motor_velocity[i].lane(0).abs() < 1e-9;
             if is_at_rest && self.dry_friction_at_rest(i) > 0.0 {
                 motion.state.motor_velocity[i] = R::splat(0.0);
@@ -364,7 +364,7 @@ impl<'a, A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool>
     /// The first event of the span, if there is one.
     fn first_event(&self, margins_at_end: &[R; N]) -> Option<Event> {
         let at_begin = R::scope(BeginMarginWork(self));
-        (0..N)
+        (0..self.plant.arm.joints())
             .filter(|&i| margins_at_end[i].lane(0) < 0.0)
             .map(|i| {
                 let ends = [at_begin[i].lane(0), margins_at_end[i].lane(0)];

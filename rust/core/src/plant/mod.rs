@@ -143,12 +143,12 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let mut loads = limits;
         if EFFECTS {
             let mut trains = self.outlined_drive_trains(x);
-            for i in 0..N {
+            for i in 0..self.arm.joints() {
                 self.add_drive_train(x, i, &mut trains);
                 loads[i] = motor_of(&self.arm, i, trains.ratio[i], &trains.torque, loads[i]);
             }
         }
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             limits[i] = self.dry_friction(x.motor_velocity[i], loads[i], i);
         }
         limits
@@ -184,7 +184,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             [angle, ratios[i]] = self.output(motor_angle[i], i, plus);
             return (angle, ratios);
         }
-        for j in 0..N {
+        for j in 0..self.arm.joints() {
             let [output, ratio] = self.output(motor_angle[j], j, zero);
             angle = R::splat(share(&self.arm, i, j)).mul_add(output, angle);
             ratios[j] = ratio;
@@ -196,7 +196,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     #[inline(always)]
     pub(crate) fn drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
         let mut trains = self.outlined_drive_trains(x);
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             self.add_drive_train(x, i, &mut trains);
         }
         trains
@@ -224,7 +224,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     #[inline(always)]
     fn compute_drive_trains(&self, x: &State<R, N>) -> DriveTrains<R, N> {
         let mut trains = DriveTrains::zero();
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             self.compute_drive_train(x, i, &mut trains);
         }
         trains
@@ -260,7 +260,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     #[inline(always)]
     pub(crate) fn ratios(&self) -> [R; N] {
         let mut all = [R::splat(0.0); N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             all[i] = self.joints[i].ratio;
         }
         all
@@ -282,7 +282,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// prevents overshoot. After convergence the number of iterations is doubled, for the
     /// derivatives.
     pub(crate) fn load_bases(&self, x: &mut State<R, N>) {
-        for i in (0..N).filter(|&i| !self.is_rigid(i)) {
+        for i in (0..self.arm.joints()).filter(|&i| !self.is_rigid(i)) {
             let joint = &self.joints[i];
             let compliance = joint.effects.base_rotation(R::splat(1.0));
             let mut converged_at = None;
@@ -315,7 +315,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
 
     /// Sets the flexible parts to the motion of their links.
     pub(crate) fn carry_parts(&self, x: &mut State<R, N>) {
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             x.part_angle[i] = angle_in_space::<A, R, N>(&x.link_angle, i);
             x.part_velocity[i] = angle_in_space::<A, R, N>(&x.link_velocity, i);
         }
@@ -326,7 +326,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn part_accelerations_and_loads(&self, x: &State<R, N>) -> [[R; N]; 2] {
         let mut loads = self.static_loads(&x.link_angle);
         let mut part = [R::splat(0.0); N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let effects = &self.joints[i].effects;
             if effects.flexible_link.is_some() {
                 part[i] = effects.part_acceleration(&Self::deflection(x, i));
@@ -343,7 +343,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     #[inline(always)]
     pub(crate) fn static_loads(&self, link_angle: &[R; N]) -> [R; N] {
         let mut loads = [R::splat(0.0); N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let effects = &self.joints[i].effects;
             loads[i] = loads[i] + effects.load(link_angle[i]);
             let weight = effects.weight(angle_in_space::<A, R, N>(link_angle, i));
@@ -359,14 +359,14 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     fn hysteresis_states(&self, begin: &State<R, N>, stage: &State<R, N>, t: &R) -> [R; N] {
         let mut z = begin.hysteresis;
         let mut any = false;
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             any = any || self.joints[i].effects.hysteresis.is_some();
         }
         if !any {
             return z;
         }
         let [from, to] = [self.drive_trains(begin), self.drive_trains(stage)];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let effects = &self.joints[i].effects;
             if effects.hysteresis.is_some() {
                 z[i] = effects.hysteresis_after(z[i], &from.torsion[i], &to.torsion[i], *t);
@@ -429,7 +429,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             [part, loads] = self.part_accelerations_and_loads(x);
         }
         let (mut trains, zero) = (self.outlined_drive_trains(x), R::splat(0.0));
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let load = self.joints[i]
                 .link_viscous
                 .mul_add(x.link_velocity[i], bias[i]);
@@ -441,7 +441,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
         let mut motor = [zero; N];
         let mut force = [zero; N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let joint = &self.joints[i];
             let mut applied = torque[i];
             if EFFECTS {
@@ -452,7 +452,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 let row = R::splat(1.0) / joint.ratio;
                 inertia[i][i] = (joint.motor_inertia * row).mul_add(row, inertia[i][i]);
                 force[i] = modes.free[i] * (drive * row - loads[i]);
-                for j in 0..N {
+                for j in 0..self.arm.joints() {
                     if j != i {
                         inertia[i][j] = inertia[i][j] * modes.free[i];
                         inertia[j][i] = inertia[j][i] * modes.free[i];
@@ -476,8 +476,8 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 }
             }
         }
-        let mut link = solve(&inertia, &force);
-        for i in 0..N {
+        let mut link = solve(&inertia, &force, self.arm.joints());
+        for i in 0..self.arm.joints() {
             if self.is_rigid(i) {
                 motor[i] = link[i] / self.joints[i].ratio;
             }
@@ -502,11 +502,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         }
         let mut block = [[R::splat(0.0); N]; N];
         let mut any = false;
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             block[i][i] = R::splat(1.0);
             if self.is_rigid(i) {
                 any = true;
-                for j in 0..N {
+                for j in 0..self.arm.joints() {
                     block[i][j] = R::splat(share(&self.arm, i, j));
                 }
             }
@@ -539,7 +539,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     pub fn holding_torques(&self, x: &State<R, N>, torque: &[R; N], modes: &Modes<R, N>) -> [R; N] {
         let mut trains = self.outlined_drive_trains(x);
         let mut holding = [R::splat(0.0); N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let joint = &self.joints[i];
             holding[i] = torque[i] - joint.offset;
             if EFFECTS {
@@ -553,7 +553,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
                 holding[i] = brake.mul_add(x.motor_velocity[i], holding[i]);
             }
         }
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if self.is_rigid(i) {
                 return run_out_of_line::<R, _>(RigidLoadWork(self, x, torque, modes, &holding));
             }
@@ -579,7 +579,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         if EFFECTS {
             loads = self.part_accelerations_and_loads(x)[1];
         }
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if !self.is_rigid(i) {
                 continue;
             }
@@ -588,13 +588,13 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
             held.free[i] = R::splat(0.0);
             let others = self.accelerations_at(x, &at, torque, &held).link;
             let mut torques = bias;
-            for k in 0..N {
+            for k in 0..self.arm.joints() {
                 let viscous = self.joints[k].link_viscous;
                 torques[k] = viscous.mul_add(x.link_velocity[k], torques[k]);
                 if EFFECTS {
                     torques[k] = torques[k] + loads[k];
                 }
-                for j in 0..N {
+                for j in 0..self.arm.joints() {
                     torques[k] = inertia[k][j].mul_add(others[j], torques[k]);
                 }
             }
@@ -669,7 +669,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         if !self.settles {
             return stage;
         }
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if modes.all_free(i) {
                 continue;
             }
@@ -703,11 +703,11 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
         let inertia = self.arm.inertia(&self.base, &at);
         let half = R::splat(0.5);
         let mut energy = self.arm.potential(&self.base, &at);
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             let joint = &self.joints[i];
             let v = x.motor_velocity[i];
             energy = energy + half * joint.motor_inertia * v * v;
-            for j in 0..N {
+            for j in 0..self.arm.joints() {
                 energy = energy + half * inertia[i][j] * x.link_velocity[i] * x.link_velocity[j];
             }
             let at = self.at(x, i);
@@ -761,7 +761,7 @@ impl<A: Arm<N>, R: Real, G: Gears, const N: usize, const EFFECTS: bool> Plant<A,
     /// Torsion C n theta_M - theta_L [rad] of each gear at its link; zero for a rigid gear.
     pub fn torsions(&self, x: &State<R, N>) -> [R; N] {
         let (ratios, mut all) = (self.ratios(), [R::splat(0.0); N]);
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             if !self.is_rigid(i) {
                 all[i] = link_of(&self.arm, i, &ratios, &x.motor_angle, -x.link_angle[i]);
             }

@@ -37,7 +37,7 @@ pub fn inverse_dynamics<A: Arm<N>, const N: usize>(
 ) -> [f64; N] {
     let at = plant.arm.posture(q);
     let mut load = plant.arm.torques(&plant.base, &at, dq, ddq);
-    for (i, joint) in plant.joints.iter().enumerate() {
+    for (i, joint) in plant.joints.iter().enumerate().take(plant.arm.joints()) {
         load[i] += joint.link_viscous * dq[i];
     }
     let [outputs, rates, accelerations] = [q, dq, ddq].map(|all| outputs_of(&plant.arm, all));

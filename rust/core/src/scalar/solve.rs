@@ -2,10 +2,14 @@
 
 use super::{Real, Work, run_out_of_line};
 
-/// Solves a small symmetric positive definite system, by Cramer's rule for two rows (one division)
+/// Solves a small symmetric positive definite system of `n` rows, by Cramer's rule for two rows (one division)
 /// and by L D L' for more.
 #[inline(always)]
-pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N]) -> [R; N] {
+pub(crate) fn solve<R: Real, const N: usize>(
+    matrix: &[[R; N]; N],
+    right: &[R; N],
+    n: usize,
+) -> [R; N] {
     let mut x = *right;
     if N == 1 {
         x[0] = right[0] / matrix[0][0];
@@ -15,48 +19,52 @@ pub(crate) fn solve<R: Real, const N: usize>(matrix: &[[R; N]; N], right: &[R; N
         x[0] = d.mul_add(right[0], -(b * right[1])) * scale;
         x[1] = a.mul_add(right[1], -(b * right[0])) * scale;
     } else {
-        x = run_out_of_line::<R, _>(SolveWork(matrix, right));
+        x = run_out_of_line::<R, _>(SolveWork(matrix, right, n));
     }
     x
 }
 
 /// Inverse of a small symmetric positive definite matrix, times a factor.
 #[inline(always)]
-pub(crate) fn inverse<R: Real, const N: usize>(matrix: &[[R; N]; N], factor: R) -> [[R; N]; N] {
+pub(crate) fn inverse<R: Real, const N: usize>(
+    matrix: &[[R; N]; N],
+    factor: R,
+    n: usize,
+) -> [[R; N]; N] {
     if N > 2 {
-        return run_out_of_line::<R, _>(InverseWork(matrix, factor));
+        return run_out_of_line::<R, _>(InverseWork(matrix, factor, n));
     }
     let mut all = [[R::splat(0.0); N]; N];
     for j in 0..N {
         let mut column = [R::splat(0.0); N];
         column[j] = factor;
         // the matrix is symmetric, so its columns are its rows
-        all[j] = solve(matrix, &column);
+        all[j] = solve(matrix, &column, n);
     }
     all
 }
 
 /// [`solve`] for more than two rows.
-struct SolveWork<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N]);
+struct SolveWork<'m, R, const N: usize>(&'m [[R; N]; N], &'m [R; N], usize);
 
 impl<R: Real, const N: usize> Work for SolveWork<'_, R, N> {
     type Output = [R; N];
     #[inline(always)]
     fn run(self) -> [R; N] {
-        Factor::new(self.0).solve(self.1)
+        Factor::new(self.0, self.2).solve(self.1)
     }
 }
 
 /// [`inverse`] for more than two rows.
-struct InverseWork<'m, R, const N: usize>(&'m [[R; N]; N], R);
+struct InverseWork<'m, R, const N: usize>(&'m [[R; N]; N], R, usize);
 
 impl<R: Real, const N: usize> Work for InverseWork<'_, R, N> {
     type Output = [[R; N]; N];
     #[inline(always)]
     fn run(self) -> [[R; N]; N] {
-        let factor = Factor::new(self.0);
+        let factor = Factor::new(self.0, self.2);
         let mut all = *self.0;
-        for j in 0..N {
+        for j in 0..self.2 {
             let mut column = [R::splat(0.0); N];
             column[j] = self.1;
             all[j] = factor.solve(&column);
@@ -69,14 +77,15 @@ impl<R: Real, const N: usize> Work for InverseWork<'_, R, N> {
 struct Factor<R, const N: usize> {
     l: [[R; N]; N],
     per_d: [R; N],
+    n: usize,
 }
 
 impl<R: Real, const N: usize> Factor<R, N> {
     #[inline(always)]
-    fn new(matrix: &[[R; N]; N]) -> Self {
+    fn new(matrix: &[[R; N]; N], n: usize) -> Self {
         let mut l = *matrix;
         let mut per_d = [R::splat(0.0); N];
-        for j in 0..N {
+        for j in 0..n {
             // row j times D, computed so far
             let mut scaled = l[j];
             for k in 0..j {
@@ -84,27 +93,27 @@ impl<R: Real, const N: usize> Factor<R, N> {
                 l[j][j] = (-l[j][k]).mul_add(scaled[k], l[j][j]);
             }
             per_d[j] = R::splat(1.0) / l[j][j];
-            for i in j + 1..N {
+            for i in j + 1..n {
                 for k in 0..j {
                     l[i][j] = (-l[i][k]).mul_add(scaled[k], l[i][j]);
                 }
                 l[i][j] = l[i][j] * per_d[j];
             }
         }
-        Self { l, per_d }
+        Self { l, per_d, n }
     }
 
     #[inline(always)]
     fn solve(&self, right: &[R; N]) -> [R; N] {
         let mut x = *right;
-        for i in 0..N {
+        for i in 0..self.n {
             for k in 0..i {
                 x[i] = (-self.l[i][k]).mul_add(x[k], x[i]);
             }
         }
-        for i in (0..N).rev() {
+        for i in (0..self.n).rev() {
             x[i] = x[i] * self.per_d[i];
-            for k in i + 1..N {
+            for k in i + 1..self.n {
                 x[i] = (-self.l[k][i]).mul_add(x[k], x[i]);
             }
         }
@@ -128,8 +137,8 @@ mod tests {
                 matrix[i][i] += 0.5;
             }
             let right: [f64; 3] = std::array::from_fn(|i| (0..3).map(|j| matrix[i][j] * x[j]).sum());
-            let actual = solve(&matrix, &right);
-            let inverse = inverse(&matrix, 2.0);
+            let actual = solve(&matrix, &right, 3);
+            let inverse = inverse(&matrix, 2.0, 3);
             for i in 0..3 {
                 let row: f64 = (0..3).map(|j| inverse[i][j] * right[j]).sum();
                 prop_assert!((row - 2.0 * x[i]).abs() < 1e-11); // the condition number enters twice
@@ -137,7 +146,7 @@ mod tests {
             }
             let corner = [[matrix[0][0], matrix[0][1]], [matrix[1][0], matrix[1][1]]];
             let right = [corner[0][0] * x[0] + corner[0][1] * x[1], corner[1][0] * x[0] + corner[1][1] * x[1]];
-            let (fast, general) = (solve(&corner, &right), Factor::new(&corner).solve(&right));
+            let (fast, general) = (solve(&corner, &right, 2), Factor::new(&corner, 2).solve(&right));
             for i in 0..2 {
                 prop_assert!((fast[i] - x[i]).abs() < 1e-12);
                 prop_assert!((general[i] - x[i]).abs() < 1e-12);

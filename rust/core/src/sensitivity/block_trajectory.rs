@@ -261,7 +261,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
     pub(crate) fn record(
         &self,
         quantities: &[Quantity],
-        buffer: &mut SampleBuffer<N>,
+        buffer: &mut SampleBuffer,
         first: usize,
         response: &Response<V, N>,
     ) {
@@ -287,7 +287,7 @@ impl<'a, A: Arm<N>, S: Real, V: Lanes, G: Gears, const N: usize, const EFFECTS: 
                 Quantity::LinkSignal(signal) => self.link_signal(*signal),
                 Quantity::Sliding => continue,
             };
-            for i in 0..N {
+            for i in 0..self.dual.plant.arm.joints() {
                 row[i].store(&mut buffer.entry(k, i)[first..]);
             }
         }

@@ -28,16 +28,19 @@ pub(crate) fn differentiate_over_dual_numbers<
         directions,
         decimation,
     } = *request;
+    let joints = task.config.arm.joints();
+    let width = joints * directions.len();
     let mut all = Sensitivities {
         values: Record::new(),
-        tangents: vec![vec![0.0; task.clock.samples * N * directions.len()]; task.record.len()],
+        tangents: vec![vec![0.0; task.clock.samples * width]; task.record.len()],
     };
     for first in (0..directions.len().max(1)).step_by(V::LANES) {
         let lift = |source, value| seed_dual(source, value, &directions[first..]);
         let chain = Simulate::<A, Dual<S, V>, _, G, N, EFFECTS>::new(task, member, lift);
-        all.store_directions(&Dual::<S, V>::scope(chain)?, first, directions.len());
+        let record = Dual::<S, V>::scope(chain)?;
+        all.store_directions(&record, joints, [first, directions.len()]);
     }
-    Ok(all.decimated(decimation, directions.len()))
+    Ok(all.decimated(decimation, width))
 }
 
 /// A value with derivative one in the directions of its source, and zero in the others.

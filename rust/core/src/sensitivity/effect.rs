@@ -179,7 +179,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         };
         let mut sizes = std::array::from_fn(|_| Vec::new());
         let (mut hysteresis, mut flexible, mut soft) = ([None; N], [None; N], [None; N]);
-        for i in 0..N {
+        for i in 0..config.arm.joints() {
             let (kinds, values) = (config.joints[i].effects, values(i));
             for (position, parameter) in kinds.parameters().into_iter().enumerate() {
                 let Some(size) = parameter.size else { continue };
@@ -233,7 +233,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         modes: &Modes<S, N>,
         push: &[f64; N],
     ) {
-        for i in 0..N {
+        for i in 0..plant.arm.joints() {
             let z = self.hysteresis_states(trace, h, i);
             let part_accelerations = self.part_accelerations(trace, h, i);
             let base_stages = self.base_stages(plant, trace, h, i);
@@ -346,7 +346,7 @@ impl<L: Real, const N: usize> EffectSensitivity<L, N> {
         end: &State<S, N>,
         h: f64,
     ) {
-        for i in 0..N {
+        for i in 0..plant.arm.joints() {
             if self.flexible[i].is_some() {
                 self.part[i] =
                     advance_second_order(self.part[i], &self.part_accelerations(trace, h, i), h);

@@ -111,7 +111,9 @@ fn locations<A: Arm<N>, const N: usize>(config: &Config<A, N>) -> Vec<Vec<Locati
     };
     let bases = config.arm.names().len();
     let location = |(role, i): (Role, usize)| match role {
-        Role::Base(k) => (0..N).map(|j| at(j, LINK, 1 + k)).collect(),
+        Role::Base(k) => (0..config.arm.joints())
+            .map(|j| at(j, LINK, 1 + k))
+            .collect(),
         Role::Drive(LINK_VISCOUS) => vec![at(i, LINK, 0)],
         Role::Drive(k) => vec![at(i, MOTOR, k)],
         Role::Damping => vec![at(i, GEAR, 0)],

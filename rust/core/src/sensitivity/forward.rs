@@ -89,7 +89,7 @@ struct VariationalSimulation<
     blocks: Vec<BlockTrajectory<'a, A, S, V, G, N, EFFECTS>>,
     /// The sensors that are recorded, if any.
     sensing: Option<Sensing<V, N>>,
-    buffer: SampleBuffer<N>,
+    buffer: SampleBuffer,
 }
 
 impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, const EFFECTS: bool>
@@ -97,7 +97,8 @@ impl<'a, A: Arm<N>, S: Lanes, V: Lanes, L: Lanes, G: Gears, const N: usize, cons
 {
     fn new(of: &ForwardSensitivity<'a, A, S, V, L, G, N, EFFECTS>) -> Self {
         let (task, width) = (of.task, of.directions.len());
-        let sizes = [task.record.len(), task.clock.samples, width, V::LANES];
+        let (samples, joints) = (task.clock.samples, task.config.arm.joints());
+        let sizes = [task.record.len(), samples, joints, width, V::LANES];
         let (requested, member) = of.requested;
         let plain = |_, value| S::splat(value);
         let nominal = Simulation::new(task, of.member, &plain);
@@ -325,7 +326,7 @@ struct RecordWork<
 > {
     trajectory: &'c BlockTrajectory<'a, A, S, V, G, N, EFFECTS>,
     quantities: &'c [Quantity],
-    buffer: &'c mut SampleBuffer<N>,
+    buffer: &'c mut SampleBuffer,
     /// Index of the block's first direction.
     first: usize,
     response: &'c Response<V, N>,

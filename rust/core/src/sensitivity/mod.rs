@@ -54,29 +54,28 @@ pub(crate) fn decimated<V: Real, const N: usize>(
 }
 
 impl<const N: usize> Sensitivities<N> {
-    /// Rows behind a low-pass, if there is one.
-    pub(crate) fn decimated(self, decimation: Option<&Decimation>, directions: usize) -> Self {
+    /// Rows behind a low-pass, if there is one; a sample has `width` derivatives.
+    pub(crate) fn decimated(self, decimation: Option<&Decimation>, width: usize) -> Self {
         let Some(low_pass) = decimation else {
             return self;
         };
-        let rows =
-            |(k, samples): (usize, Vec<f64>)| low_pass.of::<f64>(k, &samples, N * directions);
+        let rows = |(k, samples): (usize, Vec<f64>)| low_pass.of::<f64>(k, &samples, width);
         Self {
             values: decimated::<f64, N>(self.values, decimation),
             tangents: self.tangents.into_iter().enumerate().map(rows).collect(),
         }
     }
 
-    /// Stores the directions that begin at index `first`, of `width` in all.
+    /// Stores the directions that begin at index `first`, of `width` in all, for each of the joints.
     fn store_directions<S: Real, V: Real>(
         &mut self,
         record: &RecordOf<Dual<S, V>, N>,
-        first: usize,
-        width: usize,
+        joints: usize,
+        [first, width]: [usize; 2],
     ) {
         let lanes = V::LANES.min(width - first);
         for (quantity, rows) in self.tangents.iter_mut().zip(record) {
-            let cells = rows.as_flattened();
+            let cells = rows.iter().flat_map(|row| &row[..joints]);
             for (tangent, cell) in quantity.chunks_mut(width.max(1)).zip(cells) {
                 for lane in 0..lanes {
                     tangent[first + lane] = cell.tangent.lane(lane);

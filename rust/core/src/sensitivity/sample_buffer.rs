@@ -4,7 +4,8 @@ use crate::scalar::{Aligned, Real};
 use crate::sensors::decimation::{Decimation, Decimator};
 
 /// The current sample of all blocks, and all earlier samples or their rows behind a low-pass.
-pub(crate) struct SampleBuffer<const N: usize> {
+pub(crate) struct SampleBuffer {
+    joints: usize,
     directions: usize,
     /// Number of directions, rounded up to whole blocks.
     padded_directions: usize,
@@ -15,23 +16,24 @@ pub(crate) struct SampleBuffer<const N: usize> {
     pub(crate) tangents: Vec<Vec<f64>>,
 }
 
-impl<const N: usize> SampleBuffer<N> {
-    /// Buffer for given numbers of quantities, samples, directions and lanes of a block.
+impl SampleBuffer {
+    /// Buffer for given numbers of quantities, samples, joints, directions and lanes of a block.
     pub(crate) fn new(
-        [quantities, samples, directions, lanes]: [usize; 4],
+        [quantities, samples, joints, directions, lanes]: [usize; 5],
         decimation: Option<&Decimation>,
     ) -> Self {
         let padded_directions = directions.next_multiple_of(lanes);
         let rows = decimation.map_or(samples, |decimation| decimation.rows(samples));
         Self {
+            joints,
             directions,
             padded_directions,
-            sample: Aligned::zeros(quantities * N * padded_directions),
+            sample: Aligned::zeros(quantities * joints * padded_directions),
             decimated: decimation
                 .filter(|_| directions > 0)
-                .map(|decimation| Decimator::new(decimation, N * padded_directions, samples)),
+                .map(|decimation| Decimator::new(decimation, joints * padded_directions, samples)),
             tangents: (0..quantities)
-                .map(|_| Vec::with_capacity(rows * N * directions))
+                .map(|_| Vec::with_capacity(rows * joints * directions))
                 .collect(),
         }
     }
@@ -39,7 +41,7 @@ impl<const N: usize> SampleBuffer<N> {
     /// The derivatives of one quantity and joint in the current sample.
     #[inline(always)]
     pub(crate) fn entry(&mut self, quantity: usize, joint: usize) -> &mut [f64] {
-        &mut self.sample[(quantity * N + joint) * self.padded_directions..]
+        &mut self.sample[(quantity * self.joints + joint) * self.padded_directions..]
             [..self.padded_directions]
     }
 
@@ -52,7 +54,7 @@ impl<const N: usize> SampleBuffer<N> {
         let Some(numbers) = whole.filter(|_| self.padded_directions > 0) else {
             return;
         };
-        let quantities = numbers.chunks_exact(N * self.padded_directions);
+        let quantities = numbers.chunks_exact(self.joints * self.padded_directions);
         for (all, joints) in self.tangents.iter_mut().zip(quantities) {
             for joint in joints.chunks_exact(self.padded_directions) {
                 all.extend_from_slice(&joint[..self.directions]);

@@ -77,7 +77,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let forced = |row, joint| self.forcing.of(&step.quads, row, joint, k);
         let (arm, one) = (&step.plant.arm, [c(1.0); N]);
         let mut load = zero;
-        for i in 0..N {
+        for i in 0..arm.joints() {
             let rate = link_of(arm, i, &one, &x.motor, -x.link[i]);
             let damped = c(step.damping[i]).mul_add(rate, forced(Row::Gear, i));
             let gear = c(step.stiffness[i][k]).mul_add(x.torsion[i], damped);
@@ -93,7 +93,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
                 Some(_) => dragged, // the torques of all gears follow
             };
             let mut link_load = forced(Row::Link, i);
-            for j in 0..N {
+            for j in 0..arm.joints() {
                 if A::DEPENDS_ON_ANGLE[j] {
                     link_load = c(step.by_angle[i][j][k]).mul_add(x.angle[j], link_load);
                 }
@@ -102,15 +102,15 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             load[i] = gear - link_load;
         }
         if arm.transmission().is_some() {
-            for i in 0..N {
+            for i in 0..arm.joints() {
                 let slope = c(step.motor[0][i]);
                 let dragged = response.motor[i];
                 response.motor[i] = motor_of(arm, i, slope, &response.gear, dragged);
             }
         }
-        for i in 0..N {
+        for i in 0..arm.joints() {
             let mut link = c(step.inverse[i][0][k]) * load[0];
-            for j in 1..N {
+            for j in 1..arm.joints() {
                 link = c(step.inverse[i][j][k]).mul_add(load[j], link);
             }
             response.link[i] = link;
@@ -167,7 +167,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         let (third_part, square) = (c(part / 3.0), c(part * part / 1.5));
         let (arm, one) = (&step.plant.arm, [c(1.0); N]);
         let mut to = x;
-        for i in 0..N {
+        for i in 0..arm.joints() {
             to.motor[i] = third_part.mul_add(velocities.motor[i] + fourth.motor[i], x.motor[i]);
             to.link[i] = third_part.mul_add(velocities.link[i] + fourth.link[i], x.link[i]);
             to.angle[i] = square.mul_add(positions.link[i], twice(x.angle[i], x.link[i]));
@@ -217,7 +217,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
         (elapsed, end): (f64, usize),
     ) -> Tangent<V, N> {
         let c = V::splat;
-        for i in 0..N {
+        for i in 0..step.plant.arm.joints() {
             let Some(settling) = &step.settling[i] else {
                 continue;
             };
@@ -225,7 +225,7 @@ impl<V: Lanes, const N: usize> TangentBlock<V, N> {
             let [by_time, velocity_by_time] = settling.by_time.map(|parts| c(parts[end]));
             // velocity at the start of the step minus velocity with which the stage was advanced
             let difference = motor - before.motor[i];
-            for j in 0..N {
+            for j in 0..step.plant.arm.joints() {
                 if j != i && step.plant.arm.transmission().is_none() {
                     continue;
                 }

@@ -71,7 +71,7 @@ impl<A: Arm<N>, const N: usize> Trace<A, N> {
         numbers: impl Fn(&Stage<N>) -> &[f64; N],
     ) -> [L; N] {
         let mut all = [L::splat(0.0); N];
-        for i in 0..N {
+        for i in 0..self.arm.joints() {
             all[i] = self.across(first, |stage| numbers(stage)[i]);
         }
         all
@@ -86,7 +86,7 @@ impl<A: Arm<N>, S: Real, const N: usize> Watch<S, N> for Trace<A, N> {
             ratios[i] = S::splat(self.ratio[i]);
         }
         let (arm, stage) = (&self.arm, &mut self.stages[k]);
-        for i in 0..N {
+        for i in 0..arm.joints() {
             let torsion = link_of(arm, i, &ratios, &x.motor_angle, -x.link_angle[i]);
             let rate = link_of(arm, i, &ratios, &x.motor_velocity, -x.link_velocity[i]);
             stage.angle[i] = x.link_angle[i].lane(0);

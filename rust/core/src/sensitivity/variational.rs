@@ -119,7 +119,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         modes: &Modes<S, N>,
         h: f64,
     ) {
-        for i in 0..N {
+        for i in 0..self.plant.arm.joints() {
             self.motor(trace, modes, i, h);
         }
         for first in (0..4).step_by(L::LANES) {
@@ -128,7 +128,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
                 &A::map_posture(begin, |number| L::splat(number.lane(0))),
                 first,
             );
-            for i in 0..N {
+            for i in 0..self.plant.arm.joints() {
                 self.gear(trace, i, first);
             }
         }
@@ -179,7 +179,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
     #[inline(always)]
     fn links(&mut self, trace: &Trace<A, N>, begin: &A::Posture<L>, first: usize) {
         let mut rotation: [L; N] = trace.joints(first, |stage| &stage.angle);
-        for i in 0..N {
+        for i in 0..self.plant.arm.joints() {
             rotation[i] = rotation[i] - L::splat(trace.stages[0].angle[i]);
         }
         let dq = trace.joints(first, |stage| &stage.velocity);
@@ -189,13 +189,13 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         let base = &self.plant.base;
         let inertia = arm.inertia(base, &at);
         let mut slopes = arm.slopes(base, &at, &dq, &ddq);
-        for i in 0..N {
+        for i in 0..self.plant.arm.joints() {
             slopes.velocity[i][i] = slopes.velocity[i][i] + self.plant.joints[i].link_viscous;
         }
         let (square, rate) = (L::splat(self.half * self.half), L::splat(1.0 / self.half));
-        let inverse = inverse(&inertia, square);
-        for j in 0..N {
-            for i in 0..N {
+        let inverse = inverse(&inertia, square, arm.joints());
+        for j in 0..self.plant.arm.joints() {
+            for i in 0..self.plant.arm.joints() {
                 inverse[j][i].store(&mut self.inverse[i][j][first..]);
                 if A::DEPENDS_ON_ANGLE[j] {
                     slopes.angle[i][j].store(&mut self.by_angle[i][j][first..]);
@@ -208,7 +208,7 @@ impl<A: Arm<N>, L: Lanes, G: Gears, const N: usize> LinearisedStep<A, L, G, N> {
         // loops of constant length without closures, because each closure would be a call
         let per_link = all_link_quads(by.len());
         let quads = &mut self.quads.link[..N * per_link];
-        for i in 0..N {
+        for i in 0..self.plant.arm.joints() {
             for k in 0..link_quads(by.len()) {
                 let mut four = [L::splat(0.0); 4];
                 for slot in 0..4 {

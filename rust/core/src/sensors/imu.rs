@@ -23,13 +23,13 @@ impl<R: Real, const N: usize> Imus<R, N> {
         readings: Signals<R, N>,
     ) -> Self {
         let filter = |k: usize, i: usize| {
-            let joint = &config.joints[i];
-            let reading = if k < RATES {
-                joint.imu_accelerometer_hz
+            let joint = config.joints().get(i)?;
+            let hz = if k < RATES {
+                joint.imu_accelerometer_hz?
             } else {
-                joint.imu_gyro_hz
+                joint.imu_gyro_hz?
             };
-            reading.map(|hz| LowPass::butterworth(hz, h, readings[k][i]))
+            Some(LowPass::butterworth(hz, h, readings[k][i]))
         };
         Self {
             filters: std::array::from_fn(|k| std::array::from_fn(|i| filter(k, i))),

@@ -75,9 +75,8 @@ def minima(family: Family, pieces: Sequence[Piece], few_lines: Sequence[Piece]) 
             distinct_minima.append((least_cost, point))
     distinct_minima.sort(key=lambda each: each[0])
     (least_cost, best), *others = distinct_minima
-    points = np.array(
-        [best, *(point for _, point in others), *_alternatives(family, best, few_lines)]
-    )
+    alternative_points = (*(p for _, p in others), *_alternatives(family, best, few_lines))
+    points = np.array([best, *alternative_points])
     cost = sum((_costs(family, points, each) for each in records), np.zeros(len(points)))
     unknown = np.full((len(best), len(best)), np.nan)
     alternatives = [
@@ -107,15 +106,10 @@ def _alternatives(
             min(0.7 * line_frequencies.max(), _MAX_ANTI_RESONANCE),
             _N_ANTI_RESONANCES,
         ):
-            point = best.copy()
-            point[COORDINATES_PER_JOINT * i] = np.log(ring**2 * link_inertia[i])
-            point[COORDINATES_PER_JOINT * i + 1] = np.log(
-                2.0 * _DAMPING_RATIO * ring * link_inertia[i]
-            )
-            if (
-                abs(point[COORDINATES_PER_JOINT * i] - best[COORDINATES_PER_JOINT * i])
-                > _MIN_DISTANCE
-            ):
+            point, at = best.copy(), COORDINATES_PER_JOINT * i
+            point[at] = np.log(ring**2 * link_inertia[i])
+            point[at + 1] = np.log(2.0 * _DAMPING_RATIO * ring * link_inertia[i])
+            if abs(point[at] - best[at]) > _MIN_DISTANCE:
                 yield point
 
 
@@ -295,9 +289,8 @@ def _with_covariance(
     weight = 1.0 / np.sqrt(1.0 + (residual / _ROBUST_SCALE) ** 2)
     bread = np.linalg.pinv((J * weight[:, None]).T @ J, hermitian=True)
     gradient = J * (weight * residual)[:, None]
-    labels = np.concatenate(
-        [*_bands(records), -1 - np.arange(len(_prior_residuals(family, point)))]
-    )
+    prior_labels = -1 - np.arange(len(_prior_residuals(family, point)))
+    labels = np.concatenate([*_bands(records), prior_labels])
     meat = np.zeros_like(bread)
     for label in np.unique(labels):
         block_gradient = gradient[labels == label].sum(axis=0)

@@ -100,7 +100,7 @@ def _undamped_joint(fit: Fit, arm: Arm, joint: int) -> TwoInertia:
         link_viscous_friction=0.0,
         gear_stiffness=float(description.law.stiffness(curve, np.zeros(1))[0]),
         gear_damping=0.0,
-        gear_ratio=description.gear_ratio,
+        gear_ratio=float(arm.gear_ratios[joint - 1]),
     )
 
 

@@ -133,10 +133,8 @@ def _hypotheses(fit: Fit, arm: Arm, candidates: Sequence[NamedEffect]) -> dict[H
 
 def _highest(effect: Effect, shapes: Shapes) -> float:
     """The highest frequency among shapes [Hz]."""
-    frequencies = (
-        value for name, value in shapes.items() if effect.described(name).units[0] == "Hz"
-    )
-    return max(frequencies, default=0.0)
+    names = (name for name in shapes if effect.described(name).units[0] == "Hz")
+    return max((shapes[name] for name in names), default=0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,16 +164,10 @@ def _select_forward(columns: EffectColumns, fit: Fit) -> Iterator[TestedEffect]:
     remaining, steps = list(single_steps), list(single_steps.values())
     while remaining:
         best = max(steps, key=lambda step: step.beyond(chance))
-        hypothesis = best.candidate
+        hypothesis, alone = best.candidate, single_steps[best.candidate]
         score_test = _score_test(best, fit, _values_after_step(columns, best, fit), chance)
-        reached = _fit_start(columns, single_steps[hypothesis], fit)
-        yield TestedEffect(
-            score_test,
-            chance,
-            single_steps[hypothesis].gain,
-            single_steps[hypothesis].rigid,
-            reached,
-        )
+        start = _fit_start(columns, alone, fit)
+        yield TestedEffect(score_test, chance, alone.gain, alone.rigid, start)
         remaining.remove(hypothesis)
         if score_test.evident:
             selected = np.column_stack(

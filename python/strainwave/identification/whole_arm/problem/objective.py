@@ -227,11 +227,11 @@ class Objective:
 
     def blocks(self) -> list[IntArray]:
         """Block number of each row, one array (n_rows,) per record, counted over all records."""
-        blocks = []
-        for k, record in enumerate(self.records):
-            n = len(record.time)
-            blocks.append(k * BLOCKS_PER_RECORD + np.arange(n) * BLOCKS_PER_RECORD // n)
-        return blocks
+        n_rows = [len(record.time) for record in self.records]
+        return [
+            k * BLOCKS_PER_RECORD + np.arange(n) * BLOCKS_PER_RECORD // n
+            for k, n in enumerate(n_rows)
+        ]
 
     def fit_percentages(self, z: FloatArray) -> dict[str, dict[str, float]]:
         """Fit percentage by record and channel, 100 (1 - |y - yhat| / |y - mean(y)|).
@@ -316,12 +316,8 @@ class Objective:
         simulated = []
         for evaluated, record in zip(self.evaluate(z), self.records, strict=True):
             shift = _shifts(record) @ evaluated.record_parameters[len(record.initial_states) :]
-            channels = (
-                evaluated.difference
-                - shift
-                + record.advance_measured(values)
-                - record.drifts(values)
-            )
+            measured = record.advance_measured(values)
+            channels = evaluated.difference - shift + measured - record.drifts(values)
             simulated.append(channels / record.sensor_scales(values))
         return simulated
 

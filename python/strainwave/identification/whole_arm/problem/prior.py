@@ -63,10 +63,8 @@ class Prior:
         factor = np.asarray(
             np.linalg.cholesky(self.factor @ self.factor.T + added_errors @ added_errors.T)
         )
-        transform, whitened_errors = (
-            np.linalg.solve(factor, self.factor),
-            np.linalg.solve(factor, added_errors),
-        )
+        transform = np.linalg.solve(factor, self.factor)
+        whitened_errors = np.linalg.solve(factor, added_errors)
         return replace(
             self,
             rows=transform @ self.rows,

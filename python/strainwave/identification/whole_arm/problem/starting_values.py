@@ -67,9 +67,8 @@ def starting_values_of(
         if not is_positive(damping):
             rejected["gear_damping", number] = damping
             damping = _TYPICAL_DAMPING_RATIO * critical
-        damping = min(
-            max(damping, _DAMPING_RATIO_RANGE[0] * critical), _DAMPING_RATIO_RANGE[1] * critical
-        )
+        low, high = _DAMPING_RATIO_RANGE
+        damping = min(max(damping, low * critical), high * critical)
         friction = _friction(rigid, models[number], float(arm.gear_ratios[number - 1]))
         start |= {(name, number): value for name, value in friction.items()}
         start["gear_stiffness", number], start["gear_damping", number] = stiffness, damping

@@ -68,10 +68,8 @@ class Evaluation:
             step = _solve_weighted(
                 columns, -initial_residual.ravel(), weight.ravel(), is_separable=is_separable
             )
-            previous, residual = (
-                residual,
-                initial_residual + (columns @ step).reshape(initial_residual.shape),
-            )
+            previous = residual
+            residual = initial_residual + (columns @ step).reshape(initial_residual.shape)
             weight = _robust_weight(residual, weights)
             if np.max(np.abs(residual - previous)) < _ROBUST_WEIGHT_TOLERANCE:
                 break

@@ -123,10 +123,8 @@ class Dataset:
         )
         motion, slopes = ({name: run[k] for name, run in runs.items()} for k in (0, 1))
         to_channels = self.filtered_channels if resonates else self._stack_channels
-        channels, tangent = (
-            to_channels(motion, values) + self.step_error_correction,
-            to_channels(slopes, values),
-        )
+        channels = to_channels(motion, values) + self.step_error_correction
+        tangent = to_channels(slopes, values)
         tangent = inputs.by_parameters(tangent, core_directions, simulated)
         scales = self.sensor_scales(values)
         if np.any(scales != 1.0):
@@ -322,11 +320,9 @@ class Dataset:
         """
         exact, error = self._step_error(values, initial)
         noise = np.minimum(self.noise, self._residual_noise(exact, values))
-        correction = (
-            error
-            if self.step_error is None
-            else self.step_error_correction + error - self.step_error
-        )
+        correction = error
+        if self.step_error is not None:
+            correction = self.step_error_correction + error - self.step_error
         return replace(self, step_error_correction=correction, noise=noise, step_error=error)
 
     def store_step_error(self, values: Mapping[Key, float], initial: FloatArray) -> Dataset:

@@ -16,7 +16,7 @@ pub struct Kinematics {
 impl<const N: usize> From<SerialChain<N>> for Kinematics {
     fn from(chain: SerialChain<N>) -> Self {
         Self {
-            joints: chain.joints.to_vec(),
+            joints: chain.joints[..chain.count].to_vec(),
             gravity: chain.gravity,
         }
     }

@@ -15,6 +15,9 @@ use crate::scalar::{Real, Work, run_out_of_line};
 use placement::Placement;
 use vector::{cross, dot, plus, scaled, splat, times};
 
+/// Largest number of joints of a chain, for which programs are compiled.
+pub const MAX_CHAIN_JOINTS: usize = 7;
+
 /// Number of inertial parameters of a link.
 const LINK_PARAMETER_COUNT: usize = 10;
 
@@ -47,7 +50,7 @@ const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
         .meaning("zz entry of the link's inertia about its frame's origin"),
 ];
 
-/// A chain of `N` links on a fixed base.
+/// A chain of at most `N` links on a fixed base.
 ///
 /// Torques follow from the recursion of Newton and Euler; they are linear in ten parameters per
 /// link, all of which are parameters of the arm, identifiable or not. The inertia matrix is the sum
@@ -61,7 +64,9 @@ const LINK_PARAMETERS: [Parameter; LINK_PARAMETER_COUNT] = [
 /// Derivatives with respect to the motion follow from the recursion over [`crate::scalar::Jet`]s.
 #[derive(Clone, Copy, Debug)]
 pub struct SerialChain<const N: usize> {
+    /// The joints; unused entries repeat the first.
     joints: [Placement; N],
+    count: usize,
     /// [m/s^2] in the base frame.
     gravity: [f64; 3],
     transmission: Option<Transmission<N>>,
@@ -72,19 +77,18 @@ impl<const N: usize> SerialChain<N> {
     ///
     /// # Errors
     /// The index of the first joint whose axis has length zero.
-    pub fn new(joints: &[ChainJoint; N], gravity: [f64; 3]) -> Result<Self, usize> {
-        let placed = joints.each_ref().map(Placement::new);
-        if let Some(index) = placed.iter().position(Option::is_none) {
-            return Err(index);
+    ///
+    /// # Panics
+    /// There are no joints, or more than `N`.
+    pub fn new(joints: &[ChainJoint], gravity: [f64; 3]) -> Result<Self, usize> {
+        let placed = |i: usize| Placement::new(&joints[i]).ok_or(i);
+        let mut all = [placed(0)?; N];
+        for i in 1..joints.len() {
+            all[i] = placed(i)?;
         }
-        let Some(joints) = placed.into_iter().collect::<Option<Vec<_>>>() else {
-            unreachable!("every axis has a direction");
-        };
-        let Ok(joints) = joints.try_into() else {
-            unreachable!("the number of joints is unchanged");
-        };
         Ok(Self {
-            joints,
+            joints: all,
+            count: joints.len(),
             gravity,
             transmission: None,
         })
@@ -99,7 +103,7 @@ impl<const N: usize> SerialChain<N> {
     }
 
     /// A planar arm whose gravity [m/s^2] acts against y.
-    pub(super) fn planar(joints: &[ChainJoint; N], gravity: f64) -> Self {
+    pub(super) fn planar(joints: &[ChainJoint], gravity: f64) -> Self {
         Self::new(joints, [0.0, -gravity, 0.0]).expect("every axis has a direction")
     }
 }
@@ -107,13 +111,13 @@ impl<const N: usize> SerialChain<N> {
 /// Joint positions.
 type Posture<R, const N: usize> = [JointPosture<R>; N];
 
-/// Torques per inertial parameter, link by link.
-pub struct Regressor<R, const N: usize>([[[R; N]; LINK_PARAMETER_COUNT]; N]);
+/// Torques per inertial parameter, link by link, and the number of links.
+pub struct Regressor<R, const N: usize>([[[R; N]; LINK_PARAMETER_COUNT]; N], usize);
 
 impl<R, const N: usize> AsRef<[[R; N]]> for Regressor<R, N> {
     #[inline(always)]
     fn as_ref(&self) -> &[[R; N]] {
-        self.0.as_flattened()
+        self.0[..self.1].as_flattened()
     }
 }
 
@@ -127,9 +131,14 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     const PARAMETERS: &'static [Parameter] = &LINK_PARAMETERS;
     const HAS_OUTLINED_EQUATIONS: bool = true;
 
+    #[inline(always)]
+    fn joints(&self) -> usize {
+        self.count
+    }
+
     fn names(&self) -> Vec<Name> {
         let of = |i: usize| LINK_PARAMETERS.map(|parameter| (parameter.name, Some(i + 1)));
-        (0..N).flat_map(of).collect()
+        (0..self.count).flat_map(of).collect()
     }
 
     /// The pseudo-inertia matrix of a body (Wensing, Kim and Slotine, IEEE RA-L 3(1), 2018) is
@@ -140,6 +149,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
             .0
             .iter()
             .enumerate()
+            .take(self.count)
         {
             let first = i * LINK_PARAMETER_COUNT;
             if body[0] <= 0.0 {
@@ -155,7 +165,10 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
 
     #[inline(always)]
     fn base<R: Real>(&self, values: &[R]) -> [[R; LINK_PARAMETER_COUNT]; N] {
-        std::array::from_fn(|i| std::array::from_fn(|k| values[i * LINK_PARAMETER_COUNT + k]))
+        let mut all = [[R::splat(0.0); LINK_PARAMETER_COUNT]; N];
+        let count = self.count * LINK_PARAMETER_COUNT;
+        all.as_flattened_mut()[..count].copy_from_slice(&values[..count]);
+        all
     }
 
     #[inline(always)]
@@ -175,7 +188,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn posture<R: Real>(&self, q: &[R; N]) -> Posture<R, N> {
         let mut all = [self.joints[0].posture(q[0]); N];
-        for i in 1..N {
+        for i in 1..self.count {
             all[i] = self.joints[i].posture(q[i]);
         }
         all
@@ -184,7 +197,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     #[inline(always)]
     fn near<R: Real>(&self, from: &Posture<R, N>, increment: &[R; N]) -> Posture<R, N> {
         let mut all = *from;
-        for i in 0..N {
+        for i in 0..self.count {
             self.joints[i].advance(&mut all[i], increment[i]);
         }
         all
@@ -246,7 +259,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
     fn potential<R: Real>(&self, base: &[[R; LINK_PARAMETER_COUNT]; N], at: &Posture<R, N>) -> R {
         // mass and first moment of all links from the i-th, about its origin
         let (mut mass, mut moment) = (R::splat(0.0), [R::splat(0.0); 3]);
-        for i in (0..N).rev() {
+        for i in (0..self.count).rev() {
             let [link_mass, x, y, z, ..] = base[i];
             mass = mass + link_mass;
             let rotated = times(&at[i].rotation, &plus(&moment, &[x, y, z]));
@@ -261,6 +274,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
+            .take(self.count)
         {
             let placed = &self.joints[i];
             reading[i] = if placed.is_revolute() {
@@ -286,6 +300,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, dq))
             .iter()
             .enumerate()
+            .take(self.count)
         {
             rates[i] = dot(&splat(&self.joints[i].axis), &motion.rate);
         }
@@ -303,6 +318,7 @@ impl<const N: usize> Arm<N> for SerialChain<N> {
         for (i, motion) in run_out_of_line::<R, _>(Motions(self, at, dq, ddq))
             .iter()
             .enumerate()
+            .take(self.count)
         {
             let signals = of_link([motion.force, motion.turning, motion.rate]);
             for k in 0..LINK_SIGNALS {
@@ -365,7 +381,7 @@ out_of_line! {
         = SerialChain::newton_euler;
     /// [`SerialChain::torques_per_parameter`].
     PerParameter(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> Regressor<R, N>
-        = |chain: &SerialChain<N>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq));
+        = |chain: &SerialChain<N>, at, dq, ddq| Regressor(chain.torques_per_parameter(at, dq, ddq), chain.count);
     /// [`SerialChain::motions`].
     Motions(1: Posture<R, N>, 2: [R; N], 3: [R; N]) -> [recursion::LinkMotion<R>; N]
         = SerialChain::motions;

@@ -94,6 +94,44 @@ impl<R: Real> Inertia<R> {
         ]
     }
 
+    /// The same body in the frame of the preceding link: R I R' with the rotation R, moved by r, with
+    /// 2 r w E - r w' - w r', w = R h + m r / 2.
+    #[inline(always)]
+    fn seen_from(&self, turn: &Matrix<R>, r: &Vector<R>) -> Self {
+        let h = times(turn, &self.first_moment);
+        let half = self.mass * R::splat(0.5);
+        let (w, moved) = (scaled(half, r, &h), scaled(self.mass, r, &h));
+        let columns = turn.map(|row| times(&self.second_moment, &row));
+        let products = [r[0] * w[0], r[1] * w[1], r[2] * w[2]].map(|one| one + one);
+        let mut second_moment = self.second_moment;
+        for i in 0..3 {
+            for j in i..3 {
+                let rotated = dot(&turn[i], &columns[j]);
+                second_moment[i][j] = if i == j {
+                    rotated + (products[(i + 1) % 3] + products[(i + 2) % 3])
+                } else {
+                    rotated - r[i].mul_add(w[j], r[j] * w[i])
+                };
+                second_moment[j][i] = second_moment[i][j];
+            }
+        }
+        Self {
+            mass: self.mass,
+            first_moment: moved,
+            second_moment,
+        }
+    }
+
+    /// Adds another body in the same frame.
+    #[inline(always)]
+    fn add(&mut self, other: &Self) {
+        self.mass = self.mass + other.mass;
+        self.first_moment = plus(&self.first_moment, &other.first_moment);
+        for i in 0..3 {
+            self.second_moment[i] = plus(&self.second_moment[i], &other.second_moment[i]);
+        }
+    }
+
     /// Force and moment of a motion, with the terms of the velocity: f += omega x (omega x h), n +=
     /// omega x I omega.
     #[inline(always)]
@@ -119,7 +157,7 @@ impl<const N: usize> SerialChain<N> {
     ) -> [LinkMotion<R>; N] {
         let mut motion = LinkMotion::of_base(&self.gravity);
         let mut all = [motion; N];
-        for i in 0..N {
+        for i in 0..self.count {
             motion = motion.of_next(&self.joints[i], &at[i], dq[i], ddq[i]);
             all[i] = motion;
         }
@@ -139,15 +177,10 @@ impl<const N: usize> SerialChain<N> {
         let zero = [R::splat(0.0); 3];
         let (mut force, mut moment) = (zero, zero);
         let mut torque = [R::splat(0.0); N];
-        for i in (0..N).rev() {
+        for i in (0..self.count).rev() {
             let [own_force, own_moment] = Inertia::of(&base[i]).wrench(&motions[i]);
             (force, moment) = (plus(&force, &own_force), plus(&moment, &own_moment));
-            let axis = splat(&self.joints[i].axis);
-            torque[i] = if self.joints[i].is_revolute() {
-                dot(&axis, &moment)
-            } else {
-                dot(&axis, &force)
-            };
+            torque[i] = self.along_axis(i, &force, &moment);
             let (turn, origin) = (&at[i].rotation, self.joints[i].origin(&at[i]));
             force = times(turn, &force);
             moment = plus(&times(turn, &moment), &cross(&origin, &force));
@@ -174,7 +207,8 @@ impl<const N: usize> SerialChain<N> {
         twists[i] = Twist { turning, moving };
     }
 
-    /// Sum over the links of J' G J, with the joint twists J and the inertia G of a link.
+    /// Inertia matrix by composite rigid bodies (Featherstone, Rigid Body Dynamics Algorithms, 2008,
+    /// section 6.2): the links behind a joint as one body, accelerated by that joint.
     #[inline(always)]
     pub(super) fn mass_matrix<R: Real>(
         &self,
@@ -182,27 +216,42 @@ impl<const N: usize> SerialChain<N> {
         at: &Posture<R, N>,
     ) -> [[R; N]; N] {
         let zero = [R::splat(0.0); 3];
-        let (turning, moving) = (zero, zero);
-        let mut twists = [Twist { turning, moving }; N];
         let mut all = [[R::splat(0.0); N]; N];
-        for k in 0..N {
-            self.extend(at, k, &mut twists);
-            let inertia = Inertia::of(&base[k]);
-            for j in 0..=k {
-                let Twist { turning, moving } = &twists[j];
-                let [force, moment] = inertia.accelerated(turning, moving);
-                for i in 0..=j {
-                    let by_moment = dot(&twists[i].turning, &moment);
-                    all[i][j] = all[i][j] + (dot(&twists[i].moving, &force) + by_moment);
-                }
-            }
-        }
-        for i in 0..N {
-            for j in 0..i {
+        let mut body = Inertia::of(&base[self.count - 1]);
+        for i in (0..self.count).rev() {
+            let axis = splat(&self.joints[i].axis);
+            let (turning, moving) = if self.joints[i].is_revolute() {
+                (axis, zero)
+            } else {
+                (zero, axis)
+            };
+            let [mut force, mut moment] = body.accelerated(&turning, &moving);
+            all[i][i] = self.along_axis(i, &force, &moment);
+            for j in (0..i).rev() {
+                let (turn, origin) = (&at[j + 1].rotation, self.joints[j + 1].origin(&at[j + 1]));
+                force = times(turn, &force);
+                moment = plus(&times(turn, &moment), &cross(&origin, &force));
+                all[j][i] = self.along_axis(j, &force, &moment);
                 all[i][j] = all[j][i];
+            }
+            if i > 0 {
+                let origin = self.joints[i].origin(&at[i]);
+                body = body.seen_from(&at[i].rotation, &origin);
+                body.add(&Inertia::of(&base[i - 1]));
             }
         }
         all
+    }
+
+    /// Part of a force and a moment that acts on a joint.
+    #[inline(always)]
+    fn along_axis<R: Real>(&self, i: usize, force: &Vector<R>, moment: &Vector<R>) -> R {
+        let axis = splat(&self.joints[i].axis);
+        if self.joints[i].is_revolute() {
+            dot(&axis, moment)
+        } else {
+            dot(&axis, force)
+        }
     }
 
     /// Torques per inertial parameter of each link: the joint's twist of the link times the wrench
@@ -219,7 +268,7 @@ impl<const N: usize> SerialChain<N> {
         let (turning, moving) = (zero, zero);
         let mut twists = [Twist { turning, moving }; N];
         let mut all = [[[R::splat(0.0); N]; LINK_PARAMETER_COUNT]; N];
-        for k in 0..N {
+        for k in 0..self.count {
             self.extend(at, k, &mut twists);
             for j in 0..=k {
                 let by = per_parameter(&twists[j], &motions[k]);

@@ -20,7 +20,8 @@ fn chain<const N: usize>() -> SerialChain<N> {
             accelerometer_distance: 0.3,
         }
     };
-    SerialChain::new(&std::array::from_fn(joint), [0.5, -0.3, -9.8]).expect("axes")
+    let joints: Vec<ChainJoint> = (0..N).map(joint).collect();
+    SerialChain::new(&joints, [0.5, -0.3, -9.8]).expect("axes")
 }
 
 /// Different links of about 4 kg and 0.3 m.

@@ -1,0 +1,156 @@
+"""Templates of suspected faults of the input and of their remedies; see `domain.messages`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+_SCALE = "{channel} is {ratio:.4g} times the value that {basis} implies: "
+
+FAULTS: Mapping[str, str] = {
+    # observations, by code or "code/variant"
+    "wrong-unit": _SCALE + "logged in {unit}?",
+    "wrong-unit/reversed": _SCALE + "logged in {unit}, with the wrong sign?",
+    "wrong-unit/unknown": _SCALE + "its scale is wrong",
+    "wrong-unit/time": "the time base is {ratio:.4g} times the value that the other signals and the"
+    " clocks of the study imply: t is logged in {unit}, not in seconds",
+    "wrong-unit/angles": "{channels!a} are logged in {unit}, not in radians",
+    "wrong-unit/amplitude": "{records!a}: the PRBS in {channel} has an amplitude of {measured:.4g}"
+    " V, but the study states {stated:.4g} V, a factor of {ratio:.4g}: either the scale of"
+    " {channel} or the stated amplitude is wrong",
+    "wrong-unit/counts": "the steps of {channel} are {ratio:.4g} times the size that encoder_counts"
+    " = {counts:.7g} implies, but the motion of {channel} agrees with the other signals",
+    "wrong-sign": _SCALE + "its sign is wrong",
+    "wrong-sign/gear": "link {joint} turns opposite to its motor: every link sensor of joint"
+    " {joint} has the opposite sign of the motor signals",
+    "wrong-gear-ratio": "the link sensors of joint {joint} measure {factor:.4g} times the motion"
+    " that gear_ratio = {stated:.4g} implies: the link turns {ratio:.4g} times per motor turn",
+    "wrong-geometry/vertical": "the link sensors measure gravity, but the study states none: the"
+    " arm is vertical",
+    "wrong-geometry/horizontal": "the link sensors and the torques show no gravity, but the study"
+    " states gravity = {gravity:.4g}: the arm is horizontal",
+    "wrong-geometry/distance": "{channel} reads {ratio:.4g} times the acceleration that the motion"
+    " of joint {joint} implies at {stated:.4g} m from its axis: the accelerometer is mounted at"
+    " {corrected:.4g} m{hint}",
+    "wrong-geometry/length": "{channel} reads {ratio:.4g} times the motion of axis {joint} that"
+    " link_length = {stated:.4g} m implies",
+    "swapped-channels": "{pairs!a}: the channels of joints {joints!a} are exchanged",
+    "swapped-channels/one-kind": "{first} follows joint {other}, and {second} follows joint"
+    " {joint}: the two channels are exchanged",
+    "swapped-channels/excited-joint": "{experiment}: the study states joint = {stated} as the"
+    " excited joint, but the test signal is in the command of joint {excited}",
+    "misaligned/command": "{channels!a}: the command in the log is {delay!m:.3g} ms {side} than the"
+    " torque that moves {angles!a}, according to the phase of the motor's response to the test"
+    " signals; the delay would bias damping, stiffness and inertias",
+    "misaligned/sensor": "{channels}: {delay!m:.3g} ms {side} relative to the motor angle, more"
+    " than the whole-arm fit corrects",
+    "clock-drift": "the voltages change with a period of {ratio:.6g} times the PRBS or servo period"
+    " of the study: the clock of the logger is wrong by that factor",
+    "clock-drift/sensor": "{channels}: the delay relative to the motor angle changes by"
+    " {drift!m:.3g} ms per second: the clock of these channels is {error!p:.3g} % {side}",
+    "ac-coupled": "{channels!a}: the readings agree with the motion only after a high-pass of"
+    " {cutoffs}: the sensor or its amplifier is AC-coupled, for example a piezoelectric"
+    " accelerometer. It does not measure gravity or slow motion, and the model of a DC-coupled"
+    " accelerometer would bias the damping",
+    "clipped": "{channel} stays at {low:.4g} or {high:.4g} for {share!p:.2g} % of"
+    " {experiment}{others}: the sensor is saturated",
+    "wrong-torque-constant": "the torques of joint 1 are {factor} (standard deviation {std:.2g})"
+    " times the value that the torques of joint {joint} and the symmetry of the inertia matrix"
+    " imply: one of the two torque constants is wrong; the signals do not determine which",
+    # contradictions without a cause, by kind
+    "contradiction/count": "the step of {place} is {value:.4g} times the count that encoder_counts"
+    " implies",
+    "contradiction/prbs-clock": "the voltages of {place} change with a period of {value:.4g} times"
+    " the clock of its prbs",
+    "contradiction/servo-clock": "the voltages of {place} change with a period of {value:.4g} times"
+    " the servo period",
+    "contradiction/level": "the PRBS in {place} has {value:.4g} times the amplitude that the study"
+    " states",
+    "contradiction/limit": "{place} reaches {value:.4g} times the limit of the servo",
+    "contradiction/reference": "the velocity of {place} is {value:.4g} times its servo reference",
+    "contradiction/servo": "{place} is {value:.4g} times the output of the servo that the study"
+    " states",
+    "contradiction/velocity": "{place} is {value:.4g} times the derivative of the motor angle",
+    "contradiction/scale": "{place} is {value:.4g} times the value that the motor angles and the"
+    " geometry imply",
+    "contradiction/explained-share": "the other signals explain only {value!p:.2g} % of {place}",
+    "contradiction/own-joint": "{place} shows {value:.4g} times the motion of its own joint",
+    "contradiction/origin-motion": "{place} shows {value:.4g} times the motion of its joint's axis",
+    "contradiction/gravity": "{place} shows {value:.4g} times the gravity of the study",
+    "contradiction/tilt": "{place} shows a gravity of {value:.4g} g, but the study states none",
+    "contradiction/rotation-ratio": "{place} shows {value:.4g} times the rotation relative to joint"
+    " 1 that the gear ratios imply",
+    "contradiction/delay": "{place} has a delay of {value:.4g} s relative to the motor angle",
+    "contradiction/input-delay": "{place} is {value:.4g} s later than the torque that moves the"
+    " motor",
+    "contradiction/drift": "the delay of {place} grows by {value:.4g} s per second",
+    "contradiction/inertia": "joint {joint} accelerates against its torque: {place} or"
+    " theta_m{joint} has the wrong sign",
+    "contradiction/excited-joint": "the test signal of {place} is not in the command of joint"
+    " {joint}",
+    # parts of observations
+    "basis/motor-angle": "theta_m{joint}",
+    "basis/servo": "the servo or the motion",
+    "basis/motion": "the motion",
+    "basis/signals": "the motion of the other signals",
+    "basis/resolution": "its encoder resolution, together with the other signals,",
+    "counts/power": "counts of 2 pi / {counts}",
+    "counts/scaled": "counts of {factor:g} times the scale (lines and quadrature)",
+    "frequency": "{value:.2g} Hz",
+    "hint/axis": "; was the stated distance measured from axis {axis}?",
+    "hint/end": "; was the stated distance measured from the end of the link?",
+    "also-in": " (also in {records})",
+    "factor": "{value:.4g}",
+    "factor/about": "about {value:.2g}",
+    # remedies
+    "remedy": "{steps!s}",
+    "remedy/log-clock": "{steps!s}, or correct prbs.clock and the period of the servo",
+    "remedy/command": "{steps!s}, or record commands and encoders with one clock",
+    "remedy/amplitude": "{steps!s}; or, if that value is correct, {other!s}",
+    "remedy/sensor-delay": "{steps!s}; or state the sensor's bandwidth (accelerometer_hz, gyro_hz)"
+    " if it has a filter",
+    "remedy/sensor-clock": "{steps!s}, or record all channels with one clock",
+    "remedy/distance": "{steps!s} (from the axis of joint {joint}), or, if the scale of the sensor"
+    " is wrong, {other!s}",
+    "remedy/gear": "{steps!s}; motor and link then turn in the same direction",
+    "remedy/clipped": "reduce the amplitude, or use a sensor with a larger range; until then,"
+    " remove the channel from the study",
+    "remedy/logged-torques": "divide the scale of channels.torque1 by {factor}, or multiply the"
+    " scale of channels.torque{joint} by {factor}; change the less certain of the two",
+    "remedy/torque-constants": "divide torque_per_volt of [[joint]] 1 by {factor}, or multiply"
+    " torque_per_volt of [[joint]] {joint} by {factor}; change the less certain of the two",
+    "remedy/experiments": "no single cause explains all contradictions. Do these experiments, most"
+    " likely cause first, to isolate the cause: {experiments!s}",
+    # corrections
+    "step/channel": "set {line}",
+    "step/set": "set {key} = {value:.7g} in {table}",
+    "step/set-count": "set {key} = {value} in {table}",
+    "step/remove": "remove {key} from {table}",
+    "step/delay_s": "shift {channel} by {delay!m:.3g} ms to {side} times in every log",
+    "step/clock": "resample {channel} at {spacing:.7g} times its spacing in every log",
+    "step/high_pass_hz": "couple the amplifier of {channel} to DC, or remove its column from the"
+    " logs",
+    "step/unusable": "remove or rename the column of {channel} in the logs to exclude it",
+    "table/arm": "[arm]",
+    "table/joint": "[[joint]] {entry}",
+    "table/experiment": "[[experiment]] {entry}",
+    # experiments that separate the causes, by code
+    "isolate/swapped-channels": "({number}) swapped channels: move one joint at a time, and note"
+    " which columns change",
+    "isolate/wrong-sign": "({number}) wrong sign: turn the link by hand in its positive direction:"
+    " theta_m and its rate must be positive, and so must the voltage that turns the link in this"
+    " direction",
+    "isolate/wrong-unit": "({number}) wrong unit: turn the link by 90 degrees: theta_m must change"
+    " by 1.5708 / gear_ratio",
+    "isolate/wrong-gear-ratio": "({number}) wrong gear ratio: turn the motor by ten whole turns and"
+    " measure the angle of the link",
+    "isolate/wrong-geometry": "({number}) wrong geometry: measure link_length and"
+    " accelerometer_distance from axis to axis, and read the accelerometer at standstill in two"
+    " postures: a difference is due to gravity",
+    "isolate/clock-drift": "({number}) clock drift: tap the link twice, one minute apart, and"
+    " compare the time stamps of the taps in all channels",
+    "isolate/misaligned": "({number}) misaligned: command a step of voltage and compare its time"
+    " stamp with the first change of theta_m",
+    "isolate/ac-coupled": "({number}) ac coupled: turn the sensor upside down at standstill: the"
+    " reading of a DC-coupled accelerometer changes by 2 g permanently",
+}
+"""Observations, their parts, and remedies."""
