@@ -7,11 +7,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from strainwave.domain import Experiment, Joint, Motion, Spring, Study
+import numpy as np
+
+from serial_chains import parameters_of, random_body
+from strainwave.domain import ArmDescription, Experiment, Joint, Motion, Origin, Spring, Study
+from strainwave.domain.arm import Matrix
 from strainwave.domain.keys import Values
 from strainwave.domain.kinds import change_arm_keys, single_joint
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS
 from strainwave.domain.units import unit_of
 from strainwave.export import IdentifiedArm, read_arm
+from strainwave.io.base_parameters import standard_name
 from strainwave.io.study import write_study
 from strainwave.virtual import scara
 
@@ -74,9 +80,15 @@ def document(study: Study, values: Values) -> dict[str, object]:
             "stage": "tuned",
         }
         for (name, joint), value in values.items()
+        if study.arm.kind != "serial" or not name.startswith("link_") or "viscous" in name
     ]
+    standard = {
+        standard_name(key): value for key, value in values.items() if study.arm.kind == "serial"
+    }
     named = {"path": str(study.path), "sha256": hashlib.sha256(data).hexdigest()}
-    return {"schema": "strainwave/result/1", "study": named, "parameters": parameters}
+    document: dict[str, object] = {"schema": "strainwave/result/1", "study": named}
+    document["parameters"] = parameters
+    return document | ({"standard_parameters": standard} if standard else {})
 
 
 def write(study: Study, values: Values) -> Path:
@@ -89,3 +101,47 @@ def write(study: Study, values: Values) -> Path:
 
 def arm_of(study: Study, values: Values) -> IdentifiedArm:
     return read_arm(write(study, values))
+
+
+CHAIN = (  # origin and axis of each joint
+    (Origin((0.0, 0.0, 0.3)), (0.0, 0.0, 1.0)),
+    (Origin((0.06, 0.02, 0.14), (-1.5, 0.2, 0.0)), (0.0, 0.6, 0.8)),
+    (Origin((0.4, 0.0, -0.05), (0.0, 0.3, 0.1)), (0.1, 0.0, 1.0)),
+)
+Springs = tuple[Spring, Spring, Spring]
+Motions = tuple[Motion, Motion, Motion]
+MOTIONS: tuple[Motions, ...] = (("revolute",) * 3, ("revolute", "prismatic", "revolute"))
+COUPLING = ((1.0, 0.0, 0.0), (0.3, 1.0, 0.0), (0.0, -0.6, 1.0))
+
+
+def chain(
+    folder: Path,
+    springs: Springs = ("linear",) * 3,
+    motions: Motions = MOTIONS[0],
+    coupling: Matrix | None = None,
+) -> tuple[Study, Values]:
+    """Three joints of any directions under gravity, with boxes as links; without dry friction."""
+    ratios = (0.01, -0.0125, 0.02)
+    joints = tuple(
+        Joint(spring, ratio, motion, torque_per_volt=0.1, origin=origin, axis=axis)
+        for spring, motion, ratio, (origin, axis) in zip(
+            springs, motions, ratios, CHAIN, strict=True
+        )
+    )
+    arm = ArmDescription("serial", joints, (0.4, -0.7, -9.6), coupling)
+    random = np.random.default_rng(5)
+    values: Values = {}
+    for i, joint in enumerate(joints, start=1):
+        values |= {
+            ("motor_inertia", i): 2e-4,
+            ("motor_viscous_friction", i): 3e-4,
+            ("link_viscous_friction", i): 0.4,
+            ("motor_coulomb_friction", i): 0.0,
+            ("friction_offset", i): 0.01,
+        }
+        if joint.elastic:
+            values |= {("gear_stiffness", i): 2e4, ("gear_damping", i): 10.0}
+        body = zip(LINK_PARAMETERS, parameters_of(random_body(random)), strict=True)
+        values |= {(f"link_{name}", i): float(value) for name, value in body}
+    experiment = replace(MOTION, control=("open",) * 3)
+    return Study(arm=arm, experiments=(experiment,), path=folder / "study.toml"), values

@@ -11,11 +11,13 @@ import pytest
 
 import exports
 from strainwave.domain import FloatArray, Motion, Prbs, Spring, Study
+from strainwave.domain.arm import Matrix
 from strainwave.domain.keys import Values
 from strainwave.domain.quantities import Quantity
 from strainwave.dynamics import excitation
 from strainwave.dynamics.arm import Arm
 from strainwave.dynamics.simulation import Drive, simulate
+from strainwave.export.coordinates import coordinates_of
 from strainwave.export.mjcf import to_mjcf
 
 TICK = 1e-3
@@ -52,12 +54,12 @@ def in_mujoco(
     data = mujoco.MjData(model)
     numbers = range(1, study.arm.n_joints + 1)
     links = [data.joint(f"joint{i}") for i in numbers]
-    rigid = study.arm.joints[0].spring == "rigid"
-    motors = links if rigid else [data.joint(f"motor_joint{i}") for i in numbers]
-    ratio = np.array([joint.gear_ratio if rigid else 1.0 for joint in study.arm.joints])
+    coordinates = coordinates_of(study.arm)
+    motors = [data.joint(f"motor_joint{i}") for i in coordinates.elastic]
     found: dict[Quantity, list[FloatArray]] = {name: [] for name in RECORDED}
     for voltage in applied.voltage:
-        found["motor_velocity"].append(np.array([m.qvel[0] for m in motors]) / ratio)
+        velocities = [each.qvel[0] for each in (*motors, *links)]
+        found["motor_velocity"].append(coordinates.motor_angles @ velocities)
         found["link_velocity"].append(np.array([link.qvel[0] for link in links]))
         found["link_angle"].append(np.array([link.qpos[0] for link in links]))
         data.ctrl[:] = voltage
@@ -254,3 +256,61 @@ def test_an_inconsistent_gravity_torque_is_reported(tmp_path: Path) -> None:
     warnings = to_mjcf(exports.arm_of(study, exports.values_of(study))).warnings
     assert [c.code for c in warnings] == ["gravity-torque"]
     assert "+2.0 %" in warnings[0].message
+
+
+@pytest.mark.parametrize("motions", exports.MOTIONS)
+def test_links_of_a_chain_have_its_inertia_and_gravity(
+    mujoco: ModuleType, motions: exports.Motions, tmp_path: Path
+) -> None:
+    study, values = exports.chain(tmp_path, motions=motions)
+    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
+    data, arm = mujoco.MjData(model), Arm.of(study.arm)
+    base = np.array([values[key] for key in arm.base_names])
+    rest, M = np.zeros((1, 3)), np.zeros((6, 6))
+    for angle in np.random.default_rng(3).uniform(-2.0, 2.0, (10, 3)):
+        data.qpos[:3] = angle
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, M)
+        np.testing.assert_allclose(M[:3, :3], arm.inertia_matrix(base, angle), atol=1e-12)
+        np.testing.assert_allclose(M[3:, 3:], 2e-4 * np.eye(3), atol=1e-18)
+        torque = arm.link_torques(base, angle[None], rest, rest)[0]
+        np.testing.assert_allclose(data.qfrc_bias, [*torque, 0.0, 0.0, 0.0], atol=1e-11)
+
+
+@pytest.mark.parametrize("motions", exports.MOTIONS)
+@pytest.mark.parametrize(
+    ("springs", "coupling"),
+    [
+        (("linear",) * 3, None),
+        (("linear",) * 3, exports.COUPLING),
+        (("rigid",) * 3, None),
+        (("rigid",) * 3, exports.COUPLING),
+        (("linear", "rigid", "rigid"), ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -0.6, 1.0))),
+    ],
+)
+def test_a_chain_moves_as_in_the_simulation(
+    mujoco: ModuleType,
+    springs: exports.Springs,
+    motions: exports.Motions,
+    coupling: Matrix | None,
+    tmp_path: Path,
+) -> None:
+    """The motors of rigid joints turn with several joints where a transmission couples them."""
+    study, values = exports.chain(tmp_path, springs, motions, coupling)
+    assert largest_difference(mujoco, study, values, 3.0) < 1e-6
+
+
+def test_motors_that_rigid_motion_does_not_separate_are_part_of_the_links(
+    mujoco: ModuleType, tmp_path: Path
+) -> None:
+    study, values = exports.chain(tmp_path, ("rigid",) * 3)
+    del values["motor_inertia", 1]
+    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
+    np.testing.assert_allclose(model.dof_armature, [0.0, 2e-4 / 0.0125**2, 2e-4 / 0.02**2])
+
+
+def test_joints_have_the_names_of_the_study(mujoco: ModuleType, tmp_path: Path) -> None:
+    study, values = exports.chain(tmp_path)
+    study = replace(study, arm=study.arm.with_joint(2, name="elbow"))
+    model = mujoco.MjModel.from_xml_string(to_mjcf(exports.arm_of(study, values)).data.decode())
+    assert [model.joint(i).name for i in range(3)] == ["joint1", "elbow", "joint3"]

@@ -14,11 +14,13 @@ from hypothesis import strategies as st
 import exports
 from strainwave.domain import Parameter
 from strainwave.domain.keys import Values
-from strainwave.domain.kinds.bodies import Body, about_axis
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS, Body, about_axis
+from strainwave.dynamics.arm import Arm
 from strainwave.errors import InvalidInput
 from strainwave.export import IdentifiedArm
 from strainwave.export.bodies import link_bodies
 from strainwave.export.urdf import to_urdf
+from strainwave.io.urdf import read_urdf
 
 LENGTH, GRAVITY = 0.35, 9.81
 
@@ -173,3 +175,71 @@ def test_all_parts_that_urdf_cannot_hold_are_noted(tmp_path: Path) -> None:
 def test_a_motor_that_the_link_includes_is_not_noted(tmp_path: Path) -> None:
     study, values = exports.single(tmp_path, gravity=GRAVITY)
     assert not any("motor_inertia" in note for note in to_urdf(exports.arm_of(study, values)).notes)
+
+
+@pytest.mark.parametrize("motions", exports.MOTIONS)
+def test_pinocchio_has_inertia_and_gravity_of_a_chain(
+    motions: exports.Motions, tmp_path: Path
+) -> None:
+    pinocchio = pytest.importorskip("pinocchio", reason="Pinocchio is not installed (extra: bench)")
+    study, values = exports.chain(tmp_path, motions=motions)
+    model = pinocchio.buildModelFromXML(to_urdf(exports.arm_of(study, values)).data.decode())
+    model.gravity.linear = np.array(study.arm.gravity)
+    data, arm = model.createData(), Arm.of(study.arm)
+    base, rest = np.array([values[key] for key in arm.base_names]), np.zeros((1, 3))
+    for angle in np.random.default_rng(3).uniform(-2.0, 2.0, (10, 3)):
+        # a continuous joint has cosine and sine as coordinates
+        q = pinocchio.integrate(model, pinocchio.neutral(model), angle)
+        M = np.triu(pinocchio.crba(model, data, q))
+        np.testing.assert_allclose(M, np.triu(arm.inertia_matrix(base, angle)), atol=1e-12)
+        torque = arm.link_torques(base, angle[None], rest, rest)[0]
+        gravity = pinocchio.computeGeneralizedGravity(model, data, q)
+        np.testing.assert_allclose(gravity, torque, atol=1e-11)
+
+
+def test_the_reader_of_studies_reads_an_exported_chain(tmp_path: Path) -> None:
+    """Frames, axes, names and inertial values, to rounding."""
+    study, values = exports.chain(tmp_path)
+    study = replace(study, arm=study.arm.with_joint(2, name="elbow & wrist"))
+    export = to_urdf(exports.arm_of(study, values))
+    (tmp_path / "arm.urdf").write_bytes(export.data)
+    read = read_urdf(tmp_path / "arm.urdf")
+    assert [joint.name for joint in read] == ["joint1", "elbow & wrist", "joint3"]
+    for number, (joint, wanted) in enumerate(zip(read, study.arm.joints, strict=True), start=1):
+        assert (joint.origin, joint.axis, joint.motion) == (
+            wanted.origin, wanted.axis, wanted.motion
+        )  # fmt: skip
+        prior = dict(zip(core_order(number), joint.prior, strict=True))
+        for key, value in prior.items():
+            assert value == pytest.approx(values[key], rel=1e-9, abs=1e-12), key
+
+
+def core_order(number: int) -> list[tuple[str, int]]:
+    return [(f"link_{name}", number) for name in LINK_PARAMETERS]
+
+
+def test_coupled_motors_are_seen_from_each_joint(tmp_path: Path) -> None:
+    """Motor 2 turns with joints 1 and 2, so joint 1 has its friction and inertia in addition."""
+    study, values = exports.chain(tmp_path, coupling=exports.COUPLING)
+    export = to_urdf(exports.arm_of(study, values))
+    speeds = np.linalg.inv(Arm.of(study.arm).transmission)[:, 0]
+    damping = number(ET.fromstring(export.data), "joint[@name='joint1']/dynamics", "damping")
+    assert damping == pytest.approx(0.4 + 3e-4 * float(speeds @ speeds))
+    assert any(note.startswith("omitted: transmission") for note in export.notes)
+
+
+def test_bodies_without_identified_base_parameters_are_reported(tmp_path: Path) -> None:
+    study, values = exports.chain(tmp_path)
+    (warning,) = to_urdf(exports.arm_of(study, values)).warnings
+    assert "not identified: grouped_link_inertia_zz 1" in warning.message
+
+
+def test_a_chain_without_consistent_links_is_refused(tmp_path: Path) -> None:
+    study, values = exports.chain(tmp_path)
+    for name in LINK_PARAMETERS:
+        del values[f"link_{name}", 2]
+    with pytest.raises(InvalidInput, match="m2 is missing"):
+        to_urdf(exports.arm_of(study, values))
+    arm = replace(exports.arm_of(*exports.chain(tmp_path)), links={})
+    with pytest.raises(InvalidInput, match="link_mass of joint 1 is missing"):
+        to_urdf(arm)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from results import identification
 from strainwave import InvalidInput
 from strainwave.dynamics.arm import Arm
+from strainwave.io.results import study_of, to_document
 from strainwave.io.study import read_study, write_study
 
 _ARM = """
@@ -73,6 +76,7 @@ def test_a_urdf_places_the_joints(tmp_path: Path) -> None:
     arm = _read(tmp_path, _PLACED_BY_URDF + _RECORD)
     assert arm.joints[1].origin.xyz == (0.2, 0.0, 0.1)
     assert arm.joints[1].axis == (0.0, 1.0, 0.0)
+    assert arm.joint_names == ("one", "two")
 
 
 @pytest.mark.parametrize("text", [_STUDY, _PLACED_BY_URDF + _RECORD])
@@ -81,6 +85,16 @@ def test_a_written_study_reads_back_equal(tmp_path: Path, text: str) -> None:
     study = read_study(tmp_path / "study.toml", logs_exist=False)
     write_study(study, tmp_path / "again.toml")
     assert Arm.of(read_study(tmp_path / "again.toml", logs_exist=False).arm) == arm
+
+
+def test_a_result_places_the_joints_without_the_urdf(tmp_path: Path) -> None:
+    arm = _read(tmp_path, _PLACED_BY_URDF + _RECORD)
+    study = read_study(tmp_path / "study.toml", logs_exist=False)
+    document = to_document(replace(identification(), study=study))
+    again = study_of(document, Path("elsewhere/result.json"))
+    assert again is not None
+    assert again.arm == replace(study.arm, urdf=None)
+    assert again.arm.joint_names == arm.joint_names
 
 
 @pytest.mark.parametrize(
@@ -92,12 +106,13 @@ def test_a_written_study_reads_back_equal(tmp_path: Path, text: str) -> None:
         (_STUDY + '[channels]\ntheta_m3 = "q3"\n', "'theta_m3' is not a channel"),
         (_STUDY.replace("-9.81", "-9810.0"), "if 9810 is in mm/s^2, set 9.81"),
         (_STUDY.replace("gear_ratio = -0.01", "gear_ratio = -100.0"), "inverted: set -0.01"),
+        (_STUDY.replace("spring", 'name = "elbow"\nspring'), "two joints have the name 'elbow'"),
         (_ARM + 8 * _JOINT + _RECORD, "at most 7"),
         (_PLACED_BY_URDF + _JOINT + _RECORD, "2 joints move in robot.urdf (one, two)"),
         (_PLACED_BY_URDF.replace("robot.urdf", "none.urdf") + _RECORD, "none.urdf"),
         (
             _PLACED_BY_URDF.replace("[[joint]]", "[[joint]]\naxis = [0.0, 0.0, 1.0]", 1) + _RECORD,
-            "the URDF places the joint",
+            "'axis' is given, but the URDF determines it",
         ),
         (
             '[arm]\nkind = "planar-two-link"\nlink_length = 0.35\n'

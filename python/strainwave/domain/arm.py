@@ -67,6 +67,7 @@ class Joint:
     effects: tuple[EffectName, ...] | Literal["auto"] = ()
     origin: Origin = Origin()
     axis: Vector = (0.0, 0.0, 1.0)  # in the joint's frame; its length does not matter
+    name: str | None = None  # in the URDF and in exports
 
     @property
     def torque_per_command(self) -> float:
@@ -177,6 +178,12 @@ class ArmDescription:
     def has_planar_program(self) -> bool:
         """Whether the core has a compiled program of this kind, for motion in the xy plane."""
         return self.kind in _PLANAR_PROGRAMS
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names of the joints in models for other programs: `joint1` for a joint without name."""
+        numbered = enumerate(self.joints, start=1)
+        return tuple(joint.name or f"joint{number}" for number, joint in numbered)
 
     def with_joints(self, joints: Iterable[Joint]) -> Self:
         """Copy of the arm with other joints."""

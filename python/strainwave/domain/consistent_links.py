@@ -18,13 +18,6 @@ from strainwave.domain.arm import ArmDescription, LinkPrior
 from strainwave.domain.arrays import FloatArray
 from strainwave.errors import NumericalFailure
 
-LINK_PARAMETERS = (
-    "mass",
-    *(f"first_moment_{axis}" for axis in "xyz"),
-    *(f"inertia_{entry}" for entry in ("xx", "xy", "yy", "xz", "yz", "zz")),
-)
-"""Standard parameters of a link in the order of the core, without `link_`."""
-
 _MAX_STEPS = 200
 _TOLERANCE = 1e-12  # expected decrease of the cost
 _MIN_DECREASE = 0.1  # of the cost in a step, relative to the decrease of its quadratic model

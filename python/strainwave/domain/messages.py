@@ -261,6 +261,8 @@ TEMPLATES: Mapping[str, str] = {
     "assumed/friction": "link_viscous_friction is not identified|; the model has"
     " total_viscous_friction at the motor",
     "assumed/inertia": "only the sum of {parts!a}, {sum}, is identified|; the split is arbitrary",
+    "assumed/bodies": "these base parameters are not identified: {names}|; the bodies have values"
+    " near those of the URDF, or near a guess by the distances of the joints",
     "study-changed": "{file} has changed since it was identified|; gear ratios, lengths and torques"
     " per volt are the present ones",
     "gravity-torque": "gravity is {law}, which differs by {error!p:+.1f} % from that of the study|;"

@@ -4,17 +4,18 @@ A fixed tendon over motor and link joint with coefficients n and -1 has the leng
 delta = n theta_M - theta_L; its stiffness and damping act on both sides as in (1) and (2). A tendon
 with a slack range acts beyond the range only, so parallel tendons give a law whose slope changes at
 knees. Motors rotate relative to the world: (1) neglects the motion of the link that carries them.
+Where a transmission couples joints, a gear's tendon extends over all its motors. A motor behind a
+rigid gear is part of its joint, or, if it turns with several joints, a tendon over them.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
 from xml.etree import ElementTree as ET
 
-from strainwave.domain import Diagnostic, Joint, Place
-from strainwave.domain.core_arm import transmission
+from strainwave.domain import Diagnostic, FloatArray, Joint, Place
 from strainwave.domain.kinds import kind_of
 from strainwave.domain.kinds.bodies import Body
 from strainwave.domain.link_sensors import Axis, installed_axes
@@ -27,6 +28,7 @@ from strainwave.export.bodies import (
     holds_motor,
     link_bodies,
 )
+from strainwave.export.coordinates import Coordinates, coordinates_of
 from strainwave.export.markup import comment, numbers, root, to_bytes
 from strainwave.export.omissions import Part, notes_of
 from strainwave.export.source import Export, IdentifiedArm
@@ -51,6 +53,7 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     notes = notes_of(arm, _OMISSIONS)
     gravity = effective_gravity(arm)
     bodies = link_bodies(arm, gravity)
+    coordinates = coordinates_of(arm.study.arm)
     mujoco = root("mujoco", "model", notes)
     ET.SubElement(mujoco, "compiler", angle="radian", eulerseq="XYZ")  # as rpy in URDF
     note = kind_of(arm.study.arm).gravity_note
@@ -64,41 +67,61 @@ def to_mjcf(arm: IdentifiedArm) -> Export:
     comment(world, "One of many sets of masses with the same motion; see docs/export.md.")
     parent = world
     for number, body in enumerate(bodies, start=1):
-        parent = _link(parent, arm, number, body)
-    elastic = [i for i, joint in enumerate(arm.study.arm.joints, start=1) if joint.elastic]
-    for number in elastic:
+        parent = _link(parent, arm, number, body, coordinates)
+    for number in coordinates.elastic:
         _motor(world, arm, number)
-    if elastic:
+    shared = [i for i in range(1, arm.study.arm.n_joints + 1) if _is_shared(arm, i, coordinates)]
+    if coordinates.elastic or shared:
         tendons = ET.SubElement(mujoco, "tendon")
-        for number in elastic:
-            _gear(tendons, arm, number)
+        for torsion, number in zip(coordinates.torsions, coordinates.elastic, strict=True):
+            _gear(tendons, arm, number, _terms(arm, coordinates, torsion))
+        for number in shared:
+            angle = coordinates.motor_angles[number - 1]
+            _shared_motor(tendons, arm, number, _terms(arm, coordinates, angle))
     actuators = ET.SubElement(mujoco, "actuator")
     for number in range(1, arm.study.arm.n_joints + 1):
-        _actuator(actuators, arm, number)
+        _actuator(actuators, arm, number, is_shared=number in shared)
     sensors = ET.SubElement(mujoco, "sensor")
     comment(sensors, "Named as channels: a is the second component, gyro the third.")
     for number in range(1, arm.study.arm.n_joints + 1):
-        _sensors(sensors, arm, number)
-    warnings = arm.warnings + arm.assumed() + _approximations(arm) + gravity_warnings(arm)
-    return Export(to_bytes(mujoco), warnings, notes)
+        _sensors(sensors, arm, number, is_shared=number in shared)
+    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + _approximations(arm)
+    return Export(to_bytes(mujoco), warnings + gravity_warnings(arm), notes)
 
 
-def _link(parent: ET.Element, arm: IdentifiedArm, number: int, body: Body) -> ET.Element:
-    """One link and its joint, which includes the motor if the gear is rigid."""
+def _is_shared(arm: IdentifiedArm, number: int, coordinates: Coordinates) -> bool:
+    """Whether the motor of a joint is behind a rigid gear and turns with several joints."""
+    return not (arm.joint(number).elastic or coordinates.has_own_motor(number))
+
+
+def _terms(
+    arm: IdentifiedArm, coordinates: Coordinates, weights: FloatArray
+) -> tuple[tuple[str, float], ...]:
+    """The joints of a tendon with their coefficients, from weights of the coordinates."""
+    names = [f"motor_joint{number}" for number in coordinates.elastic]
+    names += arm.study.arm.joint_names
+    pairs = zip(names, weights.tolist(), strict=True)
+    return tuple((name, weight) for name, weight in pairs if weight)
+
+
+def _link(
+    parent: ET.Element, arm: IdentifiedArm, number: int, body: Body, coordinates: Coordinates
+) -> ET.Element:
+    """One link and its joint, which includes its own motor if the gear is rigid."""
     origin = arm.joint(number).origin
     element = ET.SubElement(parent, "body", name=f"link{number}", pos=numbers(*origin.xyz))
     if any(origin.rpy):
         element.set("euler", numbers(*origin.rpy))
     _inertial(element, body)
-    attributes = {"name": f"joint{number}", **_kind(arm, number)}
+    attributes = {"name": arm.study.arm.joint_names[number - 1], **_kind(arm, number)}
     viscous = arm.need("link_viscous_friction", number)
     joint = arm.joint(number)
-    if not joint.elastic:
+    if not joint.elastic and coordinates.has_own_motor(number):
         n2 = joint.gear_ratio**2
         viscous += arm.need("motor_viscous_friction", number) / n2
         friction = arm.need("motor_coulomb_friction", number) / abs(joint.gear_ratio)
         attributes |= {"frictionloss": numbers(friction), **_settling(arm, number)}
-        if not holds_motor(arm):
+        if not holds_motor(arm, number):
             attributes["armature"] = numbers(arm.need("motor_inertia", number) / n2)
     ET.SubElement(element, "joint", attributes, damping=numbers(viscous))
     x, y, _ = axes_about(joint.axis)
@@ -126,13 +149,13 @@ def _motor(world: ET.Element, arm: IdentifiedArm, number: int) -> None:
     """A motor with its friction; its axis passes through its centre of mass."""
     inertia = arm.need("motor_inertia", number)
     element = ET.SubElement(world, "body", name=f"motor{number}")
-    _inertial(
-        element, Body.in_plane(inertia, 0.0, inertia)
-    )  # a slide uses the mass, a hinge the inertia
+    _inertial(element, Body.in_plane(inertia, 0.0, inertia))
+    # also the motor of a prismatic joint turns; gravity would pull a slide
+    hinge = {"type": "hinge", "axis": numbers(*arm.joint(number).axis)}
     ET.SubElement(
         element,
         "joint",
-        {"name": f"motor_joint{number}", **_kind(arm, number), **_settling(arm, number)},
+        {"name": f"motor_joint{number}", **hinge, **_settling(arm, number)},
         damping=numbers(arm.need("motor_viscous_friction", number)),
         frictionloss=numbers(arm.need("motor_coulomb_friction", number)),
     )
@@ -157,7 +180,9 @@ def _settling(arm: IdentifiedArm, number: int) -> dict[str, str]:
     return {"solreffriction": numbers(constant, 1.0), "solimpfriction": "0.9999 0.9999 0.001"}
 
 
-def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
+def _gear(
+    tendons: ET.Element, arm: IdentifiedArm, number: int, terms: Iterable[tuple[str, float]]
+) -> None:
     """The spring as parallel tendons, one per slope (1); the first has the damping."""
     for part, (stiffness, slack) in enumerate(_springs(arm, number), start=1):
         name = f"gear{number}" if part == 1 else f"gear{number}_beyond_t{part - 1}"
@@ -165,10 +190,25 @@ def _gear(tendons: ET.Element, arm: IdentifiedArm, number: int) -> None:
         fixed.set("springlength", numbers(-slack, slack) if slack else "0")
         if part == 1:
             fixed.set("damping", numbers(arm.need("gear_damping", number)))
-        for motor, ratio in enumerate(transmission(arm.study.arm)[number - 1].tolist(), start=1):
-            if ratio:
-                ET.SubElement(fixed, "joint", joint=f"motor_joint{motor}", coef=numbers(ratio))
-        ET.SubElement(fixed, "joint", joint=f"joint{number}", coef="-1")
+        _add_terms(fixed, terms)
+
+
+def _shared_motor(
+    tendons: ET.Element, arm: IdentifiedArm, number: int, terms: Iterable[tuple[str, float]]
+) -> None:
+    """A motor behind a rigid gear that turns with several joints."""
+    attributes = {"name": f"motor{number}", **_settling(arm, number)}
+    if not holds_motor(arm, number):
+        attributes["armature"] = numbers(arm.need("motor_inertia", number))
+    viscous = numbers(arm.need("motor_viscous_friction", number))
+    coulomb = numbers(arm.need("motor_coulomb_friction", number))
+    fixed = ET.SubElement(tendons, "fixed", attributes, damping=viscous, frictionloss=coulomb)
+    _add_terms(fixed, terms)
+
+
+def _add_terms(fixed: ET.Element, terms: Iterable[tuple[str, float]]) -> None:
+    for joint, weight in terms:
+        ET.SubElement(fixed, "joint", joint=joint, coef=numbers(weight))
 
 
 def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]:
@@ -178,16 +218,20 @@ def _springs(arm: IdentifiedArm, number: int) -> tuple[tuple[float, float], ...]
     return ((arm.need(law.linearised_by, number), 0.0),) if exact is None else exact
 
 
-def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int) -> None:
+def _actuator(actuators: ET.Element, arm: IdentifiedArm, number: int, *, is_shared: bool) -> None:
     """Voltage to torque (1): e u minus the friction offset, behind the current loop."""
     joint = arm.joint(number)
-    rigid = not joint.elastic
+    target, gear = {"joint": f"motor_joint{number}"}, 1.0
+    if is_shared:
+        target = {"tendon": f"motor{number}"}
+    elif not joint.elastic:
+        target = {"joint": arm.study.arm.joint_names[number - 1]}
+        gear = 1.0 / joint.gear_ratio
     element = ET.SubElement(
         actuators,
         "general",
-        name=f"drive{number}",
-        joint=f"joint{number}" if rigid else f"motor_joint{number}",
-        gear=numbers(1.0 / joint.gear_ratio if rigid else 1.0),
+        {"name": f"drive{number}", **target},
+        gear=numbers(gear),
         gainprm=numbers(joint.torque_per_command),
         biastype="affine",
         biasprm=numbers(-arm.values.get(("friction_offset", number), 0.0), 0, 0),
@@ -210,17 +254,18 @@ def _lag(joint: Joint) -> float | None:
     return lag if lag > 0.5 * _STEP_S else None
 
 
-def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int) -> None:
+def _sensors(sensors: ET.Element, arm: IdentifiedArm, number: int, *, is_shared: bool) -> None:
     """Channels of a joint: drive and link sensors.
 
     The accelerometer measures specific force (8), (9). The torque is that of the actuator, which
     includes the friction offset.
     """
-    link = f"joint{number}"
-    if arm.joint(number).elastic:
-        motor = f"motor_joint{number}"
-        ET.SubElement(sensors, "jointpos", name=f"theta_m{number}", joint=motor)
-        ET.SubElement(sensors, "jointvel", name=f"omega_m{number}", joint=motor)
+    link = arm.study.arm.joint_names[number - 1]
+    if is_shared or arm.joint(number).elastic:
+        motor = {"tendon": f"motor{number}"} if is_shared else {"joint": f"motor_joint{number}"}
+        kind = next(iter(motor))
+        ET.SubElement(sensors, f"{kind}pos", {"name": f"theta_m{number}", **motor})
+        ET.SubElement(sensors, f"{kind}vel", {"name": f"omega_m{number}", **motor})
     ET.SubElement(sensors, "actuatorfrc", name=f"torque{number}", actuator=f"drive{number}")
     ET.SubElement(sensors, "jointpos", name=f"theta_l{number}", joint=link)
     for axis, site, tag in _installed(arm, number):

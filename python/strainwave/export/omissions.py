@@ -20,6 +20,7 @@ class Part(Enum):
 
     MOTOR_INERTIA = "motor inertia"
     COUPLING = "inertial coupling"
+    TRANSMISSION = "coupling of motors"
     GRAVITY = "gravity"
     GEAR = "gear spring and damping"
     VISCOUS = "viscous friction of motor and link"
@@ -94,6 +95,8 @@ def _parts_of(arm: IdentifiedArm) -> dict[Part, str]:
                     add(part, key, number)
     if arm.study.arm.gravity:
         add(Part.GRAVITY, "gravity", None)
+    if arm.study.arm.is_coupled:
+        add(Part.TRANSMISSION, "transmission", None)
     if arm.study.arm.servo is not None:
         add(Part.SERVO, "servo", None)
     add(Part.UNCERTAINTY, "standard deviations and correlations", None)

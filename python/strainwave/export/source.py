@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +18,21 @@ from strainwave.domain import (
     is_physical,
     physical_range,
 )
+from strainwave.domain.base_parameters import base_parameters
 from strainwave.domain.combinations import is_rigid_drive, lumped_inertias
 from strainwave.domain.keys import Values
+from strainwave.domain.kinds import kind_of
 from strainwave.domain.parameters import complete_values
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import read_bytes
-from strainwave.io.results import NOT_A_RESULT, parameters_of, read_document, result_path, study_of
+from strainwave.io.results import (
+    NOT_A_RESULT,
+    parameters_of,
+    read_document,
+    result_path,
+    standard_links_of,
+    study_of,
+)
 from strainwave.io.study import read_study
 
 
@@ -45,6 +54,7 @@ class IdentifiedArm:
     source: str  # file of the parameters, for messages
     warnings: tuple[Diagnostic, ...] = ()  # of every export
     rejected: tuple[str, ...] = ()  # "gear_damping 2": rejected by the verdict, here without value
+    links: Values = field(default_factory=dict)  # consistent standard parameters of a serial arm
 
     @property
     def values(self) -> Values:
@@ -55,7 +65,7 @@ class IdentifiedArm:
         identified = self._identified()
         for number in self._joints_with_total_friction():
             identified.pop(("motor_viscous_friction", number), None)
-        return complete_values(identified, self.study.arm)
+        return complete_values(identified, self.study.arm) | self.links
 
     def need(self, name: str, joint: int | None = None) -> float:
         """The value of a parameter [SI]; `InvalidInput` if it is missing, null or not physical."""
@@ -91,7 +101,9 @@ class IdentifiedArm:
             if self.joint(number).elastic
         ]
         identified, arm = self._identified(), self.study.arm
-        lumped = {} if is_rigid_drive(arm) else lumped_inertias(arm)  # its link has the sum
+        # the link of a rigid drive has the sum; standard parameters are split by consistency
+        is_split = bool(kind_of(arm).standard_rows(arm)) and not is_rigid_drive(arm)
+        lumped = lumped_inertias(arm) if is_split else {}
         for (name, number), row in lumped.items():
             if (name, number) in identified and not identified.keys() & {
                 *row,
@@ -101,6 +113,14 @@ class IdentifiedArm:
                 place = Place(joint=number)
                 assumptions.append(Diagnostic("assumed", place, "inertia", parts=parts, sum=name))
         return tuple(assumptions)
+
+    def assumed_bodies(self) -> tuple[Diagnostic, ...]:
+        """A warning if the bodies of a serial arm have base parameters that are not identified."""
+        columns = base_parameters(self.study.arm).columns if self.links else ()
+        identified = self._identified()
+        names = tuple(column.label for column in columns if column.key not in identified)
+        place = Place(file=self.source)
+        return (Diagnostic("assumed", place, "bodies", names=names),) if names else ()
 
     def _identified(self) -> Values:
         return {p.key: p.value for p in self.parameters if p.value is not None}
@@ -154,7 +174,8 @@ def arm_of(
         study, warnings = _study_from_file(document, path, study_path)
     _check_joints(parameters, study, path)
     accepted, rejected = _drop_rejected(parameters, document, path)
-    return IdentifiedArm(study, accepted, str(path), warnings, rejected)
+    links = standard_links_of(document, study.arm, str(path))
+    return IdentifiedArm(study, accepted, str(path), warnings, rejected, links)
 
 
 def _study_from_file(

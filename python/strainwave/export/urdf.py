@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from xml.sax.saxutils import quoteattr
 
-from strainwave.export.bodies import gravity_warnings, holds_motor, link_bodies
+import numpy as np
+
+from strainwave.domain.combinations import is_rigid_drive
+from strainwave.domain.core_arm import transmission
+from strainwave.export.bodies import gravity_warnings, link_bodies
 from strainwave.export.markup import comment_text, numbers
 from strainwave.export.omissions import Part, notes_of, sentence_of
 from strainwave.export.source import Export, IdentifiedArm
@@ -20,6 +25,8 @@ _OMISSIONS = {
     Part.EFFECTS: "URDF has no element for them",
     Part.GRAVITY: "gravity is set in the simulator; masses have the measured gravity torques if it "
     "acts as in the study",
+    Part.TRANSMISSION: "a URDF transmission has one joint; friction and motor inertia of "
+    "a joint are those of all motors that turn with it",
     Part.DRIVE: "the effort of a URDF joint is the torque at the link",
     Part.SENSORS: "URDF has no sensors",
     Part.SERVO: "URDF has no controllers",
@@ -32,36 +39,44 @@ def to_urdf(arm: IdentifiedArm) -> Export:
     bodies = link_bodies(arm, arm.study.arm.gravity_size)
     joints = arm.study.arm.joints
     reasons = dict(_OMISSIONS)
-    if holds_motor(arm):  # the inertia of the link includes it
+    if is_rigid_drive(arm.study.arm):  # the inertia of the link includes its motor
         del reasons[Part.MOTOR_INERTIA]
     notes = notes_of(arm, reasons)
+    # speeds of the motors per speed of each joint alone; transmissions may couple them
+    speeds = np.abs(np.linalg.inv(transmission(arm.study.arm)))
 
     def viscous_friction(number: int) -> float:
-        """d_M/n^2 + d_L at the link."""
-        of_motor = arm.need("motor_viscous_friction", number) / joints[number - 1].gear_ratio ** 2
-        return of_motor + arm.need("link_viscous_friction", number)
+        """d_M/n^2 of all its motors + d_L at the link."""
+        of_link = arm.need("link_viscous_friction", number)
+        return of_link + at_link("motor_viscous_friction", number, 2)
 
     def coulomb_friction(number: int) -> float:
-        """f_M/n at the link."""
-        return arm.need("motor_coulomb_friction", number) / abs(joints[number - 1].gear_ratio)
+        """f_M/n of all its motors at the link."""
+        return at_link("motor_coulomb_friction", number, 1)
 
     def motor_inertia(number: int) -> float | None:
-        """At the link; None: unknown, or part of the link."""
-        inertia = arm.values.get(("motor_inertia", number))
-        if inertia is None or holds_motor(arm):
-            return None
-        return inertia / joints[number - 1].gear_ratio ** 2
+        """m_M/n^2 of all its motors at the link; None: unknown, or part of the link."""
+        motors = (np.flatnonzero(speeds[:, number - 1]) + 1).tolist()
+        is_known = all(arm.values.get(("motor_inertia", motor)) is not None for motor in motors)
+        is_separate = is_known and not is_rigid_drive(arm.study.arm)
+        return at_link("motor_inertia", number, 2) if is_separate else None
+
+    def at_link(name: str, number: int, power: int) -> float:
+        """A property of the motors that turn with one joint, seen from the joint."""
+        weights = enumerate((speeds[:, number - 1] ** power).tolist(), start=1)
+        return sum((arm.need(name, i) * weight for i, weight in weights if weight), 0.0)
 
     text = fill_text(
         Path(__file__).with_name("arm.urdf.j2"),
         notes=notes,
-        links=list(zip(bodies, joints, strict=True)),
+        links=list(zip(bodies, joints, arm.study.arm.joint_names, strict=True)),
         coulomb_friction=coulomb_friction,
         motor_inertia=motor_inertia,
         viscous_friction=viscous_friction,
         comment_text=comment_text,
         numbers=numbers,
+        quoted=quoteattr,
         sentence_of=sentence_of,
     )
-    warnings = arm.warnings + arm.assumed() + gravity_warnings(arm)
+    warnings = arm.warnings + arm.assumed() + arm.assumed_bodies() + gravity_warnings(arm)
     return Export(text.encode(), warnings, notes)

@@ -67,7 +67,8 @@ def standard_parameter_entries(
 ) -> dict[str, float] | None:
     """The entry `standard_parameters`: bodies nearest to the prior that have the base parameters.
 
-    None unless every motor inertia and at least one base parameter have a covariance.
+    The bodies include the inertia of motors that rigid motion does not separate from them, which
+    have no entry. None unless a base parameter has a covariance.
     """
     arm = identification.study.arm
     if covariance is None or not base_parameters(arm).has_groups:
@@ -87,15 +88,15 @@ def links_near_prior(
 ) -> dict[Key, float] | None:
     """Consistent standard parameters of the links; None if no set agrees with the estimates.
 
-    `values` are the estimates by label; `covariance` is that of some of them.
+    `values` are the estimates by label; `covariance` is that of some of them. Motors without
+    estimate are part of the links.
     """
     base = base_parameters(arm)
     n_links, names = len(base.links), list(covariance.names)
     known = [k for k, column in enumerate(base.columns) if column.label in names]
     known = [k for k in known if base.rows[k, :n_links].any()]
     motors = [f"{MOTOR_INERTIA} {i + 1}" for i in range(arm.n_joints)]
-    needed = np.flatnonzero(base.rows[known, n_links:].any(axis=0))
-    if not known or any(values.get(motors[i]) is None for i in needed):
+    if not known:
         return None
     rows = base.rows[known]
     inertias = np.array([values.get(motor) or 0.0 for motor in motors])

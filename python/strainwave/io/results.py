@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from strainwave.domain import (
+    ArmDescription,
     ArmModel,
     Clause,
     Correction,
@@ -40,10 +41,15 @@ from strainwave.domain import (
     Validation,
     Verdict,
 )
-from strainwave.domain.keys import Key, label_of
+from strainwave.domain.base_parameters import base_parameters
+from strainwave.domain.keys import Key, Values, label_of
 from strainwave.errors import InvalidInput
 from strainwave.io.atomic_files import decode, read_bytes
-from strainwave.io.base_parameters import base_parameter_entries, standard_parameter_entries
+from strainwave.io.base_parameters import (
+    base_parameter_entries,
+    standard_name,
+    standard_parameter_entries,
+)
 from strainwave.io.joint_covariance import JointCovariance, covariance_document, joint_covariance
 from strainwave.io.study import document_of
 from strainwave.io.study.reader import Reader
@@ -178,6 +184,23 @@ def parameters_of(document: Mapping[str, Any], source: str = "the result") -> tu
     return entries
 
 
+def standard_links_of(
+    document: Mapping[str, Any], arm: ArmDescription, source: str = "the result"
+) -> Values:
+    """Physically consistent standard parameters of the links; empty if the result has none."""
+    place = f"{source}: standard_parameters"
+    entries: dict[str, float] = _validated(
+        dict[str, float], document.get("standard_parameters") or {}, place
+    )
+    names = {standard_name(key): key for key in base_parameters(arm).links} if entries else {}
+    for name in names:
+        if not math.isfinite(entries.get(name, math.nan)):
+            raise InvalidInput(
+                f"{name} is missing or not a finite number", where=place, remedy=NOT_A_RESULT
+            )
+    return {key: entries[name] for name, key in names.items()}
+
+
 def warnings_of(document: Mapping[str, Any]) -> tuple[PublishedWarning, ...]:
     """The warnings of a result."""
     entries: tuple[PublishedWarning, ...] = _validated(
@@ -302,8 +325,8 @@ def _adapter(kind: Any) -> Any:
 
 
 def _study(study: Study) -> dict[str, Any]:
-    """Path and hash of the study file, and the rig as the file describes it."""
-    tables = document_of(study)
+    """Path and hash of the study file, and the rig, with the joints where a URDF places them."""
+    tables = document_of(replace(study, arm=replace(study.arm, urdf=None)))
     rig = {name: tables[name] for name in _RIG_TABLES if name in tables}
     return {"path": str(study.path), "sha256": study.sha256, **rig}
 

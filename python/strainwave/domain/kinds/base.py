@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 from strainwave.domain.arm import ArmDescription, Joint, Servo, Vector
 from strainwave.domain.clauses import Clause
 from strainwave.domain.keys import Key, Keyed, Row, Values
-from strainwave.errors import InvalidInput, NotIdentifiable
+from strainwave.domain.kinds.bodies import LINK_PARAMETERS, Body, ParameterLookup
+from strainwave.errors import NotIdentifiable
 
 if TYPE_CHECKING:
-    from strainwave.domain.kinds.bodies import Body, ParameterLookup
     from strainwave.domain.kinds.starts import StageInertias
 
 
@@ -163,13 +163,13 @@ class Kind(ABC, Generic[Table]):
     ) -> tuple[Body, ...]:
         """One rigid body per link, from the base, with the base parameters of the arm.
 
-        `gravity` [m/s^2] relates link 1's gravity torque to its first moment; if it is zero, the
-        centre of mass lies on the axis. Raises InvalidInput if no bodies have these parameters, or
-        if the kind does not choose bodies.
+        They have the standard parameters of the links unless the kind chooses them. `gravity`
+        [m/s^2] relates link 1's gravity torque to its first moment; if it is zero, the centre of
+        mass lies on the axis. Raises InvalidInput if no bodies have these parameters.
         """
-        raise InvalidInput(
-            f"there is no export of rigid bodies for a {self.name} arm",
-            remedy="export the JSON or MATLAB file of parameters",
+        return tuple(
+            Body.of_standard([need(f"link_{name}", number) for name in LINK_PARAMETERS])
+            for number in range(1, arm.n_joints + 1)
         )
 
     def effective_gravity(self, arm: ArmDescription, need: ParameterLookup) -> float:

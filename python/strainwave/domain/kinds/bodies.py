@@ -2,10 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from strainwave.domain.arm import Vector
+
+LINK_PARAMETERS = (
+    "mass",
+    *(f"first_moment_{axis}" for axis in "xyz"),
+    *(f"inertia_{entry}" for entry in ("xx", "xy", "yy", "xz", "yz", "zz")),
+)
+"""Standard parameters of a link in the order of the core, without `link_`."""
 
 ASSUMED_LENGTH = 1.0
 """Length [m] of a link if the study gives none."""
@@ -19,6 +29,16 @@ class Body:
     centre: Vector  # of mass [m]
     # Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass [kg m^2]
     inertia: tuple[float, float, float, float, float, float]
+
+    @classmethod
+    def of_standard(cls, parameters: Sequence[float]) -> Body:
+        """Body with the values of `LINK_PARAMETERS`; its mass is positive."""
+        mass, *moment = parameters[:4]
+        x, y, z = (part / mass for part in moment)
+        xx, xy, yy, xz, yz, zz = np.array(parameters[4:]) - mass * np.array(
+            [y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y]
+        )
+        return cls(mass, (x, y, z), (xx, yy, zz, xy, xz, yz))
 
     @classmethod
     def in_plane(cls, mass: float, centre: float, inertia: float) -> Body:

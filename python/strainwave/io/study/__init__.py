@@ -135,8 +135,9 @@ def write_study(study: Study, path: Path) -> None:
 
 def document_of(study: Study) -> dict[str, Any]:
     """A study as tables of a study file, without values that equal their defaults."""
-    places = kind_of(study.arm).places_joints or study.arm.urdf is not None
-    placed = ("origin", "axis") if places else ()
+    placed: tuple[str, ...] = ("origin", "axis") if kind_of(study.arm).places_joints else ()
+    if study.arm.urdf is not None:
+        placed = ("origin", "axis", "name")
     document: dict[str, Any] = {
         "arm": {"kind": study.arm.kind, **_table(kind_of(study.arm).table_of(study.arm))},
         "joint": [_table(joint, without=placed) for joint in study.arm.joints],

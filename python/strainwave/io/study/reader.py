@@ -113,6 +113,7 @@ class Reader:
         table: Mapping[str, Any],
         name: str,
         index: int | None = None,
+        /,
         **elsewhere: Any,
     ) -> T:
         """One table as a record, each value checked against the annotation of its field.
@@ -156,6 +157,7 @@ class Reader:
         for index, joint in enumerate(joints):
             placed = self._placed(kind, joint, index, urdf)
             described.append(self._joint(joint, index, placed))
+        self._check_names(described)
         for fault in kind.faults(table, described):
             raise InvalidInput(
                 fault.problem,
@@ -173,6 +175,16 @@ class Reader:
             urdf=Urdf(file, tuple(joint.prior for joint in urdf)) if file else None,
         )
 
+    def _check_names(self, joints: Sequence[Joint]) -> None:
+        """Check that no two joints have the same name."""
+        for index, joint in enumerate(joints):
+            if joint.name in [other.name for other in joints[:index] if other.name]:
+                raise InvalidInput(
+                    f"two joints have the name {joint.name!r}",
+                    where=self.place("joint", index, "name"),
+                    remedy="rename one of them",
+                )
+
     def _placed(
         self, kind: Kind[Any], joint: Mapping[str, Any], index: int, urdf: Sequence[UrdfJoint]
     ) -> Mapping[str, Any]:
@@ -181,11 +193,11 @@ class Reader:
         if kind.places_joints:
             placed = _PLACED_BY_KIND
         elif urdf:
-            placed = {"origin": urdf[index].origin, "axis": urdf[index].axis}
+            placed = {key: getattr(urdf[index], key) for key in ("origin", "axis", "name")}
         for key in placed.keys() & joint.keys():
             placer = "the URDF" if urdf else f"the kind {kind.name}"
             raise InvalidInput(
-                f"'{key}' is given, but {placer} places the joint",
+                f"'{key}' is given, but {placer} determines it",
                 where=self.place("joint", index, key),
                 remedy=f"remove {key}" if urdf else 'remove it, or use kind = "serial"',
             )
