@@ -64,8 +64,6 @@ def fit_elastic_joints(
     Without excited records, there are no models.
     """
     excited = inputs.logs_of("frequency", "sweep")
-    if inputs.arm.is_coupled:
-        return _refuse_coupling(inputs)
     if not excited:
         return JointStage(warnings=(Diagnostic("no-frequency-record", inputs.place),))
     if rigid_model is None and not is_uncoupled(inputs.arm):
@@ -77,7 +75,8 @@ def fit_elastic_joints(
         sides, delays = links.compute_link_signals(placed_logs, placed_arm, options.links)
         removed = links.list_removed_delays(sides, delays)
         warnings = list(links.build_delay_warnings(delays))
-        if any("motor" in side.sources for side in sides):
+        # the motion of a coupled link follows several motors: no joint has a model of its own
+        if inputs.arm.is_coupled or any("motor" in side.sources for side in sides):
             warnings += [warning for side in sides for warning in side.warnings]
             full = [side for side in sides if side.experiment.use == "frequency"]
             fit = partial(physical.models_from_motors, full or sides)
@@ -106,17 +105,7 @@ def typical_joints(inputs: Inputs, rigid_model: RigidModel | None) -> JointStage
     """Typical gears to start from if only step records excite them."""
     if not inputs.logs_of("tuning"):
         return JointStage()
-    if inputs.arm.is_coupled:
-        return _refuse_coupling(inputs)
     return _fit_alternatives(inputs, physical.models_from_catalogue, rigid_model)
-
-
-def _refuse_coupling(inputs: Inputs) -> JointStage:
-    """No models: motors that move several joints have no model of one joint."""
-    reason = "the transmission couples joints, so that no joint has a model of its own"
-    return JointStage(
-        warnings=(Diagnostic("not-identifiable", inputs.place, "reason", reason=reason),)
-    )
 
 
 def _fit_alternatives(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +35,7 @@ from strainwave.identification.joint_model.motor_side.arms import (
     family_of,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import LinearArm, velocities
+from strainwave.identification.joint_model.motor_side.impedance import LinearArm
 from strainwave.identification.joint_model.motor_side.search import minima
 from strainwave.identification.joint_model.motor_side.spectra import Piece, pieces, thin_lines
 from strainwave.virtual.experiments import derived
@@ -47,8 +47,9 @@ def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
     """Random arm: parameters over two decades, positive definite inertia, arbitrary gravity."""
     factors = np.exp(rng.uniform(-2.3, 2.3, (6, n)))
     root, gravity = rng.normal(size=(n, n)), rng.normal(size=(n, n))
+    coupling = np.eye(n) + np.tril(rng.uniform(-0.5, 0.5, (n, n)), -1)
     return LinearArm(
-        gear_ratio=rng.uniform(0.005, 0.1, n),
+        transmission=coupling * rng.uniform(0.005, 0.1, n),
         motor_inertia=1e-4 * factors[0],
         motor_viscous_friction=1e-4 * factors[1],
         link_viscous_friction=0.3 * factors[2],
@@ -61,13 +62,13 @@ def linear_arm(n: int, rng: np.random.Generator) -> LinearArm:
 
 def response(arm: LinearArm, s: complex) -> ComplexArray:
     """Response (n, n) of motor velocities to torques, from [theta_M, q_L, dtheta_M, dq_L]."""
-    n = len(arm.gear_ratio)
-    N, K, D = (np.diag(x) for x in (arm.gear_ratio, arm.gear_stiffness, arm.gear_damping))
+    n, T = len(arm.transmission), arm.transmission
+    K, D = (np.diag(x) for x in (arm.gear_stiffness, arm.gear_damping))
     mass = np.block(
         [[np.diag(arm.motor_inertia), np.zeros((n, n))], [np.zeros((n, n)), arm.inertia]]
     )
-    spring = np.block([[N @ K @ N, -N @ K], [-K @ N, K + arm.gravity]])
-    damper = np.block([[N @ D @ N, -N @ D], [-D @ N, D + np.diag(arm.link_viscous_friction)]])
+    spring = np.block([[T.T @ K @ T, -T.T @ K], [-K @ T, K + arm.gravity]])
+    damper = np.block([[T.T @ D @ T, -T.T @ D], [-D @ T, D + np.diag(arm.link_viscous_friction)]])
     damper[:n, :n] += np.diag(arm.motor_viscous_friction)
     identity, zeros = np.eye(2 * n), np.zeros((2 * n, 2 * n))
     A = np.block(
@@ -78,30 +79,46 @@ def response(arm: LinearArm, s: complex) -> ComplexArray:
     return np.asarray(C @ np.linalg.solve(s * np.eye(4 * n) - A, B))
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2, 3)), st.floats(0.5, 200.0))
-def test_the_impedance_is_the_inverse_of_the_state_space_response(
-    seed: int, n: int, hz: float
-) -> None:
-    arm = linear_arm(n, np.random.default_rng(seed))
-    s = np.array([2j * np.pi * hz], dtype=np.complex128)
-    product = arm.impedance(s)[0] @ response(arm, complex(s[0]))
-    # entries of the inverted matrices differ by the squared gear ratio, about 1e5
-    np.testing.assert_allclose(product, np.eye(n), atol=1e-6)
-
-
-@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2)))
+@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2, 3, 4)))
 def test_the_motor_velocity_follows_from_its_torque_and_the_other_velocities(
     seed: int, n: int
 ) -> None:
     rng = np.random.default_rng(seed)
     arm = linear_arm(n, rng)
     s = np.asarray(2j * np.pi * np.geomspace(1.0, 100.0, 7), dtype=np.complex128)
-    motion = complex_normal(rng, (7, n))
-    Z = arm.impedance(s)
-    torque = np.einsum("lij,lj->li", Z, motion)
+    torque = complex_normal(rng, (7, n)) * 1e-2
+    velocity = motion_of(arm, s, torque)
     for i in range(n):
-        velocity = velocities(Z, torque[:, i], motion, i)
-        np.testing.assert_allclose(velocity, motion[:, i], rtol=1e-8)
+        error = arm.motor(s, torque[:, i], velocity, i).error
+        np.testing.assert_allclose(error, 0.0, atol=1e-7 * np.abs(velocity).max())
+
+
+def motion_of(arm: LinearArm, s: ComplexArray, torque: ComplexArray) -> ComplexArray:
+    """Velocities of the motors at their torques, (n_lines, n)."""
+    pairs = zip(s.tolist(), torque, strict=True)
+    return np.array([response(arm, each) @ drive for each, drive in pairs])
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from((1, 2, 3)))
+def test_the_derivatives_are_limits_of_differences(seed: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    arm = linear_arm(n, rng)
+    names = [each.name for each in fields(arm)[1:]]
+    sizes = {name: 1e-6 * getattr(arm, name)[None] for name in names}
+    s = np.asarray(2j * np.pi * np.geomspace(1.0, 100.0, 7), dtype=np.complex128)
+    torque, velocity = 1e-2 * complex_normal(rng, (7,)), complex_normal(rng, (7, n))
+    above, below = (
+        replace(arm, **{name: getattr(arm, name) + sign * sizes[name][0] for name in names})
+        for sign in (1.0, -1.0)
+    )
+    for i in range(n):
+        motion = arm.motor(s, torque, velocity, i)
+        exact = motion.derivatives(LinearArm(arm.transmission, **sizes))
+        high, low = (each.motor(s, torque, velocity, i) for each in (above, below))
+        for derivative, name in zip(exact, ("error", "impedance"), strict=True):
+            difference = (getattr(high, name) - getattr(low, name)) / 2.0
+            scale = 1e-6 * np.abs(getattr(motion, name)).max()
+            np.testing.assert_allclose(derivative[0], difference, rtol=1e-3, atol=1e-3 * scale)
 
 
 def complex_normal(rng: np.random.Generator, shape: tuple[int, ...]) -> ComplexArray:
@@ -124,6 +141,7 @@ def known_family(study: Study, values: Values) -> Family:
         base=np.array([parameters.get(key, 0.0) for key in arm.base_names]),
         known_share=np.array([np.nan, motor[1] / total[1]]),
         known_deviation=np.array([np.nan, 0.02]),
+        base_per_motor=arm.base.links_per_motor,
     )
 
 
@@ -138,7 +156,7 @@ def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generat
     base = np.array([derived_values.get(key, 0.0) for key in family.arm.base_names])
     posture = posture_of(family.arm, angle)
     arm = LinearArm(
-        gear_ratio=family.ratio,
+        transmission=family.arm.transmission,
         motor_inertia=of("motor_inertia"),
         motor_viscous_friction=of("motor_viscous_friction"),
         link_viscous_friction=of("link_viscous_friction"),
@@ -151,7 +169,7 @@ def exact_piece(family: Family, values: Values, row: int, rng: np.random.Generat
     direction = complex_normal(rng, (120, 2))
     drive = np.zeros((120, 2), dtype=np.complex128)
     drive[:, row] = complex_normal(rng, (120,))
-    velocity = np.asarray(np.linalg.solve(arm.impedance(s), drive[..., None])[..., 0])
+    velocity = motion_of(arm, s, drive)
     assert family.coulomb is not None
     torque = drive + family.coulomb * direction
     return Piece(f"prbs-j{row + 1}", s, torque, direction, velocity, angle, (row,))
@@ -196,7 +214,7 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
     motor = ratio**2 * inertia * rng.uniform(0.4, 1.2, n)
     viscous, coulomb = np.full(n, 1e-4), np.full(n, 0.02)
     linear = LinearArm(
-        gear_ratio=ratio,
+        transmission=arm.transmission,
         motor_inertia=motor,
         motor_viscous_friction=0.5 * viscous,
         link_viscous_friction=0.5 * viscous / ratio**2,
@@ -211,7 +229,8 @@ def chain_arm(n: int) -> tuple[LinearArm, Family, FloatArray]:
     known_share[in_sums] = np.nan
     base = arm.links_of_rigid() @ arm.base.rows @ np.concatenate([link, motor])
     deviation = np.full(n, 0.02)
-    family = Family(arm, ratio, total, viscous, coulomb, base, known_share, deviation)
+    per_motor = arm.base.links_per_motor
+    family = Family(arm, ratio, total, viscous, coulomb, base, known_share, deviation, per_motor)
     return linear, family, link
 
 
@@ -231,7 +250,7 @@ def chain_piece(
     drive = np.zeros((60, n), dtype=np.complex128)
     drive[:, row] = complex_normal(rng, (60,))
     direction = complex_normal(rng, (60, n))
-    velocity = np.asarray(np.linalg.solve(arm.impedance(s), drive[..., None])[..., 0])
+    velocity = motion_of(arm, s, drive)
     return Piece(
         f"prbs-j{row + 1}", s, drive + 0.02 * direction, direction, velocity, angle, (row,)
     )

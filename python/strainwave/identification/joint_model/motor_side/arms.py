@@ -31,6 +31,7 @@ NO_ARM = (
 _DIFFERENCE_STEP = 1e-4  # [rad] step for central differences
 # minimum relative standard deviation of a motor inertia from the rigid model
 _MIN_RELATIVE_STD = 0.02
+_MAX_SHARE = 0.99  # maximum motor's share of c_1 from the rigid model
 _START_DECAY_RATE = 0.5  # [1/s] starting value of c_0 / c_1
 _MIN_DECAY_RATE = 0.01  # [1/s] least c_0 / c_1 of a rigid model
 # motor's share of the viscous friction, which motor signals do not determine
@@ -68,9 +69,11 @@ class Family:
     total_inertia: FloatArray | None  # (n_joints,) c_1 [kg m^2], motor side; None: coordinate
     total_viscous: FloatArray | None  # (n_joints,) c_0 [N m s/rad]; None: coordinate
     coulomb: FloatArray | None  # (n_joints,) [N m]; None: estimated per record
-    base: FloatArray  # (n_base,) base parameters other than the link inertias
+    base: FloatArray  # (n_base,) base parameters, those of link inertias replaced
     known_share: FloatArray  # (n_joints,) motor's share of c_1 from the rigid model; NaN: unknown
     known_deviation: FloatArray  # (n_joints,) standard deviation of the log of that inertia
+    # (n_base, n_joints) change of `base` per motor inertia where motion determines combinations
+    base_per_motor: FloatArray
 
     @property
     def n_joints(self) -> int:
@@ -142,10 +145,14 @@ class Family:
         base = self._base(parts.pop("link_inertia"))
         inertia = np.asarray(np.tensordot(base, posture.inertia, axes=1))
         gravity = np.asarray(np.tensordot(base, posture.gravity, axes=1))
-        return LinearArm(gear_ratio=self.ratio, inertia=inertia, gravity=gravity, **parts)
+        return LinearArm(self.arm.transmission, inertia=inertia, gravity=gravity, **parts)
 
     def _base(self, link_inertia: FloatArray) -> FloatArray:
         """Base parameters (..., n_base) of arms with these link inertias when stretched."""
+        if self.arm.base.has_groups and self.total_inertia is not None:
+            known = np.nan_to_num(self.known_share) * self.total_inertia
+            motor = self.total_inertia - self.ratio**2 * link_inertia
+            return np.asarray(self.base + (motor - known) @ self.base_per_motor.T)
         base = np.broadcast_to(self.base, (*link_inertia.shape[:-1], len(self.base))).copy()
         at = {key: k for k, key in enumerate(self.arm.base_names)}
         for key, row in inertias_of_links(self.arm):
@@ -168,14 +175,15 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
     ratio, unknown = arm.gear_ratios, np.full(n, np.nan)
     if model is None:
         base = np.zeros(len(arm.base_names))
-        return Family(arm, ratio, None, None, None, base, unknown, unknown)
+        fixed = np.zeros((len(base), n))
+        return Family(arm, ratio, None, None, None, base, unknown, unknown, fixed)
     total = total_inertias(model, arm)
     share, share_std = unknown.copy(), unknown.copy()
     for parameter in model.parameters:
         is_motor_inertia = parameter.name == "motor_inertia" and parameter.joint is not None
         if is_motor_inertia and parameter.value and parameter.value > 0.0:
             i = (parameter.joint or 1) - 1
-            share[i] = min(0.95, parameter.value / total[i])
+            share[i] = min(_MAX_SHARE, parameter.value / total[i])
             relative_std = (parameter.std or 0.0) / parameter.value
             share_std[i] = max(relative_std, _MIN_RELATIVE_STD)
     numbers = range(1, n + 1)
@@ -190,4 +198,28 @@ def family_of(model: RigidModel | None, arm: Arm) -> Family:
         base_parameters(model, arm),
         share,
         share_std,
+        _base_per_motor(model, arm),
     )
+
+
+def _base_per_motor(model: RigidModel, arm: Arm) -> FloatArray:
+    """Expected change of the link parameters per motor inertia, (n_base, n_joints).
+
+    An inertia that rigid motion does not separate moves from links to motor; the errors of a
+    separate motor inertia are correlated with those of other parameters.
+    """
+    change, base = arm.base.links_per_motor.copy(), arm.links_of_rigid()
+    motors = [
+        (k, column.joint - 1)
+        for k, column in enumerate(arm.rigid_columns)
+        if column.name == "motor_inertia"
+        and column.joint is not None
+        and model.covariance[k, k] > 0.0
+    ]
+    places = [k for k, _ in motors]
+    covariance = np.nan_to_num(model.covariance[: arm.n_body, places])
+    regression = np.linalg.pinv(
+        np.nan_to_num(model.covariance[np.ix_(places, places)]), hermitian=True
+    )
+    change[:, [i for _, i in motors]] += base @ covariance @ regression
+    return change

@@ -20,7 +20,7 @@ from strainwave.identification.joint_model.motor_side.arms import (
     Posture,
     posture_of,
 )
-from strainwave.identification.joint_model.motor_side.impedance import velocities
+from strainwave.identification.joint_model.motor_side.impedance import LinearArm, MotorMotion
 from strainwave.identification.joint_model.motor_side.spectra import Piece
 from strainwave.numerics.coordinate_search import Choice, CoordinateSearch
 
@@ -192,19 +192,59 @@ def _errors(
     The shapes are (..., n_lines) for the arms of the points, and (n_lines,).
     """
     piece, posture = piece_in_posture
-    Z = family.linear(points, posture).impedance(piece.s)
+    arm = family.linear(points, posture)
     for i in piece.rows:
-        norm = np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s))
-        drive, direction = piece.torque[:, i], piece.direction[:, i]
-        if family.coulomb is not None:
-            drive = drive - family.coulomb[i] * direction
-        error = piece.velocity[:, i] - velocities(Z, drive, piece.velocity, i)
-        if family.coulomb is None:  # estimate the Coulomb friction
-            response = direction / Z[..., i, i]
-            friction = np.sum((np.conj(response) * error).real, axis=-1, keepdims=True)
-            friction = friction / np.sum(np.abs(response) ** 2, axis=-1, keepdims=True)
-            error = error - np.minimum(friction, 0.0) * response
+        motion = _motion(family, arm, piece, i)
+        error = motion.error
+        if family.coulomb is None:
+            response, friction = _friction(motion, piece)
+            error = error - friction * response
+        norm = _norm(piece, i)
         yield error / norm, np.abs(piece.velocity[:, i]) / norm
+
+
+def _motion(family: Family, arm: LinearArm, piece: Piece, i: int) -> MotorMotion:
+    """Motion of motor i, from 0, with its known Coulomb friction."""
+    drive = piece.torque[:, i]
+    if family.coulomb is not None:
+        drive = drive - family.coulomb[i] * piece.direction[:, i]
+    return arm.motor(piece.s, drive, piece.velocity, i)
+
+
+def _friction(motion: MotorMotion, piece: Piece) -> tuple[ComplexArray, FloatArray]:
+    """Velocity per Coulomb friction, and minus the friction that fits the piece best."""
+    response = piece.direction[:, motion.row] / motion.impedance
+    friction = np.sum((np.conj(response) * motion.error).real, axis=-1, keepdims=True)
+    friction = friction / np.sum(np.abs(response) ** 2, axis=-1, keepdims=True)
+    return response, np.minimum(friction, 0.0)
+
+
+def _norm(piece: Piece, i: int) -> float:
+    """RMS velocity of motor i, from 0, times the root of the number of lines."""
+    return float(np.sqrt(np.mean(np.abs(piece.velocity[:, i]) ** 2) * len(piece.s)))
+
+
+def _error_derivatives(
+    family: Family, point: FloatArray, piece_in_posture: _PieceInPosture
+) -> Iterator[ComplexArray]:
+    """Yield the derivatives (n_coordinates, n_lines) of the errors of `_errors` at one point."""
+    piece, posture = piece_in_posture
+    arm, steps = family.linear(point, posture), _DIFFERENCE_STEP * np.eye(len(point))
+    above, below = (family.linear(point + sign * steps, posture) for sign in (1.0, -1.0))
+    changes = arm.derivative(above, below, _DIFFERENCE_STEP)
+    for i in piece.rows:
+        motion = _motion(family, arm, piece, i)
+        error, impedance = motion.derivatives(changes)
+        if family.coulomb is None:
+            response, friction = _friction(motion, piece)
+            of_response = -response * impedance / motion.impedance
+            residual, squared = motion.error - friction * response, np.sum(np.abs(response) ** 2)
+            gradient = np.conj(of_response) * residual + np.conj(response) * (
+                error - friction * of_response
+            )
+            of_friction = gradient.real.sum(axis=-1, keepdims=True) / squared
+            error = error - friction * of_response - (friction < 0.0) * of_friction * response
+        yield error / _norm(piece, i)
 
 
 def _costs(family: Family, points: FloatArray, piece_in_posture: _PieceInPosture) -> FloatArray:
@@ -222,12 +262,16 @@ def _residual(
     """Real and imaginary errors of all pieces, then the residuals of known motor inertias."""
     parts = []
     for record in records:
-        piece = record[0]
-        weight = np.abs(piece.s) ** tilt
-        weight = weight / np.sqrt(np.mean(weight**2))
+        weight = _line_weights(record[0], tilt)
         for error, _ in _errors(family, point, record):
             parts += [(error * weight).real, (error * weight).imag]
     return np.concatenate([*parts, _prior_residuals(family, point)])
+
+
+def _line_weights(piece: Piece, tilt: float) -> FloatArray:
+    """Weights (n_lines,) of the lines, a power of the frequency."""
+    weight = np.abs(piece.s) ** tilt
+    return np.asarray(weight / np.sqrt(np.mean(weight**2)))
 
 
 def _prior_residuals(family: Family, point: FloatArray) -> FloatArray:
@@ -267,15 +311,18 @@ def _minimize(
 def _jacobian(
     family: Family, point: FloatArray, records: Sequence[_PieceInPosture], tilt: float = 0.0
 ) -> FloatArray:
-    """Jacobian (n_rows, n_coordinates) of the residuals by central differences."""
+    """Jacobian (n_rows, n_coordinates) of the residuals."""
+    parts = []
+    for record in records:
+        weight = _line_weights(record[0], tilt)
+        for change in _error_derivatives(family, point, record):
+            parts += [(change * weight).real.T, (change * weight).imag.T]
     steps = _DIFFERENCE_STEP * np.eye(len(point))
-    return np.column_stack(
-        [
-            _residual(family, point + step, records, tilt)
-            - _residual(family, point - step, records, tilt)
-            for step in steps
-        ]
-    ) / (2.0 * _DIFFERENCE_STEP)
+    prior = [
+        _prior_residuals(family, point + step) - _prior_residuals(family, point - step)
+        for step in steps
+    ]
+    return np.concatenate([*parts, np.column_stack(prior) / (2.0 * _DIFFERENCE_STEP)])
 
 
 def _with_covariance(
