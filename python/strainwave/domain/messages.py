@@ -295,6 +295,7 @@ CLAUSES: Mapping[str, str] = {
     "estimate/no-std": "{value:.3g} {unit}",
     "viscous-split": "; only the total viscous friction is well determined",
     "fit": "{channel} {fit:.0f} %",
+    "fit/below": "{channel} below {fit:.0f} %",
     "of-joint": "{name} of joint {joint}",
     "stage-difference": "{parameter} {rigid:.4g} by the rigid and {whole_arm:.4g} {unit} by the"
     " whole-arm fit",

@@ -38,6 +38,7 @@ from strainwave.statespace.subspace import (
     realise,
 )
 
+_LOWEST_FIT = -1000.0  # [%] shown; the simulation of an unstable model grows without bound
 # K = 0 is not tried if its cost at the plant's poles exceeds the bound of the Bayesian information
 # criterion by this factor.
 _MAX_ZERO_GAIN_COST_FACTOR = 3.0
@@ -287,7 +288,13 @@ def _negative_fit_warning(model: StateSpace) -> tuple[Diagnostic, ...]:
     """
     names = model.output_names or tuple(f"output {k + 1}" for k in range(len(model.C)))
     pairs = zip(names, model.fit_percent, strict=True)
-    fits = tuple(Clause("fit", channel=name, fit=float(fit)) for name, fit in pairs if fit < 0.0)
+    fits = tuple(
+        Clause("fit", channel=name, fit=float(fit))
+        if fit >= _LOWEST_FIT
+        else Clause("fit/below", channel=name, fit=_LOWEST_FIT)
+        for name, fit in pairs
+        if fit < 0.0
+    )
     if not fits:
         return ()
     return (Diagnostic("negative-fit", STATE_SPACE_MODEL, fits=fits),)
