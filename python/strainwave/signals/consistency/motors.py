@@ -183,15 +183,15 @@ def _regress_torque(records: list[SlowRecord], arm: Arm, i: int) -> TorqueRegres
         return None
     base = used[used < arm.n_body]
     n = len(base)
-    weights, covariance = np.concatenate(inertias).mean(axis=0)[base], fit.covariance[:n, :n]
+    weights = np.concatenate(inertias).mean(axis=0)[base]
     return TorqueRegression(
         joint=i + 1,
         inertia=float(weights @ fit.value[:n]),
-        inertia_std=float(np.sqrt(weights @ covariance @ weights)),
+        inertia_std=float(np.linalg.norm(weights @ fit.root[:n])),
         explained=fit.explained,
         base=tuple(arm.rigid_columns[k].key for k in base),
         value=fit.value[:n],
-        covariance=covariance,
+        covariance=fit.covariance[:n, :n],
     )
 
 

@@ -20,9 +20,14 @@ class Fit:
     """Coefficients of a regression."""
 
     value: FloatArray  # (n_columns,)
-    covariance: FloatArray  # (n_columns, n_columns)
+    root: FloatArray  # (n_columns, n_columns); root root' is the covariance
     explained: float  # share of the variance of the target
     rows: int
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the coefficients, (n_columns, n_columns)."""
+        return np.asarray(self.root @ self.root.T)
 
 
 def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = None) -> Fit | None:
@@ -53,14 +58,13 @@ def regress(target: FloatArray, columns: FloatArray, prior: FloatArray | None = 
         residual_std = float(np.sqrt(residual @ residual / max(1, len(y) - X.shape[1])))
         residual_std = max(residual_std, 1e-9 * float(np.sqrt(total / len(y))))
     inverse = np.linalg.inv(R)
-    covariance = inverse @ inverse.T * residual_std**2 * _ROWS_PER_INDEPENDENT_ROW
+    root = inverse * residual_std * np.sqrt(_ROWS_PER_INDEPENDENT_ROW)
     factor = np.maximum(
-        1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.sqrt(np.diag(covariance))
+        1.0, _long_run_std(X @ (inverse @ inverse.T), residual) / np.linalg.norm(root, axis=1)
     )
-    covariance = covariance * np.outer(factor, factor)
     return Fit(
         value=value / norms,
-        covariance=covariance / np.outer(norms, norms),
+        root=root * (factor / norms)[:, None],
         explained=1.0 - float(residual @ residual) / total,
         rows=len(y),
     )
