@@ -82,22 +82,21 @@ def compute_reference_ratios(evidence: Evidence) -> list[Ratio]:
 def compute_servo_output_ratios(evidence: Evidence) -> list[Ratio]:
     """Ratios of the logged voltage to the servo output kp e + ki int(e) of the study.
 
-    e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output.
+    e is reference minus motor velocity. Excludes joints with a PRBS added to the servo output, and
+    servos with a position loop: its law integrates twice, which the slow rows do not resolve.
     """
     ratios: list[Ratio] = []
     servo = evidence.arm.servo
+    if servo is None or servo.position_gain is not None:
+        return ratios
     for record, i in _servo_controlled(evidence):
         name = f"u{i}"
         has_prbs = record.experiment.prbs is not None and record.experiment.joint in (None, i)
-        if servo is None or has_prbs or name not in record.channels:
+        if has_prbs or name not in record.channels:
             continue
         angle, reference = record.channels[f"theta_m{i}"], record.channels[f"ref{i}"]
         error = reference - differentiate(angle, record.sample_time)
         integral = np.cumsum(reference) * record.sample_time - angle
-        if servo.position_gain is not None:
-            correction = servo.position_gain[i - 1] * (integral - integral[0])
-            error = error + correction
-            integral = integral + np.cumsum(correction) * record.sample_time
         expected = servo.kp[i - 1] * error + servo.ki[i - 1] * integral
         ratios.extend(
             _regress_ratio(record, name, record.channels[name], expected[record.inside, None])

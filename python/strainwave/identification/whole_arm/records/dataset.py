@@ -37,6 +37,9 @@ _REFINED_STEPS_PER_PERIOD = 120.0
 _RELATIVE_BANDWIDTH_STEP = 1e-3  # relative change of a bandwidth for its numerical derivative
 
 
+_MIN_NOISE = 1e-12  # [SI] of an ideal sensor, far below the resolution of any real one
+
+
 @dataclass(frozen=True, slots=True)
 class Dataset:
     """A record with its simulation inputs and its filtered measured channels."""
@@ -454,4 +457,5 @@ def noise_behind(
     """
     stds = [noise_std(x) for x in samples]
     gain = [np.linalg.norm(kernels.taps(rate=channel.rate)) for channel in channels]
-    return np.asarray(np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain)
+    stds = np.maximum(stds, np.array(counts) / np.sqrt(12.0)) * gain
+    return np.asarray(np.maximum(stds, _MIN_NOISE))
