@@ -20,6 +20,7 @@ from strainwave.domain import (
     FloatArray,
     FrequencyResponse,
     Identification,
+    InputCheck,
     Options,
     Parameter,
     PublishedWarning,
@@ -125,6 +126,16 @@ def identify(
             progress(events.get())
 
     return Result.of(_run_in_thread(run, is_cancelled or (lambda: False), report_progress))
+
+
+def check(study: Study | Path | str, *, data: Data | None = None) -> InputCheck:
+    """Check whether the channels of a study agree with each other and with the study.
+
+    Takes a second or two; `identify` makes the same check first. `data` is that of `identify`. The
+    record has `status`, `relations`, `suspected` and `warnings`. Raises `InvalidInput` if the
+    study or a log is at fault.
+    """
+    return pipeline.check_input(_study_of(study, data or {}), data=data)
 
 
 def read_result(path: Path | str) -> Result:

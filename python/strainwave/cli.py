@@ -124,6 +124,35 @@ def identify(
 
 
 @app.command(
+    short_help="Check whether logs and study agree.",
+    epilog="Example: strainwave check study.toml",
+)
+def check(
+    study: StudyFile,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the check as JSON, and nothing else.")
+    ] = False,
+    quiet: Quiet = False,
+) -> None:
+    """Check axes, signs, units, ratios, gravity, delays and clipping, without identification."""
+    from strainwave import pipeline
+
+    with _progress(quiet or as_json) as report:
+        report("checking the input")
+        result = pipeline.check_input(study)
+    if as_json:
+        from strainwave.io.check_document import check_document
+        from strainwave.io.results import to_json
+
+        typer.echo(to_json(check_document(result)).decode(), nl=False)
+    elif not quiet:
+        from strainwave.presentation.terminal import print_check
+
+        print_check(result)
+    raise typer.Exit(result.exit_code)
+
+
+@app.command(
     short_help="Simulate a study on a virtual arm.",
     epilog="Example: strainwave simulate study.toml --parameters arm.json --out virtual",
 )
