@@ -60,7 +60,7 @@ def _root(
 
 @app.command(
     short_help="Write a draft of a study file from logs.",
-    epilog="Example: strainwave init run1.csv run2.csv --out study.toml",
+    epilog="Example: strainwave init --urdf robot.urdf run1.csv run2.csv --out study.toml",
 )
 def init(
     logs: Annotated[
@@ -69,6 +69,10 @@ def init(
     out: Annotated[
         Path, typer.Option("--out", help="The study file to write.", metavar="STUDY.toml")
     ] = Path("study.toml"),
+    urdf: Annotated[
+        Path | None,
+        typer.Option("--urdf", help="URDF of a serial arm, which places its joints.", metavar="F"),
+    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Write a draft of a study file from logs: guesses with reasons; unknown values are TODO."""
@@ -76,7 +80,7 @@ def init(
 
     with _progress(quiet) as report:
         report("inspecting the logs")
-        draft = start_study(logs, out)
+        draft = start_study(logs, out, urdf)
     if not quiet:
         if draft.limit:
             typer.echo(f"limit: {draft.limit}")
