@@ -133,9 +133,9 @@ def _classify_input(record: Record, mapping: Mapping, joint: int) -> _JointInput
     drive = _column(record, mapping, f"u{joint}", f"torque{joint}")
     reference = _column(record, mapping, f"ref{joint}")
     if drive is None or np.ptp(drive) == 0.0:
-        return _JointInput(
-            joint, "still", None, reference is not None and bool(np.ptp(reference) > 0.0), 0.0
-        )
+        is_moved = reference is not None and bool(np.ptp(reference) > 0.0)
+        is_held = drive is not None and bool(drive[0] != 0.0)  # by the integral of a servo
+        return _JointInput(joint, "still", None, is_moved or is_held, 0.0)
     std = float(np.std(drive))
     input_levels = levels(drive)
     jumps = switches(drive)

@@ -84,9 +84,9 @@ def _number_by_robot(
             by_name[name] = replace(parsed, number=match.number, label="")
         else:
             number = number_in(each.label) if each.label else each.number
-            by_number[name] = replace(each, number=number, label="", unrecognised_word="")
+            by_number[name] = replace(each, number=number, label="")
     kept, unused, count = by_name, dict[str, str](), len(robot.joints)
-    for name, each in _number_joints(by_number).items():
+    for name, each in _count_from_one(by_number).items():
         number = robot.number_of(each.number)
         if number is not None:
             kept[name] = replace(each, number=number)
@@ -103,18 +103,23 @@ def _number_joints(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedNa
         name: replace(each, label=_label(each, parsed_names)) for name, each in parsed_names.items()
     }
     labels = list(dict.fromkeys(each.label for each in parsed_names.values() if each.label))
+    return {
+        name: replace(each, number=labels.index(each.label) + 1) if each.label else each
+        for name, each in _count_from_one(parsed_names).items()
+    }
+
+
+def _count_from_one(parsed_names: Mapping[str, ParsedName]) -> dict[str, ParsedName]:
+    """Increase the numbers of topics and quantities that count from 0."""
     from_zero = {
         _numbering_group(name, each) for name, each in parsed_names.items() if each.number == 0
     }
-    numbered = {}
-    for name, each in parsed_names.items():
-        if each.label:
-            numbered[name] = replace(each, number=labels.index(each.label) + 1)
-        elif each.number is not None and _numbering_group(name, each) in from_zero:
-            numbered[name] = replace(each, number=each.number + 1)
-        else:
-            numbered[name] = each
-    return numbered
+    return {
+        name: replace(each, number=each.number + 1)
+        if each.number is not None and _numbering_group(name, each) in from_zero
+        else each
+        for name, each in parsed_names.items()
+    }
 
 
 def _label(each: ParsedName, parsed_names: Mapping[str, ParsedName]) -> str:
